@@ -24,7 +24,7 @@ from torch import Tensor
 from benchmarks.guiding_scenes import scenes
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
-from metapp.rendering.path_space import DEPTH
+from metapp.rendering.paths.path_space import DEPTH
 
 try:
     import bpy

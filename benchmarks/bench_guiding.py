@@ -30,8 +30,8 @@ from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
 from metapp.rendering import equal_time
 from metapp.rendering.guided_plugin import FEWEST
-from metapp.rendering.path_space import DEPTH
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.scenes.loading import load_scene
 
 REGULAR, GUIDED = "regular + NEE", {"type": "metapp_guided_path"}
 METHODS: dict[str, dict[str, Any]] = {  # integrators

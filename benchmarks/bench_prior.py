@@ -29,7 +29,7 @@ from metapp.rendering.guide_prior import read_prior, shipped
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.guided_picture import GuidedPicture
 from metapp.rendering.guided_plugin import RR_DEPTH
-from metapp.rendering.path_space import DEPTH
+from metapp.rendering.paths.path_space import DEPTH
 
 NONE = "none"
 

@@ -23,8 +23,8 @@ from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
 from metapp.rendering import equal_time
-from metapp.rendering.path_space import DEPTH
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.scenes.loading import load_scene
 from metapp.storage.files import write_atomically
 
 METHODS = {REGULAR: "path", "guided + NEE": "guided_path"}

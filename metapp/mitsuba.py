@@ -29,8 +29,8 @@ from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
 from metapp.learning.task import Params
-from metapp.rendering.brdf_plugin import Material, register_neural_brdf
-from metapp.rendering.bsdfs import register_maps_bsdf
+from metapp.rendering.bsdfs.neural_brdf import Material, register_neural_brdf
+from metapp.rendering.bsdfs.neural_svbrdf import register_maps_bsdf
 from metapp.rendering.guided_plugin import register_guided_path
 from metapp.storage.tensors import read_tensors
 

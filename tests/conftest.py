@@ -26,7 +26,7 @@ from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.recipe import Recipe
-from metapp.rendering.second_scene import matrix_path
+from metapp.rendering.second_scene.relighting import matrix_path
 from tests.small_spheres import run_small, shrink_spheres
 
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself

@@ -32,8 +32,8 @@ from metapp.rendering.guide_training import APP, RECIPE
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.guided_picture import GuidedPicture
 from metapp.rendering.guided_plugin import RR_DEPTH
-from metapp.rendering.path_space import DEPTH
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.scenes.loading import load_scene
 from metapp.storage.files import write_atomically
 from metapp.storage.records import load_checkpoint, save_checkpoint
 

@@ -11,12 +11,12 @@ import torch
 from torch import Generator
 
 from metapp.learning.task import Task
-from metapp.rendering.path_resampling import draw_samples
-from metapp.rendering.path_space import DIMENSIONS, Tracer
-from metapp.rendering.scene_loading import checked
-from metapp.rendering.scene_plugins import Unsupported
-from metapp.rendering.scene_rules import Places, SceneDict, read_text, scene_bytes
-from metapp.rendering.scene_trial import try_scene
+from metapp.rendering.paths.path_space import DIMENSIONS, Tracer
+from metapp.rendering.paths.resampling import draw_samples
+from metapp.rendering.scenes.loading import checked
+from metapp.rendering.scenes.plugins import Unsupported
+from metapp.rendering.scenes.rules import Places, SceneDict, read_text, scene_bytes
+from metapp.rendering.scenes.trial import try_scene
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 
@@ -47,7 +47,7 @@ def transport_task(
 
     Args:
         name: of the task.
-        scene: as `metapp.rendering.scene_loading.load_scene` takes it.
+        scene: as `metapp.rendering.scenes.loading.load_scene` takes it.
         seed: of all draws.
         samples: N, for fits to see.
         held: M, for tests alone.

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from data_tools.readers.scene_values import Colour, child, colour, made, number, numbers, shown, taken
-from metapp.rendering.scene_xml import SceneElement
+from metapp.rendering.scenes.xml import SceneElement
 
 Log = Callable[[SceneElement, str], None]
 _CONDUCTORS = ("eta", "k", "material")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from metapp.rendering.scene_rules import DEPTH
+from metapp.rendering.scenes.rules import DEPTH
 
 _NUMBERS = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene may hold
 _SHAPES = ((), (3,), (3, 3), (4, 4))

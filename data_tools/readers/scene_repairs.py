@@ -22,8 +22,8 @@ from data_tools.readers.scene_values import (
     snake_case,
     taken,
 )
-from metapp.rendering.scene_plugins import plugins
-from metapp.rendering.scene_xml import SceneElement
+from metapp.rendering.scenes.plugins import plugins
+from metapp.rendering.scenes.xml import SceneElement
 
 Log = Callable[[SceneElement, str], None]
 
@@ -107,7 +107,7 @@ def repair(root: SceneElement) -> tuple[list[Repair], list[Repair]]:
     """Repair a scene in place.
 
     Args:
-        root: of the document, as `metapp.rendering.scene_loading.merged` gives it.
+        root: of the document, as `metapp.rendering.scenes.loading.merged` gives it.
 
     Returns:
         What was done, and the elements that stay as they are though Mitsuba 3 lacks them.

@@ -10,10 +10,10 @@ from xml.etree.ElementTree import indent, tostring
 
 from data_tools.readers.scene_repairs import Repair, repair
 from data_tools.readers.scene_values import snake_case
-from metapp.rendering.scene_loading import check_traced, load_any
-from metapp.rendering.scene_rules import Places, read_text
-from metapp.rendering.scene_trial import try_scene
-from metapp.rendering.scene_xml import SceneElement, checked_xml, merged, parse
+from metapp.rendering.scenes.loading import check_traced, load_any
+from metapp.rendering.scenes.rules import Places, read_text
+from metapp.rendering.scenes.trial import try_scene
+from metapp.rendering.scenes.xml import SceneElement, checked_xml, merged, parse
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import write_atomically
 

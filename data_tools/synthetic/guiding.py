@@ -16,8 +16,8 @@ from metapp.rendering.guide_prior import LearnedPrior, histogram_features, init
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.guided_picture import GuidedPicture
 from metapp.rendering.guided_plugin import RR_DEPTH
-from metapp.rendering.path_space import DEPTH
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.scenes.loading import load_scene
 
 SIZE = 64  # px
 # samples a pixel between readings: after 2^14 paths of the survey, 2^16, 2^17, 2^18, 2^19 and 2^21

@@ -12,7 +12,7 @@ from data_tools.readers.mitsuba_scenes import BESIDE, HELD, SAMPLES, UNITS, tran
 from data_tools.synthetic.cornell import draw_scene
 from data_tools.synthetic.stationary.families import Split, turns
 from metapp.learning.task import Task
-from metapp.rendering.path_space import DIMENSIONS
+from metapp.rendering.paths.path_space import DIMENSIONS
 
 __all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]
 

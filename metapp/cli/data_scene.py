@@ -98,7 +98,7 @@ def _scene_file(path: Path, options: SceneOptions) -> None:
 
 
 def _second_scene(quiet: bool, as_json: bool) -> None:
-    from metapp.rendering.second_scene import matrix_path, transfer
+    from metapp.rendering.second_scene.relighting import matrix_path, transfer
 
     file = matrix_path()
     there = file.is_file()

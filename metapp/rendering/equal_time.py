@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from metapp.rendering.jit import mi
-from metapp.rendering.scene_rules import box_film
+from metapp.rendering.scenes.rules import box_film
 from metapp.rendering.types import Integrator, Scene, Sensor
 
 _WAVES = 16  # that a picture in a given time is made of, about

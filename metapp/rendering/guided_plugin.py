@@ -23,7 +23,7 @@ from metapp.rendering.guide_prior import read_prior, shipped
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.guided_picture import SEVERAL, GuidedPicture
 from metapp.rendering.jit import dr, mi, register_plugin
-from metapp.rendering.scene_plugins import snake_case
+from metapp.rendering.scenes.plugins import snake_case
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 SURVEYED = 2**21  # from which the survey and the prior are a small part of the time

@@ -22,7 +22,7 @@ from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.rendering.path_space import Tracer
+from metapp.rendering.paths.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
 RECIPE = replace(QUICK, setup=TransportSetup(FLOW))

@@ -18,7 +18,7 @@ from data_tools.readers.merl import read_merl
 from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import COUNTS, cornell_tasks, synthetic_tasks
 from metapp.cli.commands import app as cli
-from metapp.rendering.scene_rules import scene_of
+from metapp.rendering.scenes.rules import scene_of
 from metapp.runs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, fingerprint, read_shard
@@ -117,7 +117,7 @@ def test_help_tells_how_many_tasks_a_set_has() -> None:
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.path_space.BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH", 2**16)
 
 
 @pytest.mark.long

@@ -26,7 +26,7 @@ from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Params, Task
-from metapp.rendering import path_space
+from metapp.rendering.paths import path_space
 from metapp.storage.shards import ShardWriter
 from tests.quick import app_by
 

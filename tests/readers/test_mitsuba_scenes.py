@@ -15,8 +15,8 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.apps.transport.app import Transport
 from metapp.learning.task import problems_of
 from metapp.rendering import variant as mitsuba_variant
-from metapp.rendering.path_space import Tracer
-from metapp.rendering.scene_rules import scene_of
+from metapp.rendering.paths.path_space import Tracer
+from metapp.rendering.scenes.rules import scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
@@ -61,7 +61,7 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.path_space.BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH", 2**16)
 
 
 @needs_mitsuba

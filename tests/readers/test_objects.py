@@ -26,7 +26,7 @@ from data_tools.readers import (
 )
 from data_tools.readers.mitsuba_scenes import read_scene
 from metapp.learning.task import Task
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.scenes.loading import load_scene
 from tests.needs_mitsuba import needs_mitsuba
 from tests.pictures import noise, write
 

@@ -13,8 +13,8 @@ import pytest
 from data_tools.readers.mitsuba_scenes import read_scene, read_task
 from data_tools.readers.scene_repairs import Repair, repair
 from data_tools.readers.scene_upgrade import lines, upgraded, verdict, write
-from metapp.rendering.scene_loading import load_any, load_scene
-from metapp.rendering.scene_xml import SceneElement, parse
+from metapp.rendering.scenes.loading import load_any, load_scene
+from metapp.rendering.scenes.xml import SceneElement, parse
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba
 

@@ -20,7 +20,7 @@ import metapp
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf, layers_of
-from metapp.rendering.scene_rules import box_film
+from metapp.rendering.scenes.rules import box_film
 from metapp.storage.tensors import read_tensors
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
@@ -186,7 +186,7 @@ def test_lobes_follow_the_material() -> None:
     """The roughness of a GGX lobe is found, and sampling by it has less noise than by the cosine."""
     from metapp.appearance.geometry import cosines
     from metapp.appearance.reflection import microfacet_lobe
-    from metapp.rendering.brdf_lobes import ALPHAS, LEAST_COSINE, fit_lobes
+    from metapp.rendering.bsdfs.lobes import ALPHAS, LEAST_COSINE, fit_lobes
 
     alpha = ALPHAS[4]
     lobes = fit_lobes(lambda angles: microfacet_lobe(cosines(angles), alpha, lambda cos: cos * 0 + torch.ones(3)))

@@ -41,7 +41,7 @@ from metapp.rendering.guide_prior import (
     read_prior,
     shipped,
 )
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.records import save_checkpoint
 from tests.needs_mitsuba import needs_mitsuba, skip_without_mitsuba

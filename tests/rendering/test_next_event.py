@@ -11,10 +11,10 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene, rgb
-from metapp.rendering import path_resampling, path_space
-from metapp.rendering.path_resampling import draw_samples, resampled
-from metapp.rendering.path_space import FewPaths, Guide, Tracer, path_samples, reference, render
-from metapp.rendering.scene_loading import brightness
+from metapp.rendering.paths import path_space, resampling
+from metapp.rendering.paths.path_space import FewPaths, Guide, Tracer, path_samples, reference, render
+from metapp.rendering.paths.resampling import draw_samples, resampled
+from metapp.rendering.scenes.loading import brightness
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -110,7 +110,7 @@ def test_resampled_points_are_in_proportion_to_what_paths_carry(scene: Scene, mo
     share = torch.bincount(cell_of(points), minlength=CELLS[4] ** 4) / count
     expected, spread = mean / mean.sum(), error / mean.sum()
     # of as many independent samples as the pool has effective ones, which the fewest allow for
-    fewest = path_resampling.ENOUGH * count
+    fewest = resampling.ENOUGH * count
     deviation = (share - expected) / (expected / fewest + spread**2).sqrt()
     assert deviation.abs().max() < 4.5
     assert deviation.square().mean() < 1.4

@@ -20,9 +20,9 @@ from data_tools.readers.mitsuba_scenes import read_scene, read_task
 from data_tools.synthetic.cornell import random_scene
 from metapp.cli import console
 from metapp.cli.commands import app as cli
-from metapp.rendering.path_space import Tracer
-from metapp.rendering.scene_loading import load_scene
-from metapp.rendering.scene_rules import scene_of
+from metapp.rendering.paths.path_space import Tracer
+from metapp.rendering.scenes.loading import load_scene
+from metapp.rendering.scenes.rules import scene_of
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -143,7 +143,7 @@ def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[
     (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
     lines = (
         "from pathlib import Path\nfrom data_tools.readers.mitsuba_scenes import read_scene\n"
-        "from metapp.rendering.path_space import reference\n"
+        "from metapp.rendering.paths.path_space import reference\n"
         "print(reference(read_scene(Path('room.json')), 4, 4).shape)"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

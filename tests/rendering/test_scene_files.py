@@ -20,9 +20,9 @@ import pytest
 
 from data_tools.readers.mitsuba_scenes import read_scene, read_task
 from data_tools.synthetic.cornell import random_scene
-from metapp.rendering import scene_plugins
-from metapp.rendering.scene_files import check_file
-from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.scenes import plugins
+from metapp.rendering.scenes.files import check_file
+from metapp.rendering.scenes.loading import load_scene
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import CORNERS, FACES, NAN, OBJ, ORDERS, ply, serialized, volume
@@ -246,7 +246,7 @@ def test_a_file_is_checked_again_when_it_changes(tmp_path: Path) -> None:
 
 def test_what_no_check_knows_kills_a_child_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_scene(tmp_path, "a.ply", ply("ascii", faces=PAST))
-    monkeypatch.setattr(scene_plugins, "check_file", lambda *_: None)
+    monkeypatch.setattr(plugins, "check_file", lambda *_: None)
     with pytest.raises(ValueError, match=r"the process died \(SIG\w+\) while Mitsuba loads it") as caught:
         read_task(path, samples=8, held=8)
     assert str(caught.value).startswith(f"{path}: ")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.rendering import scene_plugins, scene_rules
-from metapp.rendering.scene_rules import (
+from metapp.rendering.scenes import plugins, rules
+from metapp.rendering.scenes.rules import (
     BYTES,
     DEPTH,
     CheckedDict,
@@ -69,7 +69,7 @@ def test_names_of_files(tmp_path: Path) -> None:
 
 
 def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_rules, "TEXT_BYTES", 10)
+    monkeypatch.setattr(rules, "TEXT_BYTES", 10)
     file = tmp_path / "x.xml"
     for size in (0, 9, 10):
         file.write_bytes(b"x" * size)
@@ -81,7 +81,7 @@ def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypat
     assert read_text(file) == "ab"  # without its byte order mark
     file.write_bytes(b"\xff")
     refused("not text in UTF-8", read_text, file)
-    monkeypatch.setattr(scene_rules, "_DATA_BYTES", 10)
+    monkeypatch.setattr(rules, "_DATA_BYTES", 10)
     places = Places((tmp_path,), (tmp_path,))
     file.write_bytes(b"x" * 10)
     assert places.file("x.xml") == file
@@ -114,7 +114,7 @@ def test_depth_and_number_of_values(checked: Callable[..., Any], monkeypatch: py
 
     assert checked(below=nested(DEPTH - 1))
     refused(f"{DEPTH} deep, expected fewer", lambda: checked(below=nested(DEPTH)))
-    monkeypatch.setattr(scene_rules, "PARTS", 10)
+    monkeypatch.setattr(rules, "PARTS", 10)
     assert len(checked(**{f"v{i}": i for i in range(9)})) == 10  # and its type
     refused("more than 10 values", lambda: checked(**{f"v{i}": i for i in range(10)}))
     refused("more than 10 values", lambda: checked(**{f"s{i}": {"type": "sphere", "radius": 1.0} for i in range(4)}))
@@ -122,7 +122,7 @@ def test_depth_and_number_of_values(checked: Callable[..., Any], monkeypatch: py
 
 def test_text_of_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     places = Places((tmp_path,), (tmp_path,))
-    monkeypatch.setattr(scene_rules, "TEXT", 20)
+    monkeypatch.setattr(rules, "TEXT", 20)
     assert checked_string("note", "x" * 20, places) == "x" * 20
     for value in ("x" * 21, "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b"):
         refused("expected plain text, no path", checked_string, "note", value, places)
@@ -186,4 +186,4 @@ def test_one_scene_around_all_else(tmp_path: Path) -> None:
 
 def test_without_mitsuba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    refused("mitsuba: not installed, .*; pip install mitsuba", scene_plugins.own_folder)
+    refused("mitsuba: not installed, .*; pip install mitsuba", plugins.own_folder)

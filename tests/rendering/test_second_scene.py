@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import latlong
-from metapp.rendering import second_scene
-from metapp.rendering import second_scene_geometry as geometry
-from metapp.rendering.second_scene import direct, relight, transfer
-from metapp.rendering.second_scene_geometry import GLOSSY_CENTRE, MATTE_CENTRE
+from metapp.rendering.second_scene import geometry, relighting
+from metapp.rendering.second_scene.geometry import GLOSSY_CENTRE, MATTE_CENTRE
+from metapp.rendering.second_scene.relighting import direct, relight, transfer
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
 
@@ -30,7 +29,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("matrix")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("METAPP_CACHE", str(folder))
-        patch.setattr(second_scene, "SAMPLES", 4096)
+        patch.setattr(relighting, "SAMPLES", 4096)
         transfer(ROWS, COLUMNS)
     return folder
 
@@ -185,7 +184,7 @@ def test_the_matrix_is_built_once_and_again_where_the_file_is_damaged(
         calls.append((height, width))
         return made
 
-    monkeypatch.setattr(second_scene, "_build", build)
+    monkeypatch.setattr(relighting, "_build", build)
     assert torch.equal(transfer(2, 4), made)
     assert torch.equal(transfer(2, 4), made)
     assert calls == [(2, 4)]

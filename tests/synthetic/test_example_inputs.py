@@ -53,7 +53,7 @@ def test_the_scene_of_the_example_is_one_that_fits_take(tmp_path):
 
 @needs_mitsuba
 def test_a_scene_as_xml_is_the_same_as_its_dictionary():
-    from metapp.rendering.path_space import Tracer
+    from metapp.rendering.paths.path_space import Tracer
 
     points, scene = torch.rand(4000, 4, generator=Generator().manual_seed(0)), random_scene(3)
     carried = [

@@ -17,7 +17,7 @@ from metapp.learning.app import stack
 from metapp.learning.task import Task, problems_of
 from metapp.rendering.guide_histogram import BINS
 from metapp.rendering.guide_training import APP
-from metapp.rendering.scene_rules import BYTES, scene_bytes, scene_of
+from metapp.rendering.scenes.rules import BYTES, scene_bytes, scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 SCENES = [random_scene(seed) for seed in range(200)]

@@ -30,7 +30,7 @@ from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
-from metapp.rendering.scene_rules import scene_bytes
+from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs import write_pictures
 from metapp.viewer.page import Group, Shown, document, write_page
 from tests.browser import Page, browsing

@@ -16,7 +16,7 @@ from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
 from metapp.learning.task import Params, Task
-from metapp.rendering.brdf_lobes import fit_lobes
+from metapp.rendering.bsdfs.lobes import fit_lobes
 
 CELLS = (24, 24, 48)  # of phi_d in [0, pi], theta_d, and the square root of theta_h
 WIDENED = 4  # times that cells without samples look one cell farther

@@ -26,7 +26,7 @@ from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField
-from metapp.rendering import second_scene
+from metapp.rendering.second_scene import relighting
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -88,7 +88,7 @@ class Illumination(CodedApp):
 
         Of a mirror `seen` [3, H, W] and `certain` [2, H, W], where fits see a photograph.
         """
-        second_scene.transfer()  # better missed now than after a fit
+        relighting.transfer()  # better missed now than after a fit
         photo = {"photo": task.data["photos"][0]} | self.mirrored(task)
         if "map" in task.data:
             described = self.described(task.data["map"][None].float())

@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from metapp.appearance import latlong, reflection
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
-from metapp.rendering import second_scene
+from metapp.rendering.second_scene import relighting
 from metapp.storage.tensors import kept
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
@@ -41,4 +41,4 @@ def _spread(count: int) -> Tensor:
 
 def relight(maps: Tensor) -> Tensor:
     """Pictures [T, 3, h, w] of the second scene, linear."""
-    return second_scene.relight(maps)
+    return relighting.relight(maps)

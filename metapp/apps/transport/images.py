@@ -15,9 +15,9 @@ from metapp.appearance.presentation import REFERENCE, Fitted, Picture, Rendered
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
-from metapp.rendering import path_space
-from metapp.rendering.path_resampling import draw_samples
-from metapp.rendering.scene_rules import scene_of
+from metapp.rendering.paths import path_space
+from metapp.rendering.paths.resampling import draw_samples
+from metapp.rendering.scenes.rules import scene_of
 
 SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from metapp.rendering.scene_files import check_file
+from metapp.rendering.scenes.files import check_file
 
 MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers

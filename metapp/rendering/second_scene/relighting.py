@@ -4,7 +4,7 @@ All is neutral grey, as the grey and the mirror ball that film sets are lit by: 
 light's. The floor fills the picture and reaches to the horizon, so no pixel shows the map itself, and the lower half of
 a map does nothing. Pictures are linear in the map, which makes the scene a matrix: a thousand maps cost one rendering.
 
-The paths that fill the matrix are of `metapp.rendering.second_scene_paths`.
+The paths that fill the matrix are of `metapp.rendering.second_scene.paths`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
-from metapp.rendering.second_scene_geometry import HEIGHT, WIDTH, scene_dict
+from metapp.rendering.second_scene.geometry import HEIGHT, WIDTH, scene_dict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import write_atomically
@@ -97,7 +97,7 @@ def direct(illumination: Tensor, spp: int = 256, *, seed: int = 0) -> Tensor:
 def _build(height: int, width: int, report: Report) -> Tensor:
     """The matrix of `transfer`: what the map lights, and what sees patches that are lit."""
     load_mitsuba()
-    from metapp.rendering.second_scene_paths import PIXELS, ROWS, Paths
+    from metapp.rendering.second_scene.paths import PIXELS, ROWS, Paths
 
     paths = Paths()
     passes = math.ceil(SAMPLES / (height // 2 * width))

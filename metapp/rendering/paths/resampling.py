@@ -1,6 +1,6 @@
 """Samples of light paths where rejection accepts hardly any: small lamps, and lights that no path meets by chance.
 
-Paths with next-event estimation (`metapp.rendering.next_event`) are resampled in proportion to their luminance
+Paths with next-event estimation (`metapp.rendering.paths.next_event`) are resampled in proportion to their luminance
 (sampling importance resampling), then moved by Metropolis and Hastings' rule, which leaves that proportion as it is and
 parts those that were drawn more than once (resample-move, Gilks & Berzuini 2001). A path keeps the luminance that it
 was accepted by, so that the random numbers which no point holds are integrated exactly (Andrieu & Roberts 2009).
@@ -11,9 +11,9 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
-from metapp.rendering import path_space
-from metapp.rendering.path_space import BELOW_ONE, FewPaths, ImageSum, Tracer, path_samples
-from metapp.rendering.scene_loading import brightness
+from metapp.rendering.paths import path_space
+from metapp.rendering.paths.path_space import BELOW_ONE, FewPaths, ImageSum, Tracer, path_samples
+from metapp.rendering.scenes.loading import brightness
 
 ENOUGH = 0.25  # effective paths of the pool, for each sample
 FEWEST = 256  # of these at all

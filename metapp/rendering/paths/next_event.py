@@ -1,4 +1,4 @@
-"""Paths by their random numbers, as `metapp.rendering.path_space` traces them, with next-event estimation.
+"""Paths by their random numbers, as `metapp.rendering.paths.path_space` traces them, with next-event estimation.
 
 The mean over all numbers that a point does not hold is that of paths without it, where these meet the light at all: a
 direction that the point holds decides alone what light it meets, and emitters are sampled from the next surface on.

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from metapp.rendering.scene_meshes import BLOCK, check_obj, check_ply
-from metapp.rendering.scene_serialized import check_serialized
+from metapp.rendering.scenes.meshes import BLOCK, check_obj, check_ply
+from metapp.rendering.scenes.serialized import check_serialized
 from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
 
 

@@ -3,8 +3,8 @@
 A point holds the place on the film, x to the right and y down, then two numbers for the direction in which the path
 leaves each of the first surfaces that scatter. Mirrors and glass, which leave no choice of direction, take none. All
 further numbers of a path are drawn within. A path counts if it meets a light, without next-event estimation, or, where
-the tracer has it, as `metapp.rendering.next_event` says: the mean over what is drawn within is the same function of the
-point. Only light that point, spot and directional emitters send to the first surface comes beside it.
+the tracer has it, as `metapp.rendering.paths.next_event` says: the mean over what is drawn within is the same function
+of the point. Only light that point, spot and directional emitters send to the first surface comes beside it.
 
 A density q(directions | film) can guide pictures. One path of four is left to the uniform density (defensive sampling),
 so that the weight 1 / (1/4 + 3/4 q) of a path is never above 4 (the balance heuristic of Veach & Guibas 1995): pictures
@@ -20,8 +20,8 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.rendering.scene_loading import brightness, load_scene, reason_of
-from metapp.rendering.scene_rules import SceneDict
+from metapp.rendering.scenes.loading import brightness, load_scene, reason_of
+from metapp.rendering.scenes.rules import SceneDict
 from metapp.rendering.types import Color, Mask, Point2, RandomStreams, Ray, UInt32
 
 DIMENSIONS = 4  # film, and the direction at the first surface that scatters
@@ -73,7 +73,7 @@ class Tracer:
         return self.parts(points, rng)[0]
 
     def parts(self, points: Tensor, rng: Generator) -> tuple[Tensor, Tensor | float]:
-        """The same, and light beside it that no direction meets, [N, 3], or 0: see `metapp.rendering.next_event`."""
+        """The same, and light beside it that no direction meets, [N, 3], or 0: see `paths.next_event`."""
         mi = self.mi
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
         pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
@@ -81,7 +81,7 @@ class Tracer:
             streams = self.streams(len(points), rng)
             if not self.next_event:
                 return _as_tensor(self._trace(pairs[0], pairs[1:], streams)), 0.0
-            from metapp.rendering import next_event  # imports Mitsuba
+            from metapp.rendering.paths import next_event  # imports Mitsuba
 
             carried, direct = next_event.trace(self.scene, self.rays(pairs[0]), pairs[1:], streams, self.depth)
             return _as_tensor(carried), _as_tensor(direct)

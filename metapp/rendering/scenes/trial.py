@@ -26,14 +26,14 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
     """Refuse a scene that ends the process that loads it, or that never comes to an end.
 
     Args:
-        scene: as `metapp.rendering.scene_loading.checked` gives it.
+        scene: as `metapp.rendering.scenes.loading.checked` gives it.
         variant: of Mitsuba, to load it in.
 
     Raises:
         ValueError: the process died.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-P", "-m", "metapp.rendering.scene_trial", variant]  # -P: nothing of this folder
+    command = [sys.executable, "-P", "-m", "metapp.rendering.scenes.trial", variant]  # -P: nothing of this folder
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.rendering.scene_rules import box_film
+from metapp.rendering.scenes.rules import box_film
 from metapp.rendering.types import Mitsuba
 
 HEIGHT, WIDTH = 64, 96  # of the picture, px

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.rendering.scene_rules import CheckedDict, Places, SceneDict
-from metapp.rendering.scene_trial import instantiate
-from metapp.rendering.scene_xml import checked_xml
+from metapp.rendering.scenes.rules import CheckedDict, Places, SceneDict
+from metapp.rendering.scenes.trial import instantiate
+from metapp.rendering.scenes.xml import checked_xml
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.rendering.scene_plugins import MEDIA, check_parameters, check_plugin, materials, snake_case
+from metapp.rendering.scenes.plugins import MEDIA, check_parameters, check_plugin, materials, snake_case
 
 Json = Any  # a value of a scene
 SceneDict = dict[str, Any]  # as Mitsuba's `load_dict` takes it, as far as JSON holds it

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 from xml.etree.ElementTree import Element, tostring
 from xml.parsers import expat
 
-from metapp.rendering.scene_plugins import (
+from metapp.rendering.scenes.plugins import (
     PLUGIN,
     Unsupported,
     check_parameters,
@@ -21,7 +21,7 @@ from metapp.rendering.scene_plugins import (
     number_of,
     snake_case,
 )
-from metapp.rendering.scene_rules import DEPTH, PARTS, TEXT, TEXT_BYTES, Places, checked_string
+from metapp.rendering.scenes.rules import DEPTH, PARTS, TEXT, TEXT_BYTES, Places, checked_string
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip

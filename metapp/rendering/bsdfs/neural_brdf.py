@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from metapp.rendering import types as mt
-from metapp.rendering.brdf_lobes import LAST, NODES, Lobes, fit_lobes
-from metapp.rendering.bsdfs import LocalReflection, Reflection, reflection_bsdf
+from metapp.rendering.bsdfs.lobes import LAST, NODES, Lobes, fit_lobes
+from metapp.rendering.bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering.jit import dr, mi, nn, register_plugin
 from metapp.rendering.types import Color, Float, Vector3
 

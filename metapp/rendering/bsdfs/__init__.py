@@ -1,0 +1,1 @@
+"""BSDFs of Mitsuba 3 that are written in Python."""

@@ -1,0 +1,1 @@
+"""Light paths by their random numbers."""

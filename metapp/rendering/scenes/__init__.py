@@ -1,0 +1,1 @@
+"""Scenes of others: checked, and loaded by Mitsuba."""

@@ -1,0 +1,1 @@
+"""The second scene, in which inferred illumination is judged."""
