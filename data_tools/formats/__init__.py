@@ -270,24 +270,22 @@ def inputs_of(app: str) -> tuple[Format, ...]:
 
 def merge_of(app: str) -> Callable[..., Task] | None:
     """Return what makes one task of an application of photos of different exposures, `merge(paths, exposures, ...)`."""
-    return _function_of(app, "MERGES", "merge")
+    return _function_of(app, "MERGES")
 
 
-def objects_of(app: str) -> Callable[[object, str], Task] | None:
-    """Return what makes a task of an application of something in memory, `from_object(source, name)`."""
-    return _function_of(app, "OBJECTS", "from_object")
+def objects_of(app: str) -> Callable[[object, str, Mapping[str, Any]], Task] | None:
+    """Return what makes a task of an application of something in memory, `from_object(source, name, how)`.
+
+    `how` has what fits tell readers, as of `Format.takes`, and `observe`.
+    """
+    return _function_of(app, "OBJECTS")
 
 
-def object_files_of(app: str) -> Callable[[object, str, Path, str], Path] | None:
-    """Return what writes something in memory as a file that fits take, `to_file(source, name, folder, observe)`."""
-    return _function_of(app, "OBJECT_FILES", "to_file")
-
-
-def _function_of(app: str, table: str, name: str) -> Callable[..., Any] | None:
-    """A function of the module that a table of this folder's modules, by application, names; None for no module."""
+def _function_of(app: str, table: str) -> Callable[..., Any] | None:
+    """The function that a table of this folder's modules names for an application; None where none does."""
     tables = [getattr(module, table, {}) for module in _modules()]
-    found = next((modules[app] for modules in tables if app in modules), None)
-    return getattr(importlib.import_module(found), name) if found else None
+    module, _, name = next((names[app] for names in tables if app in names), "").partition(":")
+    return getattr(importlib.import_module(module), name) if module else None
 
 
 def exports_of(app: str) -> dict[str, Format | Export]:

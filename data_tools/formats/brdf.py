@@ -59,7 +59,7 @@ Examples:
   metapp data gonio measurements --split test --out measured
 """
 
-OBJECTS = {"brdf": "data_tools.readers.brdf_objects"}
+OBJECTS = {"brdf": "data_tools.readers.brdf_objects:from_object"}
 FORMATS = (
     Format(
         "bsdf",

@@ -104,10 +104,10 @@ STRIPS_SPLIT = (
     "both sides is left out."
 )
 
-OBJECT_FILES = {
-    "texture": "data_tools.readers.picture_objects",
-    "svbrdf_stationary": "data_tools.readers.flash_objects",
-    "svbrdf_nonstationary": "data_tools.readers.map_objects",
+OBJECTS = {
+    "texture": "data_tools.readers.picture_objects:texture",
+    "svbrdf_stationary": "data_tools.readers.picture_objects:flash_photo",
+    "svbrdf_nonstationary": "data_tools.readers.picture_objects:material",
 }
 FORMATS = (
     Format(

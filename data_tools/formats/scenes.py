@@ -18,8 +18,11 @@ Examples:
   metapp data laval office.exr street.hdr --split test --out maps
 """
 
-MERGES = {"illumination": "data_tools.balls.reading"}
-OBJECT_FILES = {"illumination": "data_tools.readers.light_objects", "transport": "data_tools.readers.scene_objects"}
+MERGES = {"illumination": "data_tools.balls.reading:merge"}
+OBJECTS = {
+    "illumination": "data_tools.readers.picture_objects:light",
+    "transport": "data_tools.readers.mitsuba_scenes:from_object",
+}
 FORMATS = (
     Format(
         "laval",

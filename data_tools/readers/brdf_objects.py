@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -22,7 +22,7 @@ SAMPLED = ("wi", "wo", "reflectance")  # arrays of samples
 Function = Callable[[np.ndarray, np.ndarray], Any]
 
 
-def from_object(source: Any, name: str) -> Task:
+def from_object(source: Any, name: str, how: Mapping[str, Any]) -> Task:
     """Make the task of a BRDF in memory, with phi_h where it is anisotropic.
 
     Args:
@@ -33,6 +33,7 @@ def from_object(source: Any, name: str) -> Task:
             out;
             a BSDF of Mitsuba in an RGB variant that is not scalar, such as `mi.load_dict({"type": "roughconductor"})`.
         name: of the task.
+        how: arguments of readers; of no use here.
 
     Raises:
         ValueError: none of these; values of another shape, negative, or not finite; too few samples.

@@ -1,12 +1,17 @@
-"""Scene files of Mitsuba 3 as tasks of light transport: XML, or a scene dictionary as JSON."""
+"""Scenes of Mitsuba 3 as tasks of light transport: files, XML or a dictionary as JSON, and the same in memory.
+
+Nothing in memory is trusted more than in a file.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Generator
 
@@ -15,7 +20,7 @@ from metapp.rendering.paths.path_space import DIMENSIONS, Tracer
 from metapp.rendering.paths.resampling import draw_samples
 from metapp.rendering.scenes.loading import checked
 from metapp.rendering.scenes.plugins import Unsupported
-from metapp.rendering.scenes.rules import Places, SceneDict, read_text, scene_bytes
+from metapp.rendering.scenes.rules import DEPTH, Places, SceneDict, read_text, scene_bytes
 from metapp.rendering.scenes.trial import try_scene
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
@@ -32,6 +37,9 @@ UNITS = {
 BESIDE = ("scene", ".json")  # is a file beside each shard, too
 SUFFIXES = (".xml", ".json")
 UPGRADE = "metapp data scene {} --upgrade"
+
+_NUMBERS = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene in memory may hold
+_SHAPES = ((), (3,), (3, 3), (4, 4))
 
 
 def transport_task(
@@ -114,18 +122,40 @@ def read_task(
     Raises:
         ValueError: as `read_scene`, `load_scene` and `draw_samples`, with the path.
     """
-    mi = load_mitsuba()  # what keeps it from rendering is no fault of the scene
+    load_mitsuba()  # what keeps it from rendering is no fault of the scene
     scene = read_scene(path, roots)
-    seed = int.from_bytes(hashlib.sha256(path.stem.encode()).digest()[:7], "big")
+    return _traced(path.stem, scene, str(path), samples=samples, held=held, dimensions=dimensions)
+
+
+def from_object(source: object, name: str, how: Mapping[str, Any]) -> Task:
+    """Make the task of a scene in memory; files that it names lie in the current folder.
+
+    Args:
+        source: a dictionary of type "scene", as `mi.load_dict` takes it, of numbers, texts, transforms and
+            dictionaries; or the text of an XML document.
+        name: of the task.
+        how: `roots`, further folders that its files may come from.
+
+    Raises:
+        ValueError: neither; it holds something that JSON does not, such as a material that Mitsuba has loaded; as
+            `read_task`.
+    """
+    load_mitsuba()
+    return _traced(name, scene_in_memory(source, name, how.get("roots", ())), name)
+
+
+def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
+    """The task of a scene, drawn by its name; `subject` begins errors."""
+    seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big")
     try:
-        try_scene(scene, mi.variant())
-        return transport_task(path.stem, scene, seed, samples=samples, held=held, dimensions=dimensions)
+        try_scene(scene, load_mitsuba().variant())
+        return transport_task(name, scene, seed, **counts)
     except ValueError as error:
         reason = str(error)
         if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason += f"; {UPGRADE.format(path)}"
+            reason += f"; {UPGRADE.format(subject)}"
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
-    raise ValueError(f"{path}: {reason}")
+    raise ValueError(f"{subject}: {reason}")
 
 
 def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
@@ -149,11 +179,38 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         raise ValueError(f"{path}: {error}") from None
 
 
+def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:
+    """The content of a scene in memory, as `read_scene` has that of a file.
+
+    Args:
+        source, name: as of `from_object`.
+        roots: folders that its files may come from, beside the current one.
+
+    Raises:
+        ValueError: as `from_object`.
+    """
+    try:
+        if isinstance(source, str):
+            scene: SceneDict = {"xml": source}
+        elif isinstance(source, Mapping):
+            scene = _scene(_plain("scene", source))
+        else:
+            expected = "a path, a scene as Mitsuba's load_dict takes it, or XML text"
+            raise ValueError(f"{type(source).__name__}, expected {expected}.")
+        return checked(scene, Places.beside(Path.cwd() / name, roots))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
 def _from_json(text: str) -> SceneDict:
     try:
         scene = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"not readable as JSON ({error}), expected a scene dictionary of Mitsuba 3.") from None
+    return _scene(scene)
+
+
+def _scene(scene: object) -> SceneDict:
     if not isinstance(scene, dict) or not (scene.get("type") == "scene" or isinstance(scene.get("xml"), str)):
         raise ValueError("no scene, expected an object of type 'scene'; write one with metapp data cornell.")
     return scene
@@ -162,3 +219,36 @@ def _from_json(text: str) -> SceneDict:
 def _below(folder: Path) -> list[Path]:
     files = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.name != MANIFEST)
     return sorted(path for path in files if path.is_file())
+
+
+def _plain(key: str, value: Any, depth: int = 0) -> Any:
+    """A value of a scene in memory as JSON holds it."""
+    if depth > DEPTH:
+        raise ValueError(f"objects within each other, more than {DEPTH} deep, expected fewer.")
+    if isinstance(value, Mapping):
+        return {str(below): _plain(str(below), part, depth + 1) for below, part in value.items()}
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, list | tuple):
+        return [_plain(key, part, depth + 1) for part in value]
+    numbers = _numbers(value)
+    if numbers is None:
+        raise ValueError(
+            f"{type(value).__name__} as {key[:40]!r}, expected numbers, text, a transform or a dictionary; "
+            "give what it was made of, or the name of a file."
+        )
+    return numbers.tolist()
+
+
+def _numbers(value: Any) -> np.ndarray | None:
+    """Numbers of numpy, Mitsuba or Dr.Jit, a transform as its matrix; None of all else."""
+    if type(value).__module__.partition(".")[0] not in _NUMBERS:
+        return None
+    try:
+        numbers = np.array(value)
+        numbers = np.array(value.matrix) if numbers.dtype == object else numbers
+    except Exception:  # whatever an object of another library raises
+        return None
+    if numbers.shape[-1:] == (1,):  # of a variant that works on arrays
+        numbers = numbers[..., 0]
+    return numbers if numbers.dtype.kind in "uifb" and numbers.shape in _SHAPES else None

@@ -1,12 +1,17 @@
-"""Pictures in memory: arrays, tensors, PIL's, functions of places; as files, which are read like any other.
+"""Pictures, maps of materials and light in memory as tasks: written as files, which are read like any other.
 
-So sizes, orientations, colours and checks are those of files. Arrays and tensors are [H, W, 3], or gray [H, W], rows
-from the top. Integers of 8 or 16 bits are sRGB, floating-point values display values in [0, 1].
+So sizes, orientations, colours and checks are those of files. Pictures are of PIL, or arrays or tensors [H, W, 3] or
+gray [H, W], rows from the top. Integers of 8 or 16 bits are sRGB, floating-point values display values in [0, 1].
+
+Maps of a material are a dictionary by their usual names, such as "diffuse", "normal", "roughness", "specular", each a
+picture. Integers are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values are linear, as
+`metapp.Fit.maps` has them: colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,34 +20,185 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from metapp.storage.images import write_png
+from data_tools.formats import inputs_of
+from data_tools.readers import latlong, material_maps
+from metapp.appearance.latlong import directions
+from metapp.learning.task import Task
+from metapp.storage.images import write_exr, write_png
 
 SIDE = 512  # px of a picture that a function is evaluated for
-EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
+ROWS = 512  # of a map of light that a function is evaluated for
+FLASH_PX = 2048  # a side of the photograph of maps, at most
+
+_EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
 _SLACK = 1e-3  # by which rounding may leave [0, 1]
+_UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
 
 Array = NDArray[Any]
-Function = Callable[[Array], Any]
 
 
-def to_file(source: object, name: str, folder: Path, observe: str) -> Path:
-    """Write a texture in memory as an image file.
+def texture(source: object, name: str, how: Mapping[str, Any]) -> Task:
+    """Make the task of a texture.
 
     Args:
         source: a picture, or f(xy) -> display values in [0, 1], [N, 3] or gray [N], at places xy [N, 2] in [0, 1),
             float32 arrays, x to the right and y down.
-        name: of the file.
-        folder: where to.
-        observe: what fits see; of no use here.
+        name: of the task.
+        how: arguments of readers by name, of which the format's `takes` are used.
 
     Raises:
-        ValueError: neither of these; values of another shape or out of range.
+        ValueError: neither of these; values of another shape or out of range; as the reader of such a file.
     """
     if callable(source):
-        return write_picture(name, evaluated(name, source, texel_places(SIDE)), folder)
+        source = rows_of(name, source(texel_places()), SIDE**2).reshape(SIDE, SIDE, -1)
+    elif not is_picture(source):
+        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED} or a function f(xy).")
+    return _read("texture", name, lambda folder: write_picture(name, source, folder), how)
+
+
+def flash_photo(source: object, name: str, how: Mapping[str, Any]) -> Task:
+    """Make the task of a flash photograph, or of one that is rendered of a material, as `material` takes it.
+
+    Raises:
+        ValueError: as `material`, and as `data_tools.readers.material_maps.read_task`.
+    """
+
+    def write(folder: Path) -> Path:
+        path = _write_material(name, source, folder)
+        if path.stem == name:
+            return path
+        photo = material_maps.read_task(path, FLASH_PX, least=1).data["photo"]
+        path = folder / f"{name}.png"
+        write_png(photo.permute(1, 2, 0) / 255, {"encoding": "sRGB"}, path)
+        return path
+
+    return _read("svbrdf_stationary", name, write, how)
+
+
+def material(source: object, name: str, how: Mapping[str, Any]) -> Task:
+    """Make the task of a material.
+
+    Args:
+        source: maps; or f(xy) -> maps of [N, 3] or [N], at places xy [N, 2] in [0, 1), float32 arrays, x to the right
+            and y down; or a picture, the flash photograph of a material.
+        name, how: as of `texture`.
+
+    Raises:
+        ValueError: none of these; values of another shape or out of range, maps that are missing; as the reader.
+    """
+    return _read("svbrdf_nonstationary", name, lambda folder: _write_material(name, source, folder), how)
+
+
+def light(source: object, name: str, how: Mapping[str, Any]) -> Task:
+    """Make the task of an environment map or of the photograph of a ball.
+
+    Args:
+        source: linear Rec.709 radiance, floating point, [H, 2 H, 3] or gray [H, 2 H], lat-long, rows from the top (+y),
+            the middle looks to +z; or f(directions) -> radiance [N, 3] or gray [N] of unit vectors [N, 3], float32
+            arrays, +y up, +z from the ball to the camera; or the photograph of a ball, a picture.
+        name: of the task.
+        how: as of `texture`; `observe`, what fits see: "photo" takes floating-point values for a photograph where they
+            are not twice as wide as high.
+
+    Raises:
+        ValueError: none of these; values of another shape or out of range; as the reader.
+    """
+    if callable(source):
+        places = directions(ROWS, 2 * ROWS).reshape(3, -1).T.contiguous().numpy()
+        source = rows_of(name, source(places), len(places)).reshape(ROWS, 2 * ROWS, -1).astype(np.float32)
+    elif not is_picture(source):
+        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED} or a function f(directions).")
+    is_photo = how.get("observe") == "photo"
+    return _read("illumination", name, lambda folder: _write_light(name, source, folder, is_photo), how)
+
+
+def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, Any]) -> Task:
+    """Read the file that `write` makes in a temporary folder; errors name the object alone."""
+    with tempfile.TemporaryDirectory(prefix="metapp-") as temporary:
+        folder = Path(temporary).resolve()
+        path = folder / name
+        try:
+            path = write(folder)
+            return next(form for form in inputs_of(app) if form.recognises(path)).read(path, **how)
+        except ValueError as error:
+            text = str(error).replace(str(path), path.stem)
+            raise ValueError(text.replace(f"{folder}/", "")) from None
+
+
+def _write_light(name: str, source: object, folder: Path, is_photo: bool) -> Path:
+    """Write a map as EXR, a photograph as PNG."""
+    from PIL.Image import Image
+
+    if isinstance(source, Image):
+        return write_picture(name, source, folder)
+    values = planes_of(name, source)
+    is_map = values.dtype.kind == "f" and latlong.is_latlong(*values.shape[:2])
+    if values.dtype.kind != "f" or (is_photo and not is_map):
+        return write_picture(name, values, folder)
+    if not is_map:
+        raise ValueError(
+            f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is for "
+            "fits with --observe photo."
+        )
+    with np.errstate(over="ignore"):  # what is infinite is refused as of files
+        return _write_linear(values, folder / f"{name}.exr")
+
+
+def _write_material(name: str, source: object, folder: Path) -> Path:
+    """Write maps, of which the path of one is returned, or a photograph."""
+    if callable(source):
+        maps = source(texel_places())
+        if not isinstance(maps, Mapping):
+            raise ValueError(f"{name}: returned {type(maps).__name__}, expected a dictionary of maps.")
+        source = {
+            key: rows_of(f"{name}: {key}", values, SIDE**2).reshape(SIDE, SIDE, -1) for key, values in maps.items()
+        }
+    if isinstance(source, Mapping):
+        return _write_maps(name, source, folder)
     if is_picture(source):
         return write_picture(name, source, folder)
-    raise ValueError(f"{name}: {type(source).__name__}, expected {EXPECTED} or a function f(xy).")
+    raise ValueError(
+        f"{name}: {type(source).__name__}, expected {_EXPECTED}, maps (a dictionary of such) or a function f(xy)."
+    )
+
+
+def _write_maps(name: str, maps: Mapping[str, object], folder: Path) -> Path:
+    roles = {key: material_maps.role_of(str(key)) for key in maps}
+    unknown = [key for key, role in roles.items() if role is None]
+    if unknown or len(set(filter(None, roles.values()))) < 2:
+        found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
+        raise ValueError(f"{name}: {found}, expected diffuse, normal, roughness, and, if there is one, specular.")
+    used = {key: role for key, role in roles.items() if role}
+    files = [_write_map(f"{name}: {key}", maps[key], folder / f"{name}_{key}", role) for key, role in used.items()]
+    return files[0]
+
+
+def _write_map(subject: str, source: object, stem: Path, role: str) -> Path:
+    """Write one map as PNG, or, of floating-point values, as EXR."""
+    from PIL.Image import Image
+
+    if isinstance(source, Image):
+        return write_picture(stem.name, source, stem.parent)
+    values = planes_of(subject, source)
+    if values.dtype.kind != "f":
+        return write_picture(stem.name, values, stem.parent)
+    if not role.startswith("normal"):
+        check_range(subject, values, "linear values", "scale them to it")
+    else:
+        check_range(subject, values, "unit vectors", "divide them by their length", -1.0)
+        lengths = np.linalg.norm(values, axis=-1)
+        if values.shape[-1] != 3 or np.abs(lengths - 1).mean() > _UNIT:
+            raise ValueError(
+                f"{subject}: vectors of length {lengths.min():.3g} to {lengths.max():.3g}, expected unit vectors "
+                "[H, W, 3], x right, y up; of values in [0, 1] take 2 v - 1."
+            )
+        values, stem = values * 0.5 + 0.5, stem if role != "normal" else stem.with_name(f"{stem.name}_gl")
+    return _write_linear(values, stem.with_name(f"{stem.name}.exr"))
+
+
+def _write_linear(values: Array, path: Path) -> Path:
+    write_exr(torch.from_numpy(values.astype(np.float32)), path, half=False)
+    return path
 
 
 def is_picture(source: object) -> bool:
@@ -68,7 +224,8 @@ def write_picture(name: str, source: object, folder: Path) -> Path:
     if values.dtype.kind == "f":
         check_range(name, values, "display values", "clip them, divide by 255 or give uint8")
     bits = 8 if values.dtype == np.uint8 else 16
-    write_png(torch.from_numpy(fractions(values)), {"encoding": "sRGB"}, path, bits)
+    most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+    write_png(torch.from_numpy(values / most), {"encoding": "sRGB"}, path, bits)
     return path
 
 
@@ -105,11 +262,6 @@ def planes_of(name: str, source: object) -> Array:
     return values
 
 
-def fractions(values: Array) -> Array:
-    """Integers over their greatest value, floats as they are; float64."""
-    return values / (1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max)
-
-
 def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0.0) -> None:
     """Refuse values that are not finite or outside [low, 1].
 
@@ -144,17 +296,10 @@ def array_of(name: str, source: object) -> Array:
     return values
 
 
-def texel_places(side: int) -> Array:
-    """The centres of side x side texels, [side * side, 2] in [0, 1), row by row, float32: x to the right, y down."""
-    centres = (np.arange(side, dtype=np.float32) + 0.5) / side
+def texel_places() -> Array:
+    """The centres of SIDE x SIDE texels, [SIDE * SIDE, 2] in [0, 1), row by row, float32: x to the right, y down."""
+    centres = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
     return np.stack(np.meshgrid(centres, centres), -1).reshape(-1, 2)
-
-
-def evaluated(name: str, function: Function, places: Array) -> Array:
-    """A picture [S, S, 1 or 3] of a function's values at `texel_places`."""
-    side = round(len(places) ** 0.5)
-    values = rows_of(name, function(places), len(places))
-    return values.reshape(side, side, -1)
 
 
 def rows_of(name: str, returned: object, count: int) -> Array:

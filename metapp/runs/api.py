@@ -14,7 +14,6 @@ import torch
 from safetensors.torch import save
 from torch import Tensor
 
-from data_tools.formats import inputs_of
 from data_tools.readers.brdf_objects import unit_vectors
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.appearance.presentation import maps_of
@@ -26,7 +25,7 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import check_export, check_name, check_options, check_protocol, recipe_of_tasks
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
-from metapp.runs.memory import files_of_objects, in_memory, tasks_of_objects
+from metapp.runs.memory import in_memory
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.notebook import card_of, table_of
 from metapp.runs.outputs import export_fit
@@ -260,23 +259,18 @@ def fit_all(
     request, sources = Request(app, paradigm, fov=fov, quiet=True, **options), sources or []
     check_name(app)
     check_protocol(request.observe, app)
-    if not in_memory(sources):
-        return _fitted(replace(request, inputs=[Path(source) for source in sources]), [])
-    with files_of_objects(app, sources, request.observe) as files:
-        if any("roots" in form.takes for form in inputs_of(app)):
-            request = replace(request, scene_root=[*request.scene_root, Path.cwd()])
-        return _fitted(replace(request, inputs=files), [] if files else sources)
+    if in_memory(sources):
+        return _fitted(replace(request, objects=sources))
+    return _fitted(replace(request, inputs=[Path(source) for source in sources]))
 
 
-def _fitted(request: Request, objects: Sequence[Any]) -> Fits:
-    """Fits of a request's inputs, or of things in memory that the application makes tasks of."""
+def _fitted(request: Request) -> Fits:
+    """Fits of a request's inputs, or of the objects that it has instead."""
     planned = plan(request)
     with threads(threads_of(planned.app)):
-        if objects:
-            tasks, label = tasks_of_objects(request.app, objects)
-            planned = planned if request.recipe else plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
-        else:
-            tasks, label = tasks_to_fit(planned.app, planned.request)
+        tasks, label = tasks_to_fit(planned.app, planned.request)
+        if request.objects and not request.recipe:
+            planned = plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)

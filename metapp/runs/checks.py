@@ -157,7 +157,7 @@ def check_name(app: str) -> None:
 def check_options(options: Mapping[str, object]) -> None:
     """A usage error where options that a program gives are none of `Request`, or of another type, or negative."""
     hints = get_type_hints(Request)
-    known = [name for name in hints if name not in ("inputs", "quiet")]
+    known = [name for name in hints if name not in ("inputs", "objects", "quiet")]
     for name, value in options.items():
         if name not in known:
             raise BadOption(f"{name}: no option of a fit, expected one of {', '.join(known)}.{meant(name, known)}")
@@ -268,7 +268,7 @@ def check_inputs(request: Request, app: App) -> None:
         raise BadOption(f"--fov: {app.name} has no photos whose camera counts; leave it out.")
     if request.exposure and not any("exposure" in form.takes for form in formats):
         raise BadOption(f"--exposure: {app.name} takes photos as they are, only svbrdf_nonstationary scales them.")
-    if request.exposure and (app.protocol != "photo" or not request.inputs):
+    if request.exposure and (app.protocol != "photo" or not (request.inputs or request.objects)):
         raise BadOption("--exposure is about INPUT photos where fits see them alone; add --observe photo, name photos.")
     if request.exposures:
         _check_exposures(request, app, merge_of(app.name) is not None)

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -19,6 +19,7 @@ from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
+from metapp.runs.memory import tasks_of_objects
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
 from metapp.runs.surroundings import return_memory
@@ -101,11 +102,11 @@ def sources_read(app: App, request: Request) -> tuple[list[Source], str]:
     Raises:
         ValueError: as of `tasks_to_fit`.
     """
-    if not request.inputs:
+    if not (request.inputs or request.objects):
         tasks, label = tasks_of_data(app, request.data, request.quiet)
         return sources_of(tasks), label
     files, tasks = list[Path | None](), list[Task]()
-    for file, task in _tasks_of_files(app, request):
+    for file, task in _tasks_of_inputs(app, request):
         files.append(file)
         tasks.append(task)
         if len(tasks) % BETWEEN == 0:
@@ -118,8 +119,11 @@ def sources_read(app: App, request: Request) -> tuple[list[Source], str]:
     return sources, label_of(tasks)
 
 
-def _tasks_of_files(app: App, request: Request) -> Iterator[tuple[Path | None, Task]]:
-    """Tasks of files, each with its path; the one of several photos has none."""
+def _tasks_of_inputs(app: App, request: Request) -> Iterator[tuple[Path | None, Task]]:
+    """Tasks of files, each with its path; the one of several photos, and those of objects, have none."""
+    how = {"observe": app.protocol, **_arguments(app, request)}
+    for task in tasks_of_objects(app.name, request.objects, how) if request.objects else ():
+        yield None, task
     if request.exposures:
         yield None, _merged(app, request)
         return
@@ -218,15 +222,18 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
         places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        read = functools.partial(
-            form.read,
-            size=app.traits.reads,
-            least=min(app.traits.reads, SIZE),
-            roots=request.scene_root,
-            fov_rad=math.radians(request.fov),
-            exposure=request.exposure,
-        )
-        yield places, read
+        yield places, functools.partial(form.read, **_arguments(app, request))
+
+
+def _arguments(app: App, request: Request) -> dict[str, Any]:
+    """What a request tells readers, as of `Format.takes`."""
+    return {
+        "size": app.traits.reads,
+        "least": min(app.traits.reads, SIZE),
+        "roots": request.scene_root,
+        "fov_rad": math.radians(request.fov),
+        "exposure": request.exposure,
+    }
 
 
 def _takes_fits(app: App) -> str:

@@ -22,6 +22,7 @@ class Request:
         app: name of the application.
         paradigm: general, overfit, finetune, quickft or meta.
         inputs: files and folders; none: the test tasks of the data set.
+        objects: of a program, in memory, instead of files.
         detail: px a side that photographs are read and fitted at; 0: as many as in training.
         export: forms to write fits in, with commas between them.
         fov: of photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else as usual.
@@ -33,6 +34,7 @@ class Request:
     app: str
     paradigm: str = "meta"
     inputs: Sequence[Path] = ()
+    objects: Sequence[object] = ()
     steps: int | None = None
     rule: str = ""
     recipe: str = ""

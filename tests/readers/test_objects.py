@@ -1,10 +1,10 @@
-"""Things in memory become files that hold the same, or are refused in a line."""
+"""Objects in memory become the tasks of files that hold the same, or are refused in a line."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,18 +13,10 @@ import torch
 from PIL import Image
 
 from data_tools.balls import reading
-from data_tools.readers import (
-    flash,
-    flash_objects,
-    latlong,
-    light_objects,
-    map_objects,
-    photos,
-    picture_objects,
-    scene_objects,
-    svbrdf_inputs,
-)
-from data_tools.readers.mitsuba_scenes import read_scene
+from data_tools.readers import flash, latlong, photos, svbrdf_inputs
+from data_tools.readers.mitsuba_scenes import read_scene, scene_in_memory
+from data_tools.readers.picture_objects import SIDE as EVALUATED
+from data_tools.readers.picture_objects import flash_photo, light, material, texture
 from metapp.learning.task import Task
 from metapp.rendering.scenes.loading import load_scene
 from tests.needs_mitsuba import needs_mitsuba
@@ -40,9 +32,8 @@ def same(task: Task, other: Task) -> bool:
     return keys == other.data.keys() and all(torch.equal(task.data[key], other.data[key]) for key in keys)
 
 
-def read(module: ModuleType, reader: ModuleType, source: object, folder: Path, observe: str = "") -> Task:
-    folder.mkdir(exist_ok=True)
-    return reader.read_task(module.to_file(source, "object", folder, observe))
+def read(from_object: Callable, source: object, observe: str = "", **how: object) -> Any:
+    return from_object(source, "object", {"observe": observe, **how})
 
 
 @pytest.mark.parametrize(
@@ -60,20 +51,20 @@ def read(module: ModuleType, reader: ModuleType, source: object, folder: Path, o
 )
 def test_a_picture_is_read_as_its_file_is(source: object, tmp_path: Path) -> None:
     file = write(tmp_path / "file.png", RGB)
-    assert same(read(picture_objects, photos, source, tmp_path / "made"), photos.read_task(file))
+    assert same(read(texture, source), photos.read_task(file))
 
 
 @pytest.mark.parametrize("source", [RGB[..., 0], RGB[..., :1], Image.fromarray(RGB[..., 0]), RGB[..., 0] / 255])
-def test_a_gray_picture_has_equal_channels(source: object, tmp_path: Path) -> None:
-    task = read(picture_objects, photos, source, tmp_path)
-    assert same(task, read(picture_objects, photos, np.repeat(RGB[..., :1], 3, -1), tmp_path))
+def test_a_gray_picture_has_equal_channels(source: object) -> None:
+    task = read(texture, source)
+    assert same(task, read(texture, np.repeat(RGB[..., :1], 3, -1)))
 
 
 @pytest.mark.parametrize("mode", ["1", "P", "LA", "RGBA", "CMYK", "YCbCr"])
 def test_pictures_of_all_modes_are_read(mode: str, tmp_path: Path) -> None:
     image = Image.fromarray(RGB).convert(mode)
     (image.convert("RGB") if mode in ("CMYK", "YCbCr") else image).save(tmp_path / "file.png")
-    assert same(read(picture_objects, photos, image, tmp_path / "made"), photos.read_task(tmp_path / "file.png"))
+    assert same(read(texture, image), photos.read_task(tmp_path / "file.png"))
 
 
 def test_exif_of_a_picture_counts_as_that_of_its_file(tmp_path: Path) -> None:
@@ -82,24 +73,24 @@ def test_exif_of_a_picture_counts_as_that_of_its_file(tmp_path: Path) -> None:
     exif.get_ifd(0x8769)[0xA405] = 20  # mm: wider than fits are
     Image.fromarray(noise(60, 80)).save(tmp_path / "file.png", exif=exif)
     task = flash.read_task(tmp_path / "file.png")
-    assert same(read(flash_objects, flash, Image.open(tmp_path / "file.png"), tmp_path / "made"), task)
-    assert not same(read(flash_objects, flash, noise(60, 80), tmp_path / "made"), task)
+    assert same(read(flash_photo, Image.open(tmp_path / "file.png")), task)
+    assert not same(read(flash_photo, noise(60, 80)), task)
 
 
-def test_a_function_is_its_values_at_the_texels_of_rows_from_the_top(tmp_path: Path) -> None:
-    side = picture_objects.SIDE
+def test_a_function_is_its_values_at_the_texels_of_rows_from_the_top() -> None:
+    side = EVALUATED
     x, y = (np.arange(side)[None] + 0.5) / side, (np.arange(side)[:, None] + 0.5) / side
     pixels = np.stack(np.broadcast_arrays(x, y, x * y), -1).astype(np.float32)
-    task = read(picture_objects, photos, lambda xy: np.stack([xy[:, 0], xy[:, 1], xy[:, 0] * xy[:, 1]], -1), tmp_path)
-    assert same(task, read(picture_objects, photos, pixels, tmp_path))
+    task = read(texture, lambda xy: np.stack([xy[:, 0], xy[:, 1], xy[:, 0] * xy[:, 1]], -1))
+    assert same(task, read(texture, pixels))
     image = task.data["image"].int()
     assert (image[0, :, -1] > image[0, :, 0] + 200).all()  # red rises to the right, green downwards
     assert (image[1, -1] > image[1, 0] + 200).all()
-    gray = read(picture_objects, photos, lambda xy: torch.from_numpy(xy[:, 0]), tmp_path)
+    gray = read(texture, lambda xy: torch.from_numpy(xy[:, 0]))
     assert torch.equal(gray.data["image"][2], gray.data["image"][0])
 
 
-def material(side: int = SIDE, dtype: str = "float32") -> dict[str, np.ndarray]:
+def waves(side: int = SIDE, dtype: str = "float32") -> dict[str, np.ndarray]:
     """Linear maps, the normals of waves that run up and to the right."""
     rng = np.random.default_rng(0)
     rise = 0.4 * np.sin(np.linspace(0, 20, side))
@@ -115,29 +106,28 @@ def material(side: int = SIDE, dtype: str = "float32") -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_linear_maps_stay_what_they_are(turn: float, tmp_path: Path) -> None:
+def test_linear_maps_stay_what_they_are(turn: float) -> None:
     """Whatever normals look like: that y points up is known, not guessed."""
-    given = material()
+    given = waves()
     given["normal"][..., 1] *= turn
-    path = map_objects.to_file(given, "object", tmp_path, "reference")
-    maps = svbrdf_inputs.read_task(path, size=SIDE).data["maps"].float()
+    maps = read(material, given, size=SIDE).data["maps"].float()
     expected = torch.from_numpy(np.dstack([given["normal"], given["diffuse"], given["roughness"], given["specular"]]))
     torch.testing.assert_close(maps, expected.permute(2, 0, 1), rtol=1e-3, atol=1e-3)
 
 
 def test_maps_of_integers_are_read_as_their_files_are(tmp_path: Path) -> None:
-    maps = material()
+    maps = waves()
     maps["normal"] = maps["normal"] * 0.5 + 0.5
     stored = {name: (values * 255 + 0.5).astype(np.uint8) for name, values in maps.items()}
     for name, values in stored.items():
         write(tmp_path / "files" / f"object_{name}.png", np.atleast_3d(values))
     task = svbrdf_inputs.read_task(tmp_path / "files" / "object_diffuse.png")
-    assert same(read(map_objects, svbrdf_inputs, stored, tmp_path / "made"), task)
+    assert same(read(material, stored), task)
     pictures = {name: Image.fromarray(values) for name, values in stored.items()}
-    assert same(read(map_objects, svbrdf_inputs, pictures, tmp_path / "again"), task)
+    assert same(read(material, pictures), task)
 
 
-def test_a_function_of_maps_is_a_material(tmp_path: Path) -> None:
+def test_a_function_of_maps_is_a_material() -> None:
     def bricks(xy: np.ndarray) -> dict[str, object]:
         flat = np.tile(np.float32([0, 0, 1]), (len(xy), 1))
         return {
@@ -146,16 +136,15 @@ def test_a_function_of_maps_is_a_material(tmp_path: Path) -> None:
             "roughness": torch.full((len(xy),), 0.5),
         }
 
-    maps = read(map_objects, svbrdf_inputs, bricks, tmp_path).data["maps"].float()
+    maps = read(material, bricks).data["maps"].float()
     torch.testing.assert_close(maps[2], torch.ones(256, 256))
     assert (maps[3, :, -1] > maps[3, :, 0] + 0.7).all()
     assert (maps[7:] - 0.04).abs().max() < 1e-4  # where there is no specular map
 
 
 def test_the_photo_of_a_material_is_that_of_its_maps(tmp_path: Path) -> None:
-    path = map_objects.to_file(material(), "object", tmp_path, "")
-    maps = svbrdf_inputs.read_task(path, size=SIDE).data
-    photo = read(flash_objects, flash, material(), tmp_path / "made").data["image"]
+    maps = read(material, waves(), size=SIDE).data
+    photo = read(flash_photo, waves()).data["image"]
     expected = flash.read_task(write(tmp_path / "photo.png", maps["photo"].permute(1, 2, 0).numpy())).data["image"]
     assert torch.equal(photo, expected)
 
@@ -167,17 +156,17 @@ LIGHT = np.random.default_rng(0).uniform(0.1, 20, (32, 64, 3)).astype(np.float32
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 def test_a_map_of_light_is_read_as_its_file_is(source: object, observe: str, tmp_path: Path) -> None:
     task = reading.read_task(write(tmp_path / "object.exr", LIGHT))
-    assert same(read(light_objects, reading, source, tmp_path / "made", observe), task)
+    assert same(read(light, source, observe), task)
 
 
-def test_light_of_directions_lies_where_they_point(tmp_path: Path) -> None:
+def test_light_of_directions_lies_where_they_point() -> None:
     """Up is the first row, +z the middle column, +x to the left of it, as of `metapp.appearance.latlong`."""
-    light = read(light_objects, reading, lambda d: np.maximum(d, 0), tmp_path, "reference").data["map"]
-    x, y, z = light
+    lit = read(light, lambda d: np.maximum(d, 0), "reference").data["map"]
+    x, y, z = lit
     assert y[0].min() > 10 * y[-1].max()
     assert z[32].argmax() in (63, 64)
     assert x[32].argmax() in (31, 32)
-    gray = read(light_objects, reading, lambda d: torch.ones(len(d)), tmp_path, "reference").data
+    gray = read(light, lambda d: torch.ones(len(d)), "reference").data
     torch.testing.assert_close(gray["map"], torch.ones(3, 64, 128))
     torch.testing.assert_close(gray["scale"], torch.tensor(1.0))
 
@@ -188,8 +177,12 @@ def test_a_ball_in_memory_is_a_photo(tmp_path: Path) -> None:
     eight = (ball * 255 + 0.5).astype(np.uint8)
     task = latlong.read_task(write(tmp_path / "object.png", eight))
     assert task.data.keys() == {"photos"}
-    assert same(read(light_objects, latlong, eight, tmp_path / "made", "reference"), task)
-    assert same(read(light_objects, latlong, eight / 255, tmp_path / "made", "photo"), task)
+    assert same(read(light, eight, "reference"), task)
+    assert same(read(light, eight / 255, "photo"), task)
+
+
+def scene(source: object, name: str, how: dict[str, Any]) -> dict[str, Any]:
+    return scene_in_memory(source, name, how.get("roots", ()))
 
 
 def small_scene(transform: Any) -> dict[str, Any]:
@@ -202,42 +195,42 @@ def small_scene(transform: Any) -> dict[str, Any]:
 
 
 @needs_mitsuba
-def test_a_scene_is_its_dictionary(mitsuba: Any, tmp_path: Path) -> None:
+def test_a_scene_is_its_dictionary(mitsuba: Any) -> None:
     matrix = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -5], [0, 0, 0, 1]])
     plain = json.loads(json.dumps(small_scene(matrix.tolist()), default=lambda value: value.tolist()))
     plain["ball"]["center"] = [0, 0.25, 0]
     for transform in (matrix, mitsuba.ScalarTransform4f(matrix), mitsuba.Transform4f(matrix.tolist())):
-        made = read_scene(scene_objects.to_file(small_scene(transform), "object", tmp_path, ""))
+        made = scene_in_memory(small_scene(transform), "object")
         assert made == plain
     for point in (mitsuba.ScalarPoint3f(1, 2, 3), mitsuba.Point3f(1, 2, 3)):
-        scene = {"type": "scene", "a": {"type": "sphere", "center": point}}
-        assert read_scene(scene_objects.to_file(scene, "object", tmp_path, ""))["a"]["center"] == [1, 2, 3]
+        around = {"type": "scene", "a": {"type": "sphere", "center": point}}
+        assert scene_in_memory(around, "object")["a"]["center"] == [1, 2, 3]
 
 
 @needs_mitsuba
-def test_a_scene_of_mitsuba_is_one(mitsuba: Any, tmp_path: Path) -> None:
-    made = read_scene(scene_objects.to_file(mitsuba.cornell_box(), "object", tmp_path, ""))
+def test_a_scene_of_mitsuba_is_one(mitsuba: Any) -> None:
+    made = scene_in_memory(mitsuba.cornell_box(), "object")
     assert len(load_scene(made).scene.emitters()) == 1
 
 
 @needs_mitsuba
-def test_what_mitsuba_has_loaded_is_no_part_of_a_scene(mitsuba: Any, tmp_path: Path) -> None:
+def test_what_mitsuba_has_loaded_is_no_part_of_a_scene(mitsuba: Any) -> None:
     loaded = mitsuba.load_dict({"type": "diffuse"})
     with pytest.raises(ValueError, match=r"object: \w+ as 'bsdf', expected numbers, text, a transform or a dictionary"):
-        scene_objects.to_file({"type": "scene", "a": {"type": "sphere", "bsdf": loaded}}, "object", tmp_path, "")
+        scene_in_memory({"type": "scene", "a": {"type": "sphere", "bsdf": loaded}}, "object")
 
 
 def test_a_scene_is_its_text(tmp_path: Path) -> None:
     text = "<scene version='3.0.0'><shape type='sphere'/></scene>"
     (tmp_path / "file.xml").write_text(text)
-    assert read_scene(scene_objects.to_file(text, "object", tmp_path, "")) == read_scene(tmp_path / "file.xml")
+    assert scene_in_memory(text, "object") == read_scene(tmp_path / "file.xml")
 
 
-def test_a_scene_within_itself_is_refused(tmp_path: Path) -> None:
-    scene: dict[str, Any] = {"type": "scene"}
-    scene["scene"] = scene
+def test_a_scene_within_itself_is_refused() -> None:
+    within: dict[str, Any] = {"type": "scene"}
+    within["scene"] = within
     with pytest.raises(ValueError, match="object: objects within each other, more than 64 deep, expected fewer"):
-        scene_objects.to_file(scene, "object", tmp_path, "")
+        scene_in_memory(within, "object")
 
 
 def holed(values: np.ndarray, value: float = np.nan) -> np.ndarray:
@@ -251,52 +244,56 @@ UNIT = RGB / 255
 
 
 @pytest.mark.parametrize(
-    ("module", "source", "line"),
+    ("from_object", "source", "line"),
     [
-        (picture_objects, 3, r"object: int, expected a path, a picture .* or a function f\(xy\)"),
-        (picture_objects, {"a": RGB}, "object: dict, expected a path, a picture"),
-        (picture_objects, RGB / 1.0, "display values from 0 to 255, expected 0 to 1; clip them, divide by 255"),
-        (picture_objects, holed(UNIT), "3 values are NaN or infinite, expected finite display values"),
+        (texture, 3, r"object: int, expected a path, a picture .* or a function f\(xy\)"),
+        (texture, {"a": RGB}, "object: dict, expected a path, a picture"),
+        (texture, RGB / 1.0, "display values from 0 to 255, expected 0 to 1; clip them, divide by 255"),
+        (texture, holed(UNIT), "3 values are NaN or infinite, expected finite display values"),
         (
-            picture_objects,
+            texture,
             RGB.transpose(2, 0, 1),
             r"an array \[3, 48, 48\], expected .*; put the channels last",
         ),
-        (picture_objects, np.dstack([RGB, RGB])[..., :4], r"an array \[48, 48, 4\], expected .*; leave alpha out"),
-        (picture_objects, RGB[None], r"an array \[1, 48, 48, 3\], expected \[H, W, 3\] or gray \[H, W\]"),
-        (picture_objects, RGB[:0], r"an array \[0, 48, 3\], expected"),
-        (picture_objects, RGB.astype(int), "values of type int64, expected uint8, uint16 or floating point"),
-        (picture_objects, RGB > 9, "an array of bool, expected an array of numbers"),
-        (picture_objects, Image.fromarray(RGB[..., 0].astype(np.float32)), "display values from 0 to 255"),
-        (picture_objects, lambda xy: xy, r"values \[262144, 2\], expected \[262144, 3\]"),
-        (picture_objects, lambda xy: "red", "object's values: str, expected an array of numbers"),
-        (picture_objects, lambda xy: None, "object's values: NoneType, expected an array of numbers"),
-        (picture_objects, lambda xy: xy[:, 0] - 1, "display values from -0.999 to -0.0009766, expected 0 to 1"),
-        (map_objects, "maps", r"object: str, expected .*, maps \(a dictionary of such\) or a function f\(xy\)"),
-        (map_objects, {}, "object: maps none, expected diffuse, normal, roughness"),
-        (map_objects, {"diffuse": UNIT, "height": UNIT}, "object: maps diffuse, height, expected diffuse"),
-        (map_objects, {"diffuse": UNIT, "nrmal": FLAT}, "object: a map 'nrmal', expected diffuse, normal"),
-        (map_objects, {"diffuse": 2 * UNIT, "normal": FLAT}, "object: diffuse: linear values from 0 to 2, expected 0"),
-        (map_objects, {"diffuse": holed(UNIT), "normal": FLAT}, "object: diffuse: 3 values are NaN or infinite"),
+        (texture, np.dstack([RGB, RGB])[..., :4], r"an array \[48, 48, 4\], expected .*; leave alpha out"),
+        (texture, RGB[None], r"an array \[1, 48, 48, 3\], expected \[H, W, 3\] or gray \[H, W\]"),
+        (texture, RGB[:0], r"an array \[0, 48, 3\], expected"),
+        (texture, RGB.astype(int), "values of type int64, expected uint8, uint16 or floating point"),
+        (texture, RGB > 9, "an array of bool, expected an array of numbers"),
+        (texture, Image.fromarray(RGB[..., 0].astype(np.float32)), "display values from 0 to 255"),
+        (texture, lambda xy: xy, r"values \[262144, 2\], expected \[262144, 3\]"),
+        (texture, lambda xy: "red", "object's values: str, expected an array of numbers"),
+        (texture, lambda xy: None, "object's values: NoneType, expected an array of numbers"),
+        (texture, lambda xy: xy[:, 0] - 1, "display values from -0.999 to -0.0009766, expected 0 to 1"),
+        (material, "maps", r"object: str, expected .*, maps \(a dictionary of such\) or a function f\(xy\)"),
+        (material, {}, "object: maps none, expected diffuse, normal, roughness"),
+        (material, {"diffuse": UNIT, "height": UNIT}, "object: maps diffuse, height, expected diffuse"),
+        (material, {"diffuse": UNIT, "nrmal": FLAT}, "object: a map 'nrmal', expected diffuse, normal"),
+        (material, {"diffuse": 2 * UNIT, "normal": FLAT}, "object: diffuse: linear values from 0 to 2, expected 0"),
+        (material, {"diffuse": holed(UNIT), "normal": FLAT}, "object: diffuse: 3 values are NaN or infinite"),
         (
-            map_objects,
+            material,
             {"diffuse": UNIT, "normal": FLAT / 2 + 0.5},
             r"vectors of length 1.22 .*; of values in \[0",
         ),
-        (map_objects, {"diffuse": UNIT, "normal": 3}, r"object: normal: an array \[\], expected \[H, W, 3\]"),
-        (map_objects, lambda xy: xy, "object: returned ndarray, expected a dictionary of maps"),
-        (map_objects, lambda xy: {"diffuse": xy}, r"object: diffuse: values \[262144, 2\], expected"),
-        (light_objects, 3, r"object: int, expected a path, .* or a function f\(directions\)"),
-        (light_objects, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
-        (light_objects, lambda d: d[:, :2], r"values \[524288, 2\], expected"),
-        (scene_objects, 3, "object: int, expected a path, a scene as Mitsuba's load_dict takes it, or XML text"),
-        (scene_objects, {"type": "scene", "a": object()}, "object: object as 'a', expected numbers"),
-        (scene_objects, {"type": "scene", "a": RGB}, "object: ndarray as 'a', expected numbers"),
+        (material, {"diffuse": UNIT, "normal": 3}, r"object: normal: an array \[\], expected \[H, W, 3\]"),
+        (material, lambda xy: xy, "object: returned ndarray, expected a dictionary of maps"),
+        (material, lambda xy: {"diffuse": xy}, r"object: diffuse: values \[262144, 2\], expected"),
+        (light, 3, r"object: int, expected a path, .* or a function f\(directions\)"),
+        (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
+        (light, lambda d: d[:, :2], r"values \[524288, 2\], expected"),
+        (
+            scene,
+            3,
+            "object: int, expected a path, a scene as Mitsuba's load_dict takes it, or XML text",
+        ),
+        (scene, {"type": "scene", "a": object()}, "object: object as 'a', expected numbers"),
+        (scene, {"type": "scene", "a": RGB}, "object: ndarray as 'a', expected numbers"),
     ],
 )
-def test_what_is_none_is_refused_in_a_line(module: ModuleType, source: object, line: str, tmp_path: Path) -> None:
+def test_what_is_none_is_refused_in_a_line(from_object: Callable, source: object, line: str) -> None:
     with pytest.raises(ValueError, match=line) as caught:
-        module.to_file(source, "object", tmp_path, "reference")
+        read(from_object, source, "reference")
     assert "\n" not in str(caught.value)
 
 
@@ -309,15 +306,15 @@ def test_what_is_none_is_refused_in_a_line(module: ModuleType, source: object, l
         (1e300 * LIGHT.astype(np.float64), "6,144 values are NaN or infinite"),
     ],
 )
-def test_bad_light_is_refused_as_of_files(values: np.ndarray, line: str, tmp_path: Path) -> None:
+def test_bad_light_is_refused_as_of_files(values: np.ndarray, line: str) -> None:
     with pytest.raises(ValueError, match=line):
-        read(light_objects, reading, values, tmp_path, "reference")
+        read(light, values, "reference")
 
 
-def test_what_a_function_raises_is_not_hidden(tmp_path: Path) -> None:
+def test_what_a_function_raises_is_not_hidden() -> None:
     def broken(xy: np.ndarray) -> np.ndarray:
         raise KeyError("mine")
 
-    for module in (picture_objects, map_objects, light_objects):
+    for from_object in (texture, flash_photo, material, light):
         with pytest.raises(KeyError, match="mine"):
-            module.to_file(broken, "object", tmp_path, "")
+            read(from_object, broken)
