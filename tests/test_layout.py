@@ -163,7 +163,7 @@ def test_the_walk_sees_what_it_should() -> None:
     assert "metapp.appearance.geometry" in imports("metapp.apps.brdf.app")
 
 
-@pytest.mark.parametrize("arguments", [[], ["data"], ["meta", "brdf"]])
+@pytest.mark.parametrize("arguments", [[], ["data"], ["data", "merl"], ["meta", "brdf"]])
 def test_help_answers_at_once(arguments: list[str]) -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
     lines += "    print({'torch', 'mitsuba', 'colour', 'matplotlib', 'numpy', 'scipy'} & sys.modules.keys())"

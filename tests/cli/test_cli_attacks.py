@@ -18,13 +18,7 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.streams import LONGEST, one_line
-from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
-from metapp.learning.task import Task
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.fits import warnings_of
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.conftest import Result
 from tests.small_spheres import run_small
@@ -312,17 +306,6 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
 # Records
 
 
-def test_a_bad_record_is_said_and_its_task_fitted_again(fit: Callable, network: Path, data: Path) -> None:
-    fit("overfit", "--data", data, "--steps", "2")
-    (file,) = data.parent.rglob("record.jsonl")
-    record = json.loads(file.read_text())
-    file.write_text(json.dumps(record | {"error": "much"}) + "\n")
-    again = fit("overfit", "--data", data, "--steps", "2", "--json")
-    assert again.code == 0
-    assert "record.jsonl: line 1: no record" in again.err
-    assert again.document["tasks"][0]["error"] == pytest.approx(record["error"])
-
-
 def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -338,15 +321,3 @@ def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
     result, worse = record("--recipe", "quick")
     assert "warning: m0: the visible loss rose from" in result.err
     assert worse["warning"].startswith("the visible loss rose from ")
-
-
-def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Generator) -> None:
-    task = Task("gold", {"angles": torch.rand(64, 3, generator=rng), "reflectance": torch.rand(64, 3, generator=rng)})
-    stacked, by = stack(Brdf(), [task]), find_checkpoint(plan(Request("brdf", "overfit", recipe="quick", steps=50)))
-
-    def draws() -> torch.Generator:
-        return torch.Generator().manual_seed(1)
-
-    theta = by.paradigm.fit(by.job, by.prepared, stacked, draws())
-    assert warnings_of(by, stacked, theta, draws()) == [[]]
-    assert warnings_of(replace(by, job=by.job._replace(steps=0)), stacked, theta, draws()) == [[]]

@@ -16,7 +16,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from data_tools.readers.nbrdf import read_nbrdf
 from metapp import __version__
 from metapp.apps.brdf import app as brdf
 from metapp.apps.brdf.app import Brdf
@@ -149,18 +148,6 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     assert read_records(file)[-1]["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
-@pytest.mark.parametrize("kind", ["nbrdf", "merl"])
-def test_exports_hold_what_was_fitted(fit: Callable, networks: Path, kind: str) -> None:
-    first = fit("overfit", networks / "m4", "--steps", "300", "--json", "--quiet", "--export", kind).document
-    exported = Path(first["out"]) / kind / ("m4" if kind == "nbrdf" else "m4.binary")
-    if kind == "nbrdf":
-        theta = load_file(Path(first["out"]) / "params" / "m4.safetensors")
-        assert np.array_equal(read_nbrdf(exported)["fc1"], theta["w1"].T.numpy())
-    again = fit("overfit", exported, "--steps", "1", "--json", "--quiet")
-    assert again.code == 0
-    assert again.document["tasks"][0]["name"] == "m4"
-
-
 def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     errors, calls = Brdf().errors, []
 
@@ -202,31 +189,6 @@ def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(fi
     assert [task["name"] for task in result.document["tasks"]] == ["net", "net-2", "m1"]
     assert "skipped" in result.err
     assert "a second net is called net-2" in result.err
-
-
-def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(fit: Callable) -> None:
-    fit("general", *STEPS)
-    fit("meta", *STEPS)
-    missing = fit("evaluate", "--no-run", "--json")
-    (line, command) = (line for line in missing.err.splitlines() if line.startswith(("brdf: ", "made by: ")))
-    assert line.endswith(" records missing: overfit, finetune, quickft")
-    assert command.startswith("made by: metapp evaluate brdf --which results")
-    result = fit("evaluate", "--table")
-    assert result.code == 0
-    for text in ("general", "overfit", "finetune", "quickft", "meta", "1.892", "0.93", "4555", "gap closed"):
-        assert text in result.out
-    document = fit("evaluate", "--json", "--no-run").document
-    assert document["which"] == "results"
-    assert [row["paradigm"] for row in document["rows"]] == ["general", "overfit", "finetune", "quickft", "meta"]
-    row = document["rows"][-1]
-    wanted = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
-    assert wanted <= set(row)
-    assert row["paper_error"] == 0.720
-    assert row["low"] <= row["error"] <= row["high"]
-    by_format = {form: fit("evaluate", "--no-run", "--format", form).out for form in ("markdown", "latex", "csv")}
-    assert by_format["markdown"].startswith("| app |")
-    assert r"\bottomrule" in by_format["latex"]
-    assert by_format["csv"].startswith("app,paradigm")
 
 
 # What is refused, each with its exit code and one line

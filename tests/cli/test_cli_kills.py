@@ -150,13 +150,6 @@ def test_a_kill_after_the_checkpoint_is_written_keeps_it_once(command: Callable[
     assert (found.name, found.read_bytes()) == ("general.safetensors", before)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("paradigm", "count"), [("quickft", 20), ("meta", 8)])
-def test_trainings_that_are_killed_often_go_on(command: Callable[..., Command], paradigm: str, count: int) -> None:
-    """Meta's steps are compiled where there is a compiler."""
-    kill_often(command, seed=2, count=count, paradigm=paradigm, steps=250, wait=1.0)
-
-
 def _stops_once_kept(*words: str) -> None:
     """Be the command, and stop where a training checkpoint is first written after a validation, until it may go on."""
     write = TrainingCheckpoint.write

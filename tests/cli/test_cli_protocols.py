@@ -156,17 +156,6 @@ def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, ref
         assert not any(path.read_text().strip() for path in Path("runs").rglob("record.jsonl"))
 
 
-def test_bad_inputs_end_in_one_line(metapp: Callable) -> None:
-    nan, negative = lamp(), lamp()
-    nan[0, 3, 4] = np.nan
-    negative[:, :16] *= -1
-    for name, light in (("nan", nan), ("negative", negative), ("square", lamp()[:, :, :32])):
-        bad = write_planes(Path(f"{name}.exr"), light, "float")
-        assert bad.name in metapp("meta", "illumination", bad).error
-    Path("bad.png").write_bytes(b"\x89PNG\r\n\x1a\n nothing")
-    assert "bad.png" in metapp("meta", SVBRDF, "bad.png", "--observe", "photo").error
-
-
 @pytest.mark.long
 def test_checkpoints_of_both_protocols(app: str, metapp: Callable) -> None:
     assert metapp("data", "synth", app, "--count", "20", "--out", "few").code == 0

@@ -162,13 +162,6 @@ def test_a_record_of_other_types_is_refused_in_a_line(metapp: Callable, run: Pat
             assert "unexpected" not in line, (value, line)
 
 
-def test_a_fit_that_would_not_end_is_refused(metapp: Callable, networks: Path) -> None:
-    words = ("overfit", "brdf", networks, "--recipe", "quick", "--steps", "3", "--json", "--quiet")
-    run = Path(metapp(*words).document["out"])
-    change(run, lambda record: record["settings"].update(steps=10**18))
-    assert "record of m0: settings.steps is missing or not as metapp writes it" in metapp("rerun", run).error
-
-
 @pytest.mark.slow
 def test_rows_of_all_tables_are_repeated_or_refused_by_name(metapp: Callable, ten_materials: Path) -> None:
     out = Path("runs")

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from data_tools.readers.merl import read_merl
 from data_tools.synthetic import transport as synthetic_transport
-from data_tools.synthetic.transport import COUNTS, cornell_tasks, synthetic_tasks
+from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.cli.commands import app as cli
 from metapp.rendering.scenes.rules import scene_of
 from metapp.runs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
@@ -170,30 +170,3 @@ def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> N
     first, _, test = read_shard(folder)
     others = [scene_of(task.data["scene"]) for task in (first, test, next(cornell_tasks(1, samples=10, held=10)))]
     assert all(others[i] != others[j] for i, j in ((0, 1), (0, 2), (1, 2)))
-
-
-def test_the_default_set() -> None:
-    assert COUNTS == {"train": 40, "test": 8}
-    assert split_counts("transport") == {"train": 40, "test": 8}
-    with pytest.raises(ValueError, match="'other', expected 'train' or 'test'"):
-        next(synthetic_tasks("other", 1))  # type: ignore[arg-type]
-
-
-def test_an_interruption_leaves_nothing(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(synthetic_transport, "transport_task", interrupt)
-    assert metapp("data", "cornell", "--out", "boxes").code == 130
-    assert not Path("boxes").exists()
-
-
-def test_without_a_fit_libllvm_nothing_is_written(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    def none() -> Path:
-        raise ValueError("libLLVM: found none, expected 19 or newer for Mitsuba; apt-get install libllvm19 libatomic1.")
-
-    monkeypatch.setattr("metapp.rendering.variant.find_llvm", none)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    refusal = metapp("data", "cornell", "--out", "boxes").refusal
-    assert refusal.startswith("error: libLLVM: found none")
-    assert not Path("boxes").exists()

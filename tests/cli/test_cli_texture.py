@@ -27,7 +27,7 @@ from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import Pyramid, UNet
 from metapp.storage.records import read_records
 from tests.marked import long
-from tests.pictures import photograph, text, write
+from tests.pictures import photograph, write
 from tests.quick import app_by
 
 APPS = ("texture", "svbrdf_stationary")
@@ -206,25 +206,3 @@ def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, 
     meta = metapp("meta", *common, "--rule", "meta-adam-tied", "--quiet")
     assert meta.code == 0
     assert "warning: meta-adam-tied.safetensors was trained with random filters" in meta.err
-
-
-def test_bad_input_gets_one_line(app: str, metapp: Callable) -> None:
-    write(Path("one.png"), np.full((1, 1, 3), 90, np.uint8))
-    write(Path("black.png"), np.zeros((64, 64, 3), np.uint8))
-    text(Path("words.jpg"))
-    text(Path("words.txt"))
-    for name in ("one.png", "black.png", "words.jpg", "missing.jpg", "words.txt"):
-        assert name in metapp("overfit", app, name, "--steps", "1").refusal
-    assert not list(Path("runs").rglob("*.jsonl"))
-
-
-def test_other_pixels_than_rgb_of_8_bits_are_read(app: str, metapp: Callable) -> None:
-    for form, channels in itertools.product(("uint8", "uint16"), (1, 2, 4)):
-        most = np.iinfo(form).max
-        pixels = np.random.default_rng(1).integers(0, most, (40, 50, channels), dtype=form)
-        if channels in (2, 4):
-            pixels[..., -1] = most  # opaque
-        file = Path(f"odd-{form}-{channels}.png")
-        assert oiio.ImageBuf(pixels).write(str(file))
-        document = metapp("overfit", app, file, "--json", "--quiet").done
-        assert np.isfinite(document["error"]), file
