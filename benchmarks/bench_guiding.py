@@ -28,9 +28,10 @@ from benchmarks.guiding_scenes import kind_of, scenes
 from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
-from metapp.rendering import equal_time
-from metapp.rendering.guided_plugin import FEWEST
+from metapp.extensions.guided import equal_time
+from metapp.extensions.guided.integrator import FEWEST
 from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.pictures import rendered
 from metapp.rendering.scenes.loading import load_scene
 
 REGULAR, GUIDED = "regular + NEE", {"type": "metapp_guided_path"}
@@ -125,7 +126,7 @@ class Bench:
         """A picture, and seconds of CPU by what they were spent on."""
         begin = time.process_time()
         integrator = self.mi.load_dict(METHODS[name] | {"max_depth": DEPTH})
-        picture = equal_time.rendered(self.scene, integrator, spp, seed)
+        picture = rendered(self.scene, integrator, spp, seed)
         spent, total = dict(getattr(integrator, "spent", {})), time.process_time() - begin
         rest = "all else" if spent else "regular samples"  # where `path` rendered instead
         return picture, spent | {rest: total - sum(spent.values())}

@@ -24,11 +24,11 @@ from benchmarks.bench_guiding import Bench, box_filtered
 from benchmarks.guiding_scenes import scenes
 from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.rooms import KINDS, random_room
+from metapp.extensions.guided.integrator import RR_DEPTH
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.picture import GuidedPicture
+from metapp.extensions.guided.prior import read_prior, shipped
 from metapp.learning.task import Params
-from metapp.rendering.guide_prior import read_prior, shipped
-from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_picture import GuidedPicture
-from metapp.rendering.guided_plugin import RR_DEPTH
 from metapp.rendering.paths.path_space import DEPTH
 
 NONE = "none"

@@ -22,8 +22,9 @@ from benchmarks.guiding_scenes import scenes
 from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
-from metapp.rendering import equal_time
+from metapp.extensions.guided import equal_time
 from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.pictures import rendered
 from metapp.rendering.scenes.loading import load_scene
 from metapp.storage.files import write_atomically
 
@@ -58,7 +59,7 @@ class Pictures(Bench):
 
     def reference(self, spp: int, seed: int) -> Tensor:
         """A picture by `path`."""
-        waves = [equal_time.rendered(self.scene, self.path, 64, seed + wave) for wave in range(-(-spp // 64))]
+        waves = [rendered(self.scene, self.path, 64, seed + wave) for wave in range(-(-spp // 64))]
         return torch.stack(waves).mean(0)
 
 

@@ -17,12 +17,12 @@ import time
 from typing import Any
 
 from benchmarks.sd_tree import SDTree
+from metapp.extensions.guided.cache import Bounce
+from metapp.extensions.guided.integrator import DEPTH, RR_DEPTH
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.picture import _WAVE, GuidedPicture, _extent
+from metapp.extensions.guided.vertex import Evaluated, Sampled, Vertex, is_lambertian, lambertian
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import Bounce
-from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_picture import _WAVE, GuidedPicture, _extent
-from metapp.rendering.guided_plugin import DEPTH, RR_DEPTH
-from metapp.rendering.guided_vertex import Evaluated, Sampled, Vertex, is_lambertian, lambertian
 from metapp.rendering.jit import dr, mi, register_plugin
 
 NAME = "practical_path_guiding"

@@ -5,7 +5,7 @@
     {"type": "metapp_guided_path", "max_depth": 8}
 
 The last is an integrator: Mitsuba's `path` with path guiding that it learns while it renders; see
-`metapp.rendering.guided_plugin`. It is `guided_path`, too, unless a scene means that of Mueller et al. 2017.
+`metapp.extensions.guided.integrator`. It is `guided_path`, too, unless a scene means that of Mueller et al. 2017.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of any of its networks, or a folder with an
@@ -28,10 +28,10 @@ from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
+from metapp.extensions.guided.integrator import register_guided_path
 from metapp.learning.task import Params
 from metapp.rendering.bsdfs.neural_brdf import Material, register_neural_brdf
 from metapp.rendering.bsdfs.neural_svbrdf import register_maps_bsdf
-from metapp.rendering.guided_plugin import register_guided_path
 from metapp.storage.tensors import read_tensors
 
 

@@ -27,6 +27,7 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.recipe import Recipe
 from metapp.rendering.second_scene.relighting import matrix_path
+from tests.needs_mitsuba import skip_without_mitsuba
 from tests.small_spheres import run_small, shrink_spheres
 
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
@@ -326,3 +327,18 @@ def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.T
 def small_spheres(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of BRDFs of 16 px instead of 96, where what they show does not matter."""
     shrink_spheres(monkeypatch)
+
+
+@pytest.fixture
+def mi() -> Iterator[Any]:
+    """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
+    skip_without_mitsuba()
+    import mitsuba
+
+    import metapp.mitsuba  # noqa: F401  (registers the plugins)
+
+    before = mitsuba.variant()
+    mitsuba.set_variant("llvm_ad_rgb")
+    yield mitsuba
+    if before:
+        mitsuba.set_variant(before)

@@ -18,20 +18,20 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 
-from data_tools.synthetic.guiding import NAMES, guide_tasks
 from data_tools.synthetic.rooms import KINDS, random_room
+from metapp.extensions.guided import equal_time
+from metapp.extensions.guided.integrator import RR_DEPTH
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.picture import GuidedPicture
+from metapp.extensions.guided.prior import init
+from metapp.extensions.guided.prior_tasks import NAMES, guide_tasks
+from metapp.extensions.guided.prior_training import APP, RECIPE
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.paradigm import TrainingData
-from metapp.rendering import equal_time
-from metapp.rendering.guide_prior import init
-from metapp.rendering.guide_training import APP, RECIPE
-from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_picture import GuidedPicture
-from metapp.rendering.guided_plugin import RR_DEPTH
 from metapp.rendering.paths.path_space import DEPTH
 from metapp.rendering.scenes.loading import load_scene
 from metapp.storage.files import write_atomically

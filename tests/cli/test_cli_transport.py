@@ -211,7 +211,7 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
 def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     metapp: Callable, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(images, "RENDERED_SPP", 16)
+    monkeypatch.setattr("metapp.extensions.guided.rendering.SPP", 16)
     result = metapp("overfit", "transport", "--data", data, "--render", "24")
     assert result.code == 0, result.err
     folders = list(Path("runs").rglob("outputs/box-5"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ from safetensors.torch import save_file
 from torch import Generator
 
 from metapp.apps.brdf.few import Few
-from tests.needs_mitsuba import skip_without_mitsuba
 
 SYNTHETIC = 10  # materials, two of them to be fitted
 
@@ -34,21 +33,6 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     theta["last"][0] = 0.3 * torch.randn(theta["last"].shape[1], generator=Generator().manual_seed(1))
     save_file(theta, folder / "few.safetensors")
     return files | {"few": folder / "few.safetensors"}
-
-
-@pytest.fixture
-def mi() -> Iterator[Any]:
-    """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
-    skip_without_mitsuba()
-    import mitsuba
-
-    import metapp.mitsuba  # noqa: F401  (registers the plugins)
-
-    before = mitsuba.variant()
-    mitsuba.set_variant("llvm_ad_rgb")
-    yield mitsuba
-    if before:
-        mitsuba.set_variant(before)
 
 
 @pytest.fixture

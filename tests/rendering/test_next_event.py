@@ -181,3 +181,12 @@ def test_a_guide_leaves_the_light_of_a_point_at_the_first_surface_without_noise(
     assert beside.mean() > 0.01
     guide = Guide(corner, lambda film, directions: 16 * (directions < 0.25).all(1).float())
     torch.testing.assert_close(render(tracer, 64, 8, 0, guide), render(tracer, 64, 8, 0), rtol=0.5, atol=0.02)
+
+
+@needs_mitsuba
+def test_weights_are_of_the_power_heuristic() -> None:
+    from metapp.rendering.jit import mi
+    from metapp.rendering.paths.next_event import mis_weight
+
+    weight = mis_weight(mi.Float([1, 2, 0, 5]), mi.Float([3, 0, 1, 5]))
+    assert weight.numpy() == pytest.approx([0.1, 1, 0, 0.5])

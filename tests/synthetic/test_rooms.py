@@ -1,4 +1,4 @@
-"""Random Cornell boxes and rooms, the same again from their JSON text, and tasks of guide priors made of them."""
+"""Random Cornell boxes and rooms, the same again from their JSON text."""
 
 from __future__ import annotations
 
@@ -13,12 +13,7 @@ import torch
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.rooms import KINDS, random_room
-from metapp.learning.app import stack
-from metapp.learning.task import Task, problems_of
-from metapp.rendering.guide_histogram import BINS
-from metapp.rendering.guide_training import APP
 from metapp.rendering.scenes.rules import BYTES, scene_bytes, scene_of
-from tests.needs_mitsuba import needs_mitsuba
 
 SCENES = [random_scene(seed) for seed in range(200)]
 WALLS = {"floor", "ceiling", "back", "left", "right"}
@@ -118,31 +113,3 @@ def test_radiance_times_area_is_the_power_and_other_rooms_are_refused() -> None:
         random_room("cellar", 1)
     with pytest.raises(ValueError, match="seed -1"):
         random_room("box", -1)
-
-
-@needs_mitsuba
-def test_tasks_of_guide_priors_hold_what_they_must(monkeypatch: pytest.MonkeyPatch) -> None:
-    from data_tools.synthetic.guiding import NAMES, guide_tasks
-
-    monkeypatch.setattr("data_tools.synthetic.guiding.PARTS", ((4,), (4,), (4,), (8,), (8,)))
-    tasks = guide_tasks("board", 1)
-    assert [task.name for task in tasks] == [f"board-1-{name}" for name in NAMES]
-    assert not [problem for task in tasks for problem in problems_of(task, APP.holds)]
-    for task in tasks:
-        for key in ("visible", "truth"):
-            torch.testing.assert_close(task.data[key].sum(1), torch.ones(len(task.data[key])))
-
-
-def test_even_densities_have_the_loss_of_chance() -> None:
-    """Whatever paths found: the mean of squares over an even density is their sum times the number of bins."""
-    squares = torch.rand(6, BINS)
-    squares /= squares.sum(1, keepdim=True)
-    task = Task("a", {"features": torch.randn(6, 8, 16, 16), "visible": squares, "truth": squares.flip(0)})
-    tasks = stack(APP, [task, task])
-    rng = torch.Generator().manual_seed(0)
-    theta = {key: torch.zeros_like(value) for key, value in APP.init(rng, 2).items()}
-    batch = APP.sample(tasks, rng, 4)
-    even = torch.full((2,), math.log(BINS))
-    torch.testing.assert_close(APP.loss(theta, batch, {}), even)
-    torch.testing.assert_close(APP.outer_loss(theta, batch, {}), even)
-    torch.testing.assert_close(APP.errors(theta, tasks)["error"], even)

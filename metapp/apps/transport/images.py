@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.metrics import dssim, mape, smape
-from metapp.appearance.presentation import REFERENCE, Fitted, Picture, Rendered
+from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
@@ -26,7 +26,6 @@ FIXED = "fixed time"
 REGULAR_NEE, GUIDED_NEE = "regular + NEE", "guided_path + NEE"  # Mitsuba's path; guided at all bounces
 REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
 WAVE = 2**22  # paths at a time
-RENDERED_SPP = 64  # samples a pixel of the pictures of `rendered`
 
 
 class Shot(NamedTuple):
@@ -77,18 +76,18 @@ class Studio:
 
     def guided_path(self, spp: int, seed: int = 0) -> Shot:
         """The same, guided at all bounces by the cache that it learns while it renders."""
-        from metapp.rendering.guided_plugin import register_guided_path  # imports Mitsuba
+        from metapp.extensions.guided.integrator import register_guided_path  # imports Mitsuba
 
         register_guided_path()
         return self._by({"type": "metapp_guided_path"}, spp, seed)
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
-        from metapp.rendering import equal_time
+        from metapp.rendering.pictures import rendered, square_sensor  # imports Mitsuba
 
         mi, tracer = self.tracer.mi, self.tracer
-        sensor = equal_time.square_sensor(tracer.scene, self.size)
+        sensor = square_sensor(tracer.scene, self.size)
         made = mi.load_dict(integrator | {"max_depth": tracer.depth})
-        return _timed(lambda: equal_time.rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
+        return _timed(lambda: rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
 
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
@@ -195,28 +194,3 @@ def _errors(
     if spp >= 1:
         errors[EQUAL_TIME] = studio.errors(shoot(spp, seed).picture)["MAPE"]
     return errors
-
-
-def rendered(task: Task, side: int) -> Rendered:
-    """The scene of a task by `guided_path`, and by Mitsuba's path in the same time, with next-event estimation both.
-
-    Args:
-        task: holds the `scene`.
-        side: the longer side of the pictures, px.
-    """
-    tracer = path_space.Tracer(scene_of(task.data["scene"].cpu()))
-    from metapp.rendering import equal_time
-    from metapp.rendering.guided_plugin import register_guided_path
-
-    register_guided_path()
-    equal_time.resize(tracer.scene, side)
-    guided = equal_time.guided_picture(tracer.scene, RENDERED_SPP, tracer.depth)
-    regular = equal_time.regular_picture(tracer.scene, guided.seconds, RENDERED_SPP, tracer.depth)
-    spent = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in guided.spent.items())
-    return Rendered(
-        {"guided_path": Picture(guided.picture, "radiance"), "regular_nee": Picture(regular.picture, "radiance")},
-        [
-            f"guided_path: {guided.spp} samples a pixel in {guided.seconds:.2f} s of CPU ({spent}), without the fit",
-            f"regular_nee: {regular.spp} samples a pixel in {regular.seconds:.2f} s of CPU",
-        ],
-    )

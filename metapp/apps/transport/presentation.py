@@ -14,7 +14,7 @@ from metapp.appearance.view import View
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.apps.transport.images import image_errors, rendered, studio_of
+from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.viewing import view_of
 from metapp.learning.task import Params, Task
 
@@ -77,6 +77,8 @@ class TransportPresentation(Presentation[Transport]):
         return pictures_view(both)
 
     def rendered(self, task: Task, side: int) -> Rendered | None:
+        from metapp.extensions.guided.rendering import rendered  # imports Mitsuba
+
         return rendered(task, side) if "scene" in task.data else None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:

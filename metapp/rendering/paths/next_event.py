@@ -12,8 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from metapp.rendering import types as mt
-from metapp.rendering.guided_vertex import mis_weight
 from metapp.rendering.jit import dr, mi
+
+
+def mis_weight(density: mt.Float, other: mt.Float) -> mt.Float:
+    """The power heuristic (Veach & Guibas 1995)."""
+    square = dr.square(density)
+    weight = square / (square + dr.square(other))
+    return dr.select(dr.isfinite(weight), weight, 0)
 
 
 @dataclass

@@ -14,10 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from metapp.extensions.guided.cache import GuideCache, Records
+from metapp.extensions.guided.vertex import Vertex
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import GuideCache, Records
-from metapp.rendering.guided_vertex import Vertex, mis_weight
 from metapp.rendering.jit import dr, mi
+from metapp.rendering.paths.next_event import mis_weight
 
 WORTH = 1.5  # a path goes on for certain that is expected to bring 1 / WORTH of its luminance yet, or more
 LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least, by the cache; at most, from `rr_depth` on

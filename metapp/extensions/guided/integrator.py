@@ -18,10 +18,10 @@ import functools
 import warnings
 from pathlib import Path
 
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.picture import SEVERAL, GuidedPicture
+from metapp.extensions.guided.prior import read_prior, shipped
 from metapp.rendering import types as mt
-from metapp.rendering.guide_prior import read_prior, shipped
-from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_picture import SEVERAL, GuidedPicture
 from metapp.rendering.jit import dr, mi, register_plugin
 from metapp.rendering.scenes.plugins import snake_case
 

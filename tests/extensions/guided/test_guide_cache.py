@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from metapp.rendering.guide_histogram import AXES, BINS, ENTRIES, GRID
+from metapp.extensions.guided.histogram import AXES, BINS, ENTRIES, GRID
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import skip_without_mitsuba
 
@@ -19,7 +19,7 @@ def mi() -> Any:
 
 
 def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
-    from metapp.rendering.guide_cache import GuideCache
+    from metapp.extensions.guided.cache import GuideCache
 
     return GuideCache(list(low), list(high))
 
@@ -51,7 +51,7 @@ def test_frames_of_an_entry_are_turned_alike(mi: Any) -> None:
 
 @pytest.mark.parametrize("points", [None, np.zeros((3, 0)), np.random.default_rng(0).uniform(-1, 1, (3, 100_000))])
 def test_voxels_are_alike_where_points_are(mi: Any, points: Any) -> None:
-    from metapp.rendering.guide_cache import GuideCache
+    from metapp.extensions.guided.cache import GuideCache
 
     place = np.random.default_rng(1).uniform(-1, 1, (3, 1000)).astype(np.float32)
     place = place[:, (np.abs((place + 1) * GRID / 2 % 1 - 0.5) < 0.4).all(0)]  # not at a boundary
@@ -61,8 +61,8 @@ def test_voxels_are_alike_where_points_are(mi: Any, points: Any) -> None:
 
 
 def test_voxels_are_narrower_where_there_are_many_points(mi: Any) -> None:
-    from metapp.rendering.guide_cache import GuideCache
-    from metapp.rendering.guide_voxels import CROWDED
+    from metapp.extensions.guided.cache import GuideCache
+    from metapp.extensions.guided.voxels import CROWDED
 
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(0, 0.1, 20_000), *rng.uniform(0, 1, (2, 20_000))])
@@ -87,7 +87,7 @@ def test_flat_scenes_have_voxels_too(mi: Any) -> None:
 
 
 def bounce(mi: Any, **more: Any) -> Any:
-    from metapp.rendering.guide_cache import Bounce
+    from metapp.extensions.guided.cache import Bounce
 
     usual = {"index": mi.UInt32(1), "density": 1.0, "throughput": 1.0, "radiance": 0.0, "unlit": 0.0}
     values = {
@@ -106,7 +106,7 @@ def learned(cache: Any) -> dict[int, tuple[float, float]]:
 
 def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
     """Radiance in the end less that before, over the throughput; of it the square, times the density, is added."""
-    from metapp.rendering.guide_cache import Records
+    from metapp.extensions.guided.cache import Records
 
     records, cache = Records(3), empty()
     cells = [0, 7 * BINS + 3, 4]  # the first bin of the first entry among them
@@ -121,7 +121,7 @@ def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
 
 
 def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
-    from metapp.rendering.guide_cache import RECORDED, Records
+    from metapp.extensions.guided.cache import RECORDED, Records
 
     records, cache = Records(2), empty()
     for depth in range(RECORDED + 2):
@@ -133,7 +133,7 @@ def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
 
 def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
     """No bounce, a density of 0, radiance that is not finite."""
-    from metapp.rendering.guide_cache import Records
+    from metapp.extensions.guided.cache import Records
 
     records, cache = Records(4), empty()
     records.add(mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True))
@@ -145,7 +145,7 @@ def test_what_paths_are_expected_to_bring_is_the_mean_of_those_before(mi: Any) -
     """Of outgoing radiance with next-event estimation, the mean; of what is carried, the root mean square."""
     import drjit as dr
 
-    from metapp.rendering.guide_cache import KNOWN, Records
+    from metapp.extensions.guided.cache import KNOWN, Records
 
     rng, cache = np.random.default_rng(0), empty()
     cells = np.array([3] * 40 + [7 * BINS] * (KNOWN - 1), np.uint32)  # entries 0, which is known, and 7

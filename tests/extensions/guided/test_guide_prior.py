@@ -12,8 +12,7 @@ import torch
 from torch import Generator
 
 from data_tools.synthetic.rooms import random_room
-from metapp.learning.learn import MetaParameters
-from metapp.rendering.guide_histogram import (
+from metapp.extensions.guided.histogram import (
     AXES,
     BINS,
     DEFENSIVE,
@@ -27,7 +26,7 @@ from metapp.rendering.guide_histogram import (
     second_moments,
     shrunk,
 )
-from metapp.rendering.guide_prior import (
+from metapp.extensions.guided.prior import (
     CHANNELS,
     ENTRY_PRIOR_PATHS,
     FEATURES,
@@ -41,6 +40,7 @@ from metapp.rendering.guide_prior import (
     read_prior,
     shipped,
 )
+from metapp.learning.learn import MetaParameters
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.records import save_checkpoint
@@ -110,7 +110,7 @@ def test_voxels_without_paths_get_the_moments_of_those_around_them_of_their_axis
 
 
 def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
-    from metapp.rendering.guide_cache import GuideCache
+    from metapp.extensions.guided.cache import GuideCache
 
     return GuideCache(list(low), list(high))
 
@@ -281,13 +281,13 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def tracer() -> Any:
-    from metapp.rendering.guided_path import PathTracer
+    from metapp.extensions.guided.path_tracer import PathTracer
 
     return PathTracer(6, 5)
 
 
 def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.ndarray[Any, Any]:
-    from metapp.rendering.guided_picture import GuidedPicture
+    from metapp.extensions.guided.picture import GuidedPicture
 
     sensor, path = scene.sensors()[0], mi.load_dict({"type": "path", "max_depth": 6})
     made = GuidedPicture(path, tracer(), scene, sensor, seed, prior)
@@ -298,7 +298,7 @@ def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.
 @pytest.mark.long
 @needs_mitsuba
 def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.guided_picture.PAYS", math.inf)
+    monkeypatch.setattr("metapp.extensions.guided.picture.PAYS", math.inf)
     mi, scene, _ = load_scene(random_room("board", 5000))  # of no training
     noise = []
     for prior in (read_prior(shipped()), None):
@@ -312,7 +312,7 @@ def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) 
 def test_a_survey_finds_how_far_away_things_are() -> None:
     room = random_room("lamps", 1)
     scene = load_scene({key: value for key, value in room.items() if not key.startswith("sphere")})[1]
-    from metapp.rendering.guide_survey import survey
+    from metapp.extensions.guided.survey import survey
 
     cache = empty(3 * (-1.01,), 3 * (1.01,))
     surveyed = survey(tracer(), scene, scene.sensors()[0], cache, 3)
@@ -341,12 +341,12 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
         "floor": {"type": "rectangle", "bsdf": grey},
         "board": {"type": "rectangle", "to_world": board, "bsdf": grey},
     })[1]  # fmt: skip
-    from metapp.rendering import guide_survey
+    from metapp.extensions.guided import survey
 
     traced: list[FirstHits] = []
-    monkeypatch.setattr(guide_survey, "features_of", lambda hits, *_: traced.append(hits))
+    monkeypatch.setattr(survey, "features_of", lambda hits, *_: traced.append(hits))
     cache = empty((-1, -1, -0.1), (1, 1, 1.1))
-    surveyed = guide_survey.survey(tracer(), scene, scene.sensors()[0], cache, 3)
+    surveyed = survey.survey(tracer(), scene, scene.sensors()[0], cache, 3)
     entry, emitted = (values[:, :, (SIDE // 2) * SIDE + SIDE // 2] for values in (traced[0].entry, traced[0].emitted))
     floor = (surveyed.voxels[:, 3] == 4) & (surveyed.voxels[:, 0] == 0)
     below, open_floor = floor & (surveyed.voxels[:, 2] > HALF // 2), floor & (surveyed.voxels[:, 2] < HALF // 2 - 1)
@@ -357,12 +357,3 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
     # the power heuristic of a density of nearly 1 / pi and that of the sky, 1 / (4 pi)
     sky = emitted[open_floor]
     torch.testing.assert_close(sky, torch.full_like(sky, 2 * 16 / 17), rtol=5e-3, atol=0)
-
-
-@needs_mitsuba
-def test_weights_are_of_the_power_heuristic() -> None:
-    from metapp.rendering.guided_vertex import mis_weight
-    from metapp.rendering.jit import mi
-
-    weight = mis_weight(mi.Float([1, 2, 0, 5]), mi.Float([3, 0, 1, 5]))
-    assert weight.numpy() == pytest.approx([0.1, 1, 0, 0.5])

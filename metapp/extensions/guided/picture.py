@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from metapp.extensions.guided.cache import GuideCache, Records
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.prior import LearnedPrior
+from metapp.extensions.guided.survey import survey
 from metapp.learning.task import Params
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import GuideCache, Records
-from metapp.rendering.guide_prior import LearnedPrior
-from metapp.rendering.guide_survey import survey
-from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.jit import dr, mi
 
 SEVERAL = 4  # samples a pixel, with which a picture has parts

@@ -5,18 +5,15 @@ Scenes are loaded; `spp` are samples a pixel, `depth` edges of the longest path,
 
 from __future__ import annotations
 
-import math
 import time
-import warnings
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from metapp.rendering.jit import mi
-from metapp.rendering.scenes.rules import box_film
-from metapp.rendering.types import Integrator, Scene, Sensor
+from metapp.rendering.pictures import rendered
+from metapp.rendering.types import Scene
 
 _WAVES = 16  # that a picture in a given time is made of, about
 
@@ -50,17 +47,6 @@ def resize(scene: Scene, side: int) -> None:
     values.update()
 
 
-def square_sensor(scene: Scene, side: int) -> Sensor:
-    """A sensor, `side` px wide, that sees the central square of what a scene's first, perspective one sees."""
-    sensor = scene.sensors()[0]
-    width, height = (int(n) for n in sensor.film().size())
-    values = mi.traverse(sensor)
-    across = math.tan(math.radians(float(np.array(values["x_fov"]).item())) / 2) * min(width, height) / width
-    to_world = mi.ScalarTransform4f(np.array(values["to_world"].matrix).reshape(4, 4))
-    fov = math.degrees(2 * math.atan(across))
-    return mi.load_dict({"type": "perspective", "fov": fov, "to_world": to_world, "film": box_film(side, side)})
-
-
 def guided_picture(
     scene: Scene, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
 ) -> TimedPicture:
@@ -84,11 +70,3 @@ def regular_picture(scene: Scene, seconds: float, spp: int, depth: int, seed: in
         total = total + rendered(scene, integrator, per_wave, seed * 2**16 + waves)
         waves, longest = waves + 1, time.process_time() - start
     return TimedPicture(total / waves, per_wave * waves, {"regular samples": time.process_time() - begin})
-
-
-def rendered(scene: Scene, integrator: Integrator, spp: int, seed: int, sensor: Sensor | int = 0) -> Tensor:
-    """A picture by any integrator, linear RGB [rows, columns, 3]."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # where there is no guide: `spent` of a guided picture tells
-        picture = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
-    return torch.from_numpy(picture.numpy())[..., :3].clone()

@@ -9,13 +9,13 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.synthetic.rooms import random_room
+from metapp.extensions.guided import equal_time
+from metapp.extensions.guided.histogram import coarsened, second_moments, voxels_of
+from metapp.extensions.guided.integrator import RR_DEPTH
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.picture import GuidedPicture
+from metapp.extensions.guided.prior import LearnedPrior, histogram_features, init
 from metapp.learning.task import Task
-from metapp.rendering import equal_time
-from metapp.rendering.guide_histogram import coarsened, second_moments, voxels_of
-from metapp.rendering.guide_prior import LearnedPrior, histogram_features, init
-from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_picture import GuidedPicture
-from metapp.rendering.guided_plugin import RR_DEPTH
 from metapp.rendering.paths.path_space import DEPTH
 from metapp.rendering.scenes.loading import load_scene
 

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from metapp.extensions.guided.cache import RECORDED, GuideCache, Records
+from metapp.extensions.guided.histogram import BINS, ENTRIES, SIDE, coarse_voxels, voxels_of
+from metapp.extensions.guided.path_tracer import PathTracer
+from metapp.extensions.guided.prior import CHANNELS, FirstHits, SurveyFeatures, features_of
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import RECORDED, GuideCache, Records
-from metapp.rendering.guide_histogram import BINS, ENTRIES, SIDE, coarse_voxels, voxels_of
-from metapp.rendering.guide_prior import CHANNELS, FirstHits, SurveyFeatures, features_of
-from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_vertex import mis_weight
 from metapp.rendering.jit import dr, mi
+from metapp.rendering.paths.next_event import mis_weight
 
 FILM = 128  # paths along a side of the film
 RAYS = 4  # of each bin

@@ -5,7 +5,7 @@ latter, one number for each entry; rays find which entry is met in which bin. So
 long before paths have filled the histograms.
 
 The network maps such pictures over the bins of one entry, [SIDE, SIDE] each, to how densely paths should be sampled
-there. It knows nothing else of a scene. General trains it on rooms (`metapp.rendering.guide_training`).
+there. It knows nothing else of a scene. General trains it on rooms (`metapp.extensions.guided.prior_training`).
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, silu
 
-from metapp.learning.task import Params
-from metapp.networks.layers import add_layer
-from metapp.rendering.guide_histogram import (
+from metapp.extensions.guided.histogram import (
     AXES,
     BINS,
     DEFENSIVE,
@@ -33,6 +31,8 @@ from metapp.rendering.guide_histogram import (
     second_moments,
     voxels_of,
 )
+from metapp.learning.task import Params
+from metapp.networks.layers import add_layer
 from metapp.storage.records import load_checkpoint
 
 CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
@@ -130,7 +130,7 @@ _ESTIMATE = len(CHANNELS)  # the feature that holds the histogram's own estimate
 
 def shipped() -> Path:
     """The checkpoint that ships."""
-    return Path(str(resources.files("metapp.checkpoints"))) / NAME / "general.safetensors"
+    return Path(str(resources.files("metapp.extensions.guided"))) / "checkpoints" / "general.safetensors"
 
 
 def read_prior(path: Path) -> Params:

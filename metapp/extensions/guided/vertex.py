@@ -5,20 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from metapp.extensions.guided.cache import Bounce, GuideCache, Location
+from metapp.extensions.guided.histogram import BINS
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import Bounce, GuideCache, Location
-from metapp.rendering.guide_histogram import BINS
 from metapp.rendering.jit import dr, mi
+from metapp.rendering.paths.next_event import mis_weight
 
 MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
 LAMBERTIAN, TWO_SIDED = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
-
-
-def mis_weight(density: mt.Float, other: mt.Float) -> mt.Float:
-    """The power heuristic (Veach & Guibas 1995)."""
-    square = dr.square(density)
-    weight = square / (square + dr.square(other))
-    return dr.select(dr.isfinite(weight), weight, 0)
 
 
 class Sampled(NamedTuple):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from metapp.extensions.guided.histogram import GRID
 from metapp.rendering import types as mt
-from metapp.rendering.guide_histogram import GRID
 from metapp.rendering.jit import dr, mi
 
 CROWDED = 0.8  # of the voxels along an axis, the share that goes by how many points there are

@@ -14,8 +14,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from metapp.rendering import types as mt
-from metapp.rendering.guide_histogram import (
+from metapp.extensions.guided.histogram import (
     AXES,
     BINS,
     BYTE,
@@ -32,7 +31,8 @@ from metapp.rendering.guide_histogram import (
     shrunk,
     voxels_of,
 )
-from metapp.rendering.guide_voxels import Voxels
+from metapp.extensions.guided.voxels import Voxels
+from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
 FINE_PATHS = 2048.0  # from which an entry has a histogram of its own

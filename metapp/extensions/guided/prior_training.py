@@ -11,11 +11,11 @@ from dataclasses import replace
 import torch
 from torch import Generator, Tensor
 
+from metapp.extensions.guided.histogram import BINS, SIDE
+from metapp.extensions.guided.prior import FEATURES, NAME, densities, init
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.rendering.guide_histogram import BINS, SIDE
-from metapp.rendering.guide_prior import FEATURES, NAME, densities, init
 
 LEARNED = MetaTraining(
     steps=600,

@@ -31,16 +31,16 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
 
     Every reason may be warned of once a test; none is unless a test expects it.
     """
-    from metapp.rendering import guided_picture, guided_plugin
+    from metapp.extensions.guided import integrator, picture
 
-    guided_plugin._WARNED.clear()
-    monkeypatch.setattr(guided_plugin, "FEWEST", 2**10)
-    monkeypatch.setattr(guided_plugin, "SURVEYED", 2**11)
+    integrator._WARNED.clear()
+    monkeypatch.setattr(integrator, "FEWEST", 2**10)
+    monkeypatch.setattr(integrator, "SURVEYED", 2**11)
     if "guard" not in request.node.name:
-        monkeypatch.setattr(guided_picture, "PAYS", math.inf)
+        monkeypatch.setattr(picture, "PAYS", math.inf)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        yield guided_plugin
+        yield integrator
 
 
 def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
@@ -109,7 +109,7 @@ def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp:
 
 @pytest.mark.long
 def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.rendering.guide_cache import GuideCache
+    from metapp.extensions.guided.cache import GuideCache
 
     density = GuideCache.density
     monkeypatch.setattr(GuideCache, "density", lambda *arguments: 0.8 * density(*arguments))
@@ -119,7 +119,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
 
 @pytest.mark.parametrize(("emitter_sampling", "at_most"), [long(True, 0.85), long(False, 0.6)])
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_sampling: bool, at_most: float) -> None:
-    from metapp.rendering.guide_cache import GuideCache
+    from metapp.extensions.guided.cache import GuideCache
 
     scene, noise = loaded(mi, random_scene(101), 64), []
     integrator = mi.load_dict({"type": "metapp_guided_path", "emitter_sampling": emitter_sampling, "max_depth": 5})
@@ -230,9 +230,9 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
     ("spp", "pixels"), [(4, 2**20), (7, 2**20), (16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)]
 )
 def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
-    from metapp.rendering import guided_picture
+    from metapp.extensions.guided import picture
 
-    regular, *guided, last = guided_picture.parts_of(spp, pixels)
+    regular, *guided, last = picture.parts_of(spp, pixels)
     assert regular + sum(guided) + last == spp
     assert last >= spp / 2
     assert regular == max(1, guided[0] // 2)
@@ -242,33 +242,33 @@ def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
 
 @pytest.mark.parametrize("shape", [(64, 64, 4), (64, 64, 16), (128, 96, 1), (40, 3, 8)])
 def test_noise_is_how_far_two_halves_of_blocks_differ(shape: tuple[int, int, int]) -> None:
-    from metapp.rendering import guided_picture
+    from metapp.extensions.guided import picture
 
     rng, samples = np.random.default_rng(0), shape[2]
-    side = math.ceil(math.sqrt(guided_picture.BLOCK / samples))
+    side = math.ceil(math.sqrt(picture.BLOCK / samples))
     half = min(side, shape[0]) * min(side, shape[1]) * samples / 2
     luminance = 1 + 0.1 * rng.standard_normal(shape)
-    noise = guided_picture.Work(luminance, 1.0).noise(samples)
+    noise = picture.Work(luminance, 1.0).noise(samples)
     assert noise == pytest.approx(0.1 / math.sqrt(half) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2, rel=0.15)
-    assert guided_picture.Work(7 * luminance, 1.0).noise(samples) == pytest.approx(noise)
-    assert guided_picture.Work(np.zeros(shape), 1.0).noise(samples) == 0
+    assert picture.Work(7 * luminance, 1.0).noise(samples) == pytest.approx(noise)
+    assert picture.Work(np.zeros(shape), 1.0).noise(samples) == 0
 
 
 def test_what_a_picture_shows_is_no_noise() -> None:
-    from metapp.rendering import guided_picture
+    from metapp.extensions.guided import picture
 
     shown = np.random.default_rng(0).uniform(size=(64, 64, 1)) * np.ones(8)
-    assert guided_picture.Work(shown, 1.0).noise(8) == pytest.approx(0, abs=1e-12)
+    assert picture.Work(shown, 1.0).noise(8) == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("spread", "bounces", "pays"), [(0.1, 4, False), (0.04, 4, True), (0.04, 40, False)])
 def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: float, pays: bool) -> None:
     """Whose error is 0.4 of the regular one's may take 0.4**-2 of its time."""
-    from metapp.rendering import guided_picture
+    from metapp.extensions.guided import picture
 
     rng = np.random.default_rng(0)
-    regular = guided_picture.Work(1 + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
-    guided = guided_picture.Work(1 + spread * rng.standard_normal((64, 64, 16)), bounces)
+    regular = picture.Work(1 + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
+    guided = picture.Work(1 + spread * rng.standard_normal((64, 64, 16)), bounces)
     assert guided.pays(regular) is pays
 
 
@@ -276,7 +276,7 @@ def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: floa
 def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     import drjit as dr
 
-    from metapp.rendering.guided_vertex import is_lambertian, lambertian
+    from metapp.extensions.guided.vertex import is_lambertian, lambertian
 
     plain = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.5, 0.9]}}
     bsdf = mi.load_dict(plain if sides == 1 else {"type": "twosided", "inside": plain})
@@ -310,10 +310,10 @@ def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) 
 def test_pictures_of_few_paths_do_not_pay_for_a_survey(
     mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, more: Any, surveys: int
 ) -> None:
-    from metapp.rendering import guided_picture
+    from metapp.extensions.guided import picture
 
-    made, survey = [], guided_picture.survey
-    monkeypatch.setattr(guided_picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
+    made, survey = [], picture.survey
+    monkeypatch.setattr(picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4, **more})
     mi.render(loaded(mi, random_scene(101), size), integrator=integrator, spp=16)
     assert len(made) == surveys
@@ -321,7 +321,7 @@ def test_pictures_of_few_paths_do_not_pay_for_a_survey(
 
 
 def test_the_roulette_gives_no_path_more_than_it_began_with(mi: Any) -> None:
-    from metapp.rendering.guided_path import LEAST, PathTracer
+    from metapp.extensions.guided.path_tracer import LEAST, PathTracer
 
     throughput = mi.Float(np.geomspace(1e-3, 20, 500))
     for remaining, depth in ((1e-6, 1), (0.2, 1), (1e-6, 7), (0.9, 7)):
@@ -351,8 +351,8 @@ def test_a_kept_cache_serves_the_next_picture_of_its_scene(
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.rendering.guide_cache import GuideCache
-    from metapp.rendering.guide_histogram import BINS
+    from metapp.extensions.guided.cache import GuideCache
+    from metapp.extensions.guided.histogram import BINS
 
     # whatever is learned, all paths but the fewest go one way
     one = torch.eye(BINS, dtype=torch.float64)[5:6]
