@@ -24,11 +24,11 @@ from safetensors import SafetensorError
 from torch import Generator
 
 from data_tools.readers.nbrdf import read_nbrdf
+from metapp import door
 from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
-from metapp.extensions.guided.integrator import register_guided_path
 from metapp.learning.task import Params
 from metapp.rendering.bsdfs.neural_brdf import Material, register_neural_brdf
 from metapp.rendering.bsdfs.neural_svbrdf import register_maps_bsdf
@@ -73,4 +73,5 @@ def _from_nbrdf(path: Path) -> Params:
 
 register_neural_brdf(read_material)
 register_maps_bsdf()
-register_guided_path()
+for plugin in door.offers(door.Plugin):
+    door.load(plugin.register)()

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from metapp.cli.names import PART_NAMES, RULE_NAMES
 from typer.testing import CliRunner
 
 from metapp.apps import app_names
 from metapp.cli.commands import app as cli
-from metapp.cli.names import PART_NAMES, RULE_NAMES
 from metapp.learning.rules import PARTS, RULES
 from metapp.learning.rules.rule import SHORT
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Command, Format, OwnRecipe, Setting
+from metapp.door import Converter, Export, Format, InMemory, Option
 
-SAMPLES = Setting(
+SAMPLES = Option(
     "samples", 65_536, "Samples (pairs of directions) per material; the first half is for fits to see.", "N", low=2
 )
 
@@ -29,14 +29,6 @@ Examples:
   metapp data nbrdf trained --out nbrdf
   metapp data nbrdf trained/gold trained/tin --split test --out metals
 """
-ANISOTROPIC = OwnRecipe(
-    "anisotropic",
-    has="reflectance that depends on phi_h",
-    tensor="phi_h",
-    tells="is_anisotropic",
-    paradigms=("meta", "overfit"),
-)
-FEW = OwnRecipe("few", has="500 samples or fewer", tells="has_few", paradigms=("meta",))
 RGL = """Convert RGL measurements, BRDFs, isotropic or anisotropic.
 
 A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes
@@ -59,41 +51,40 @@ Examples:
   metapp data gonio measurements --split test --out measured
 """
 
-OBJECTS = {"brdf": "data_tools.readers.brdf_objects:from_object"}
-FORMATS = (
+OFFERS = (
     Format(
         "bsdf",
         "brdf",
         "data_tools.readers.rgl",
         "RGL .bsdf files",
-        exports=True,
-        command=Command(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
-        own=(ANISOTROPIC,),
+        command=Converter(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
     ),
     Format(
         "gonio",
         "brdf",
         "data_tools.readers.gonio",
         "goniometer .csv files",
-        command=Command(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
-        own=(ANISOTROPIC, FEW),
+        command=Converter(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
     ),
     Format(
         "merl",
         "brdf",
         "data_tools.readers.merl",
         "MERL .binary files",
-        exports=True,
-        command=Command(MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", (SAMPLES,)),
+        command=Converter(
+            MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", (SAMPLES,)
+        ),
     ),
-    Format("mitsuba", "brdf", "data_tools.assets.mitsuba", exports=True),
     Format(
         "nbrdf",
         "brdf",
         "data_tools.readers.nbrdf",
         "folders with an NBRDF network",
-        exports=True,
-        holds=("w1", "w2", "w3", "b1", "b2", "b3"),
-        command=Command(NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", (SAMPLES,)),
+        command=Converter(NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", (SAMPLES,)),
     ),
+    Export("bsdf", ("brdf",), "data_tools.readers.rgl:export"),
+    Export("merl", ("brdf",), "data_tools.readers.merl:export"),
+    Export("mitsuba", ("brdf",), "data_tools.assets.mitsuba:export"),
+    Export("nbrdf", ("brdf",), "data_tools.readers.nbrdf:export", holds=("w1", "w2", "w3", "b1", "b2", "b3")),
+    InMemory("brdf", "data_tools.readers.brdf_objects:from_object"),
 )

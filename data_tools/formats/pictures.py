@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Command, Format, OwnRecipe, Setting
+from data_tools.formats.options import FOV_OF_FITS
+from metapp.door import Converter, Format, InMemory, Option
 
-SIZE = Setting("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
-FOV = Setting(
+SIZE = Option("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
+FOV = Option(
     "fov",
     0.0,
     "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
@@ -13,15 +14,26 @@ FOV = Setting(
     low=0.0,
     high=150.0,
 )
-NORMALS = Setting(
+FIT_FOV = FOV_OF_FITS._replace(help="Camera field of view along the shorter side; default: from EXIF, else 45.")
+EXPOSURE = Option(
+    "exposure",
+    0.0,
+    "Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
+    "STOPS",
+    low=-4.0,
+    high=4.0,
+    protocol="photo",
+    of_inputs=True,
+)
+NORMALS = Option(
     "normals",
     "auto",
     "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a height "
     "field could have it.",
     choices=("opengl", "directx", "auto"),
 )
-GAMMA = Setting("gamma", 1.0, "How all tiles but the normals are encoded; 1 is linear.", "G", low=0.1, high=10)
-WHITE = Setting(
+GAMMA = Option("gamma", 1.0, "How all tiles but the normals are encoded; 1 is linear.", "G", low=0.1, high=10)
+WHITE = Option(
     "white",
     1.35,
     "How bright white would be right below the flash, 1 where the photographs clip; they are made that much darker. "
@@ -31,7 +43,7 @@ WHITE = Setting(
     high=100,
 )
 
-PREDICTED = Setting(
+PREDICTED = Option(
     "predicted",
     "",
     "Maps that another method predicts of the photographs, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for "
@@ -104,19 +116,15 @@ STRIPS_SPLIT = (
     "both sides is left out."
 )
 
-OBJECTS = {
-    "texture": "data_tools.readers.picture_objects:texture",
-    "svbrdf_stationary": "data_tools.readers.picture_objects:flash_photo",
-    "svbrdf_nonstationary": "data_tools.readers.picture_objects:material",
-}
-FORMATS = (
+OFFERS = (
     Format(
         "flash",
         "svbrdf_stationary",
         "data_tools.readers.flash",
         "flash photos",
-        takes=("size", "least", "fov_rad"),
-        command=Command(
+        takes=("size", "least"),
+        options=(FIT_FOV,),
+        command=Converter(
             FLASH,
             "photograph",
             "FILES...",
@@ -131,14 +139,14 @@ FORMATS = (
         "data_tools.readers.photos",
         "images",
         takes=("size", "least"),
-        command=Command(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", (SIZE,)),
+        command=Converter(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", (SIZE,)),
     ),
     Format(
         "maps",
         "svbrdf_nonstationary",
         "data_tools.readers.material_maps",
         "",  # `svbrdf` takes them
-        command=Command(
+        command=Converter(
             MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", (SIZE, NORMALS), MAPS_SPLIT
         ),
     ),
@@ -147,15 +155,15 @@ FORMATS = (
         "svbrdf_nonstationary",
         "data_tools.readers.placed_photos",
         "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
-        takes=("size", "exposure"),
-        own=(OwnRecipe("several", has="several photos", tensor="places"),),
+        takes=("size",),
+        options=(EXPOSURE,),
     ),
     Format(
         "strips",
         "svbrdf_nonstationary",
         "data_tools.readers.strips",
         "",  # `svbrdf` takes them
-        command=Command(
+        command=Converter(
             STRIPS,
             "strip",
             "FILES...",
@@ -169,6 +177,10 @@ FORMATS = (
         "svbrdf_nonstationary",
         "data_tools.readers.svbrdf_inputs",
         "flash photos, strips, a material's maps",
-        takes=("size", "fov_rad", "exposure"),
+        takes=("size",),
+        options=(FIT_FOV, EXPOSURE),
     ),
+    InMemory("texture", "data_tools.readers.picture_objects:texture"),
+    InMemory("svbrdf_stationary", "data_tools.readers.picture_objects:flash_photo"),
+    InMemory("svbrdf_nonstationary", "data_tools.readers.picture_objects:material"),
 )

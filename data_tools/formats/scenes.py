@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Command, Format, Setting
+from data_tools.formats.options import FOV_OF_FITS
+from metapp.door import Converter, Format, InMemory, Merge, Option
 
-ROWS = Setting("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
+ROWS = Option("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
 
 LAVAL = """Convert HDR environment maps, such as those of the Laval indoor set.
 
@@ -18,25 +19,45 @@ Examples:
   metapp data laval office.exr street.hdr --split test --out maps
 """
 
-MERGES = {"illumination": "data_tools.balls.reading:merge"}
-OBJECTS = {
-    "illumination": "data_tools.readers.picture_objects:light",
-    "transport": "data_tools.readers.mitsuba_scenes:from_object",
-}
-FORMATS = (
+FOV = FOV_OF_FITS._replace(
+    help="Camera field of view along the shorter side; default: from EXIF, else a distant camera."
+)
+EXPOSURES = Option(
+    "exposures",
+    "",
+    "Exposure times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
+    "T,T,...",
+    protocol="photo",
+    of_inputs=True,
+)
+ROOTS = Option(
+    "scene_root",
+    None,
+    "Additional folder from which a scene may load files; may be given several times.",
+    "DIR",
+    several=True,
+    passed_as="roots",
+)
+OFFERS = (
     Format(
         "laval",
         "illumination",
         "data_tools.balls.reading",
         "HDR maps (.exr, .hdr) or LDR photos of a ball",
-        takes=("size", "fov_rad"),
-        command=Command(LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)),
+        takes=("size",),
+        options=(FOV,),
+        command=Converter(
+            LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)
+        ),
     ),
     Format(
         "mitsuba",
         "transport",
         "data_tools.readers.mitsuba_scenes",
         "Mitsuba scenes (.xml, .json) with a perspective camera",
-        takes=("roots",),
+        options=(ROOTS,),
     ),
+    Merge("illumination", EXPOSURES, "data_tools.balls.reading:merge"),
+    InMemory("illumination", "data_tools.readers.picture_objects:light"),
+    InMemory("transport", "data_tools.readers.mitsuba_scenes:from_object"),
 )

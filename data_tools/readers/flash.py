@@ -23,9 +23,10 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
-from data_tools.formats import AUTO, Conversion, Label
+from data_tools.formats import AUTO
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
 from metapp.appearance.flash import FOV_RAD
+from metapp.door import Conversion, Label
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
-from data_tools.formats import Conversion
 from data_tools.readers.colours import colour_science
 from data_tools.readers.image_files import opened, turn_upright
 from data_tools.readers.photos import find_photos, holds_photos, read_photo
 from metapp.appearance.latlong import mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import photograph
+from metapp.door import Conversion
 from metapp.learning.task import Task
 from metapp.storage.image_limits import check_memory, error_of, reason_of
 

@@ -43,7 +43,6 @@ UNITS = {
     **svbrdf_task.UNITS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
 }
-SEVERAL_UNITS = svbrdf_task.SEVERAL_UNITS
 COUNTS: dict[Split, int] = {"train": 1200, "test": 16}
 FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "inlay": inlay,
@@ -70,6 +69,11 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
 SIZE = 128
 EVEN = {f"even_{name}": functools.partial(piece, names=(name,)) for name in FLAT}  # in sets of larger maps, too
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
+
+
+def units_of(photos: int = 1, **_: object) -> dict[str, str]:
+    """Units of the tensors of a set, of one photo of each material or of several."""
+    return UNITS | (svbrdf_task.SEVERAL_UNITS if photos > 1 else {})
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = 1) -> Iterator[Task]:

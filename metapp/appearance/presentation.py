@@ -80,7 +80,6 @@ class Presentation(ABC, Generic[AnyApp]):
         measure: what the error is, in one line.
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
-        renders: whether tasks are scenes that `rendered` makes pictures of.
         image_seconds: that they take a task, about, to tell the time left before any was measured.
         size: height and width of `files`, px; None for the application's own choice.
     """
@@ -89,11 +88,12 @@ class Presentation(ABC, Generic[AnyApp]):
     measure: str
     logarithmic: bool = False
     image_measure: str = ""
-    renders: bool = False
     image_seconds: float = 0.1
 
     def __init__(self, app: AnyApp, size: tuple[int, int] | None = None) -> None:
         self.app, self.size = app, size
+        if size and (refusal := self.refusal(*size)):
+            raise ValueError(f"--size {size[0]}x{size[1]}: {app.name} {refusal}.")
         self._kept: tuple[Params, Task, Any] | None = None
 
     def kept(self, theta: Params, task: Task, make: Callable[[], AnyMade]) -> AnyMade:
@@ -121,15 +121,6 @@ class Presentation(ABC, Generic[AnyApp]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """What a fit makes for its user, by the file's name without its ending (no task axis in theta)."""
         return {}
-
-    def rendered(self, task: Task, side: int) -> Rendered | None:
-        """Pictures of a task's scene, whatever its fit; None where there is none.
-
-        Args:
-            task: of the application.
-            side: the longer side of the pictures, px.
-        """
-        return None
 
     def surface(self, theta: Params, task: Task) -> Surface | None:
         """The flat surface that a fit is of (no task axis in theta); None of applications that have none."""

@@ -1,16 +1,15 @@
-"""The applications: one is a package here with three modules.
+"""The applications that extensions offer, by name: their classes, recipes and presentations.
 
-The package itself defines APP, the class of the application; `recipes` defines RECIPES, its recipes by name for each
-protocol ("" where there is but one), the default protocol first; `presentation` defines PRESENTATION.
+What ships is a package here for each: it offers the application, and has modules for its class, its recipes and its
+presentation. Nothing here is imported before it is asked for.
 """
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from metapp import door
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
@@ -20,32 +19,46 @@ if TYPE_CHECKING:
 
 
 def app_names() -> list[str]:
-    """All applications, found by listing this folder; nothing is imported."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+    """All applications; nothing is imported but the modules that offer them."""
+    return sorted(offer.name for offer in door.offers(door.Application))
+
+
+def application_of(name: str) -> door.Application:
+    """What is offered of an application.
+
+    Raises:
+        ValueError: there is none of that name; the message lists those that exist.
+    """
+    applications = {offer.name: offer for offer in door.offers(door.Application)}
+    if name not in applications:
+        expected = f"expected one of {', '.join(sorted(applications))}.{meant(name, applications)}"
+        raise ValueError(f"application '{name}': not known, {expected}")
+    return applications[name]
 
 
 def class_of(name: str) -> type[App]:
-    """The class of the application of that name.
-
-    Raises:
-        ValueError: there is none; the message lists those that exist.
-    """
-    result: type[App] = _module(name, ".app").APP
+    """The class of the application of that name; ValueError where there is none."""
+    result: type[App] = door.load(application_of(name).app)
     return result
 
 
 def protocols_of(name: str) -> tuple[str, ...]:
     """What fits of an application may see, the values of --observe, the default first; () where there is no choice."""
-    return tuple(filter(None, _recipes(name)))
+    return application_of(name).protocols
+
+
+def recipe_offers(name: str, protocol: str = "") -> dict[str, door.Recipe]:
+    """The recipes of an application under a protocol, its default one where none is named, as they are offered."""
+    protocol = protocol or next(iter(protocols_of(name)), "")
+    return {offer.name: offer for offer in door.offers_of(door.Recipe, name) if offer.protocol == protocol}
 
 
 def recipes_of(name: str, protocol: str = "") -> Mapping[str, Recipe]:
     """The recipes of an application under a protocol, its default one where none is named.
 
-    They are "paper", "quick", and "full", of the size that people use; some applications have more.
+    They are "quick", "full", of the size that people use, and "paper"; some applications have more.
     """
-    recipes = _recipes(name)
-    return recipes[protocol or next(iter(recipes))]
+    return {recipe: door.load(offer.recipe) for recipe, offer in recipe_offers(name, protocol).items()}
 
 
 def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> App:
@@ -58,27 +71,18 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
         rule: a learned rule, which may have a network of its own.
     """
     setup = recipe.training(rule).setup if rule else None
-    return class_of(name)(recipe.setup if setup is None else setup, protocol or next(iter(_recipes(name))))
+    return class_of(name)(recipe.setup if setup is None else setup, protocol or next(iter(protocols_of(name)), ""))
 
 
-def presentation_of(app: App, size: tuple[int, int] | None = None) -> Presentation[Any]:
+def presentation_of(app: App, **options: Any) -> Presentation[Any]:
     """What screens and files need of an application, at its setup and under its protocol.
 
     Args:
         app: the application.
-        size: of what fits make for their users, height and width in px; None for the application's own choice.
+        options: of what fits make for their users, as the application offers them, such as `size`.
+
+    Raises:
+        ValueError: nothing can be made by these options.
     """
-    result: Presentation[Any] = _module(app.name, ".presentation").PRESENTATION(app, size)
+    result: Presentation[Any] = door.load(application_of(app.name).presentation)(app, **options)
     return result
-
-
-def _recipes(name: str) -> Mapping[str, Mapping[str, Recipe]]:
-    result: Mapping[str, Mapping[str, Recipe]] = _module(name, ".recipes").RECIPES
-    return result
-
-
-def _module(name: str, part: str = "") -> Any:
-    if name not in app_names():
-        known = app_names()
-        raise ValueError(f"application '{name}': not known, expected one of {', '.join(known)}.{meant(name, known)}")
-    return importlib.import_module(f"metapp.apps.{name}{part}")

@@ -1,22 +1,36 @@
-"""Baselines: what a reader would use instead of a network, fitted to what fits see and judged by the same errors.
-
-A module here with the name of an application defines `baselines(app)`.
-"""
+"""Baselines: what a reader would use instead of a network, fitted to what fits see and judged by the same errors."""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from typing import TYPE_CHECKING
+
+from metapp import door
 
 if TYPE_CHECKING:
     from metapp.baselines.baseline import Baseline
     from metapp.learning.app import App
 
+_HERE = "metapp.baselines"
+_COMPONENTS = tuple(f"pca_{count}{weighted}" for weighted in ("", "w") for count in (20, 66, 150))
+OFFERS = (
+    door.Baselines("brdf", (*_COMPONENTS, "ggx_1", "ggx_2", "nearest"), f"{_HERE}.brdf:baselines"),
+    door.Baselines(
+        "illumination",
+        ("halves", "haar", "dct", "sh", "nearest", "unwrap", "gaussian"),
+        f"{_HERE}.illumination:baselines",
+    ),
+    door.Baselines(
+        "svbrdf_nonstationary",
+        ("jpeg", "png", "nearest", "flat", "predicted"),
+        f"{_HERE}.svbrdf_nonstationary:baselines",
+    ),
+    door.Baselines("svbrdf_stationary", ("nearest", "quilting"), f"{_HERE}.svbrdf_stationary:baselines"),
+    door.Baselines("texture", ("nearest", "quilting", "gpdm", "patches"), f"{_HERE}.texture:baselines"),
+    door.Baselines("transport", ("histogram", "histogram_8"), f"{_HERE}.transport:baselines"),
+)
+
 
 def baselines_of(app: App) -> tuple[Baseline, ...]:
-    """The baselines of an application under its protocol; none where nobody wrote any."""
-    if app.name not in {module.name for module in pkgutil.iter_modules(__path__)}:
-        return ()
-    baselines: tuple[Baseline, ...] = importlib.import_module(f"metapp.baselines.{app.name}").baselines(app)
-    return baselines
+    """The baselines of an application under its protocol; () where no extension offers any."""
+    methods = (door.load(offer.baselines)(app) for offer in door.offers_of(door.Baselines, app.name))
+    return tuple(method for some in methods for method in some)

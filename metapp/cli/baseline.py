@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, annotated, plain, takes
+from metapp.runs.options import all_read_options
 from metapp.runs.reporter import say
 
 
@@ -43,10 +44,6 @@ class Options:
             help="What methods see: reference (ground truth, the default) or photo (photos alone).",
         ),
     ] = ""
-    detail: Annotated[
-        int,
-        typer.Option(metavar="PX", min=0, help="Resolution at which photos are read, as for fits: 256 or 512; 0: 256."),
-    ] = 0
     data: Annotated[Path | None, typer.Option(help="Data set whose training tasks a method may learn from.")] = None
     out: Annotated[Path, typer.Option(help="Folder for runs.")] = Path("runs")
     seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0
@@ -54,8 +51,18 @@ class Options:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
 
 
-@takes(Options)
-def command(options: Options) -> None:
+# as for fits: how inputs are read, and at which resolution
+_OWN = all_read_options()
+_WHOLE = make_dataclass(
+    "Whole",
+    [(name, annotated(option, given=True), field(default=None)) for name, option in _OWN.items()],
+    bases=(Options,),
+    frozen=True,
+)
+
+
+@takes(_WHOLE)
+def command(options: Any) -> None:
     """Run a baseline without a neural network and evaluate it in the same way as fits.
 
     Example: metapp baseline texture wall.jpg --method quilting
@@ -71,7 +78,7 @@ def command(options: Options) -> None:
         options.inputs or [],
         recipe=options.recipe,
         observe=options.observe,
-        detail=options.detail,
+        options={name: plain(value) for name in _OWN if (value := getattr(options, name)) is not None},
         data=options.data,
         out=options.out,
         seed=options.seed,

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import baseline, compare, data, doctor, evaluate, examples, export, pack, plan, rerun, trial, view
+from metapp.cli import data
 from metapp.cli.fit import FitCommand, make_command
+from metapp.cli.group import Group, add_commands
 
 SUMMARIES = {
     "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
@@ -18,6 +19,7 @@ SUMMARIES = {
 }
 
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Fit small neural networks to visual appearance: BRDFs, textures, svBRDFs, illumination, light transport.",
@@ -41,18 +43,7 @@ def options(
     """Take the options that need no command."""
 
 
-app.command("try")(trial.command)
-app.command("examples")(examples.command)
-app.command("doctor")(doctor.command)
 for name, summary in SUMMARIES.items():
     app.command(name, cls=FitCommand)(make_command(name, summary))
-app.command("evaluate")(evaluate.command)
-app.command("baseline")(baseline.command)
-app.command("plan")(plan.command)
-app.command("view")(view.command)
-app.command("export")(export.command)
-app.command("pack")(pack.pack_command)
-app.command("unpack")(pack.unpack_command)
-app.command("rerun")(rerun.command)
-app.command("compare")(compare.command)
+add_commands(app, "")
 app.add_typer(data.app, name="data")

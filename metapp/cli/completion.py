@@ -1,4 +1,4 @@
-"""What shells complete: applications and what they have, by `metapp.cli.names`; nothing large is imported."""
+"""Words that shells complete: applications and what extensions offer for them; nothing large is imported."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import re
 from collections.abc import Iterable
 
 from data_tools.formats import exports_of
-from metapp.apps import app_names
-from metapp.cli.names import DEVICES, PART_NAMES, RULE_NAMES, WHICH, known_of
+from metapp import door
+from metapp.apps import app_names, protocols_of
+from metapp.evaluation.tables import ALL, table_names
+from metapp.learning.names import composition_names, rule_names
+
+DEVICES = ("auto", "cpu", "cuda")
 
 LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
 
@@ -20,17 +24,17 @@ def applications(incomplete: str) -> list[str]:
 
 def recipes(incomplete: str) -> list[str]:
     """Recipes of the applications that are named, of all where none is."""
-    return _that_begin(incomplete, (name for app in _named() for name in known_of(app).recipes))
+    return _that_begin(incomplete, (offer.name for app in _named() for offer in door.offers_of(door.Recipe, app)))
 
 
 def rules(incomplete: str) -> list[str]:
     """Rules and parts of rules, after a + too."""
-    return _after("+", incomplete, (*RULE_NAMES, *PART_NAMES))
+    return _after("+", incomplete, (*rule_names(), *composition_names()))
 
 
 def observations(incomplete: str) -> list[str]:
     """What fits may see."""
-    return _that_begin(incomplete, (name for app in _named() for name in known_of(app).observe))
+    return _that_begin(incomplete, (name for app in _named() for name in protocols_of(app)))
 
 
 def exports(incomplete: str) -> list[str]:
@@ -40,12 +44,13 @@ def exports(incomplete: str) -> list[str]:
 
 def methods(incomplete: str) -> list[str]:
     """Baselines."""
-    return _that_begin(incomplete, (name for app in _named() for name in known_of(app).methods))
+    offers = (offer for app in _named() for offer in door.offers_of(door.Baselines, app))
+    return _that_begin(incomplete, (name for offer in offers for name in offer.names))
 
 
 def tables(incomplete: str) -> list[str]:
     """Tables of `metapp evaluate`."""
-    return _that_begin(incomplete, WHICH)
+    return _that_begin(incomplete, (*table_names(), ALL, *table_names(studies=True)))
 
 
 def devices(incomplete: str) -> list[str]:

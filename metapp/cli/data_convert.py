@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
-from data_tools.formats import SPLIT, Command, Format, Setting
+from metapp import door
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, annotated, plain, takes
 from metapp.runs.convert import Converted, convert
 from metapp.runs.reporter import say
 
@@ -36,17 +36,16 @@ def check_folder(path: Path | None) -> Path | None:
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]
-SplitOption = Annotated[Split, typer.Option("--split", help=SPLIT)]
+SplitOption = Annotated[Split, typer.Option("--split", help=door.SPLIT)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
-def command_of(form: Format, about: Command) -> Callable[..., None]:
-    """Make the command that converts files of a format; its options are the command's settings."""
+def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
+    """Make the command that converts files of a format; with the options that it declares."""
 
     def command(options: Any) -> None:
-        settings = {setting.name: getattr(options, setting.name) for setting in about.settings}
-        settings = {name: value.value if isinstance(value, enum.Enum) else value for name, value in settings.items()}
-        conversion = form.conversion(options.paths, options.split.value, settings)
+        own = {option.name: plain(getattr(options, option.name)) for option in about.options}
+        conversion = form.conversion(options.paths, options.split.value, own)
         for line in conversion.remarks:
             say(f"warning: {line}")
         done = convert(conversion, options.paths, options.folder, options.split.value, options.quiet)
@@ -57,18 +56,11 @@ def command_of(form: Format, about: Command) -> Callable[..., None]:
         ("paths", Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)]),
         ("folder", Out),
         ("split", Annotated[Split, typer.Option("--split", help=about.split_help)], field(default=Split.AUTO)),
-        *((setting.name, _option(setting), field(default=setting.default)) for setting in about.settings),
+        *((option.name, annotated(option), field(default=option.default)) for option in about.options),
         ("quiet", Quiet, field(default=False)),
         ("as_json", Json, field(default=False)),
     ]
     return takes(make_dataclass(form.name, options))(command)
-
-
-def _option(setting: Setting) -> object:
-    choices = enum.StrEnum("Choice", list(setting.choices)) if setting.choices else None
-    metavar = setting.metavar or None
-    option = typer.Option(min=setting.low, max=setting.high, metavar=metavar, help=setting.help)
-    return Annotated[choices or type(setting.default), option]
 
 
 def report(done: Converted, quiet: bool, as_json: bool) -> None:

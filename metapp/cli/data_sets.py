@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data_convert import Out, Quiet, Split, SplitOption, report
 from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, converted
-from metapp.runs.reporter import progress
+from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
     from metapp.learning.task import Held, Task
@@ -187,3 +188,47 @@ def _written(
             writer.add(change(task)._replace(group=entry.group), entry.split, entry.source)
             bar.advance(entry.name)
         return converted(name, folder, writer.entries())
+
+
+def check(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set, with its manifest.json.")],
+    as_json: Json = False,
+) -> None:
+    """Verify a data set.
+
+    Compares files with their SHA-256 hashes, looks for missing and foreign ones, for tensors that the application
+    cannot use (missing, of another shape or type) and for values that are not finite.
+    Prints what it holds, then its problems, one a line; exit code 1 if there are any.
+
+    Example:
+      metapp data check merl
+    """
+    from metapp.storage.manifest import read_manifest
+    from metapp.storage.shards import check_shard
+
+    problems = []
+    try:
+        manifest = read_manifest(folder)
+        problems = check_shard(folder, holds_of(manifest.app))
+    except ValueError as error:
+        if not as_json:
+            raise
+        print_json({"app": None, "folder": str(folder), "problems": [str(error)]})
+        raise typer.Exit(Exit.FAILED) from None
+    counts = {split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")}
+    files = [folder / task.file for task in manifest.tasks]
+    size = sum(file.stat().st_size for file in files if file.is_file())
+    if as_json:
+        document = {"app": manifest.app, "folder": str(folder), **counts, "bytes": size, "units": manifest.units}
+        print_json({**document, "problems": problems})
+    else:
+        lines = [
+            f"{folder}: {manifest.app}, {counts['train']} train + {counts['test']} test tasks, {size / 1e6:,.1f} MB"
+        ]
+        lines += [f"  {key}: {unit}" for key, unit in manifest.units.items()]
+        out().print("\n".join(lines), markup=False, soft_wrap=True)
+        for problem in problems:
+            say(f"problem: {problem}")
+        out().print(f"{len(problems)} problems" if problems else "no problems", markup=False)
+    if problems:
+        raise typer.Exit(Exit.FAILED)

@@ -11,9 +11,8 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.names import ALL, WHICH
 from metapp.cli.options import Json, takes
-from metapp.evaluation.tables import NAMES, STUDIES, load_table
+from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
 
@@ -25,6 +24,8 @@ if TYPE_CHECKING:
     from metapp.learning.recipe import Initialisation
 
 LISTED = 8  # rows of a table that are named as missing
+NAMES, STUDIES = table_names(), table_names(studies=True)
+WHICH = (*NAMES, ALL, *STUDIES)
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 
 
@@ -82,7 +83,6 @@ class Evaluation:
             "own); encoder."
         ),
     ] = ""
-    start: Annotated[str, typer.Option(hidden=True)] = ""  # what --initialisation was called
     rule: Annotated[
         str,
         typer.Option(
@@ -103,8 +103,7 @@ class Evaluation:
         str,
         typer.Option(
             autocompletion=completion.recipes,
-            help="quick, full or paper; brdf: also measured; texture: also paper-vgg19. Where no APP is named, "
-            "quick for those that have no such recipe.",
+            help="quick, full, paper, or another recipe of APP. Where no APP is named, quick for those that lack it.",
         ),
     ] = "quick"
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0
@@ -147,16 +146,12 @@ def command(options: Evaluation) -> None:
 
 
 def check(options: Evaluation) -> Evaluation:
-    """The options with their older names replaced.
+    """The options, with the default table.
 
     Raises:
         BadParameter: there is no such table or format, or an option is of another table.
     """
-    options = replace(
-        options,
-        which={"peers": "baselines", "": "results"}.get(options.which, options.which),
-        initialisation=options.initialisation or options.start,
-    )
+    options = replace(options, which=options.which or "results")
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")

@@ -13,8 +13,9 @@ from typer.core import TyperArgument, TyperCommand
 
 from metapp.apps import app_names
 from metapp.cli.console import importing, lines_of_input
-from metapp.cli.fit_options import IGNORED, JSON, OPTIONS, PANELS, own_help, unused
+from metapp.cli.fit_options import IGNORED, JSON, OPTIONS, PANELS, declared, own_help, unused
 from metapp.cli.fitting import fit
+from metapp.cli.options import plain
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 LABEL = 19  # columns of an option in help, so that texts of all panels begin at the same one
 # those that may be given several times
-SEVERAL = {"inputs": list[Path] | None, "scene_root": list[Path] | None, "export": list[str] | None}
+SEVERAL = {"inputs": list[Path] | None, "export": list[str] | None}
 
 
 class FitCommand(TyperCommand):
@@ -74,11 +75,14 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         with importing():
             from metapp.runs.plan import plan
         options["export"] = ",".join(options["export"] or ())
-        request = Request(paradigm=name, **{key: value for key, value in options.items() if value is not None})
+        own = {key: plain(options.pop(key)) for key in extended}
+        values = {key: value for key, value in options.items() if value is not None}
+        request = Request(
+            paradigm=name, options={key: value for key, value in own.items() if value is not None}, **values
+        )
         lines = request.inputs == [Path("-")]
-        if lines and (not json or request.batch or request.shard or request.render or request.exposures):
-            others = "no --batch, --shard, --render, --exposures"
-            raise typer.BadParameter(f"-: give --json, by which lines are answered, {others}.")
+        if lines and (not json or request.resumes):
+            raise typer.BadParameter("-: give --json, by which lines are answered, no --batch, --shard.")
         planned = plan(request)
         for option, remark in IGNORED.get(name, {}).items():
             if getattr(request, option):
@@ -86,6 +90,7 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         some = (replace(request, inputs=(Path(line),)) for line in lines_of_input()) if lines else None
         fit(planned, some, json=json)
 
+    extended = declared()
     hints, defaults = get_type_hints(Request), {field.name: field.default for field in fields(Request)}
     keyword, parameters = inspect.Parameter.KEYWORD_ONLY, []
     for option, shown in OPTIONS.items():
@@ -93,6 +98,7 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         default = None if several else inspect.Parameter.empty if option == "app" else defaults[option]
         annotation: Any = Annotated[several or hints[option], shown]
         parameters.append(inspect.Parameter(option, keyword, default=default, annotation=annotation))
+    parameters += [inspect.Parameter(key, keyword, default=None, annotation=value) for key, value in extended.items()]
     parameters.append(inspect.Parameter("json", keyword, default=False, annotation=Annotated[bool, JSON]))
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}

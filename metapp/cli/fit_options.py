@@ -1,18 +1,21 @@
-"""The options of the paradigms, and which of them an application and a paradigm use."""
+"""The options of the paradigms, and those of them that an application and a paradigm use."""
 
 from __future__ import annotations
 
 import typer
 
 from data_tools.formats import exports_of, inputs_of
-from metapp.apps import app_names
+from metapp import door
+from metapp.apps import app_names, protocols_of
 from metapp.cli import completion
-from metapp.cli.names import DEVICES, PART_NAMES, RULE_NAMES, known_of
+from metapp.cli.options import annotated
+from metapp.learning.names import composition_names, rule_names
+from metapp.runs.options import all_options, options_of
 from metapp.storage import Document
 
 PANELS = INPUT, FIT, OUTPUT, MACHINE = ("Input", "Fit", "Output", "Machine")
 WITHOUT = "default: the test tasks of --data; - (with --json): paths on standard input, one JSON line printed for each"
-# what an option or argument of each field of a Request is; names, types and defaults are the field's
+# of each field of a Request; names, types and defaults are the field's
 OPTIONS: Document = {
     "app": typer.Argument(
         autocompletion=completion.applications,
@@ -32,39 +35,6 @@ OPTIONS: Document = {
         rich_help_panel=INPUT,
         help="What fits see: reference (ground truth, the default) or photo (photos alone; required for INPUT photos).",
     ),
-    "detail": typer.Option(
-        metavar="PX",
-        min=0,
-        rich_help_panel=INPUT,
-        help="Resolution at which photos are read and fitted: 256 (the default) or 512, which is four times as slow.",
-    ),
-    "fov": typer.Option(
-        metavar="DEGREES",
-        min=0,
-        max=150,
-        rich_help_panel=INPUT,
-        help="Camera field of view along the shorter side; default: from EXIF, else 45 for flash photos and a distant "
-        "camera for balls.",
-    ),
-    "exposure": typer.Option(
-        metavar="STOPS",
-        min=-4,
-        max=4,
-        rich_help_panel=INPUT,
-        help="Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
-    ),
-    "exposures": typer.Option(
-        metavar="T,T,...",
-        rich_help_panel=INPUT,
-        help="Exposure times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
-    ),
-    "scene_root": typer.Option(
-        metavar="DIR",
-        exists=True,
-        file_okay=False,
-        rich_help_panel=INPUT,
-        help="Additional folder from which a scene may load files; may be given several times.",
-    ),
     "recipe": typer.Option(
         autocompletion=completion.recipes,
         metavar="NAME",
@@ -75,7 +45,8 @@ OPTIONS: Document = {
         autocompletion=completion.rules,
         metavar="NAME",
         rich_help_panel=FIT,
-        help=f"{', '.join(RULE_NAMES)}; or parts joined by +: {', '.join(PART_NAMES)}; default: the recipe's.",
+        help=f"{', '.join(rule_names())}; or parts joined by +: {', '.join(composition_names())}; "
+        "default: the recipe's.",
     ),
     "steps": typer.Option(metavar="N", min=0, rich_help_panel=FIT, help="Gradient steps; default: the recipe's."),
     "budget": typer.Option(
@@ -106,27 +77,12 @@ OPTIONS: Document = {
         rich_help_panel=OUTPUT,
         help="Also write each fit in these file formats, separated by commas.",
     ),
-    "size": typer.Option(
-        metavar="HxW",
-        rich_help_panel=OUTPUT,
-        help="Output size in pixels: textures and maps up to 4096x4096, environment maps up to 1024x2048.",
-    ),
-    "render": typer.Option(
-        metavar="PX",
-        min=0,
-        max=4096,
-        rich_help_panel=OUTPUT,
-        help="Also render each scene at this size, with path guiding and without it in equal time.",
-    ),
-    "watch": typer.Option(
-        "--watch", rich_help_panel=OUTPUT, help="Show the fit while it runs: update watch.png and serve a page."
-    ),
     "quiet": typer.Option("--quiet", "-q", rich_help_panel=OUTPUT, help="No progress bar, no table."),
     "device": typer.Option(
         autocompletion=completion.devices,
         metavar="NAME",
         rich_help_panel=MACHINE,
-        help=f"{', '.join(DEVICES)}; default: auto.",
+        help=f"{', '.join(completion.DEVICES)}; default: auto.",
     ),
     "batch": typer.Option(
         metavar="N|auto",
@@ -141,8 +97,6 @@ OPTIONS: Document = {
     ),
 }
 JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of standard output.")
-# options that some applications have
-OWN = ("observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene_root")
 NO_RULE = {"rule": "only meta has learned rules"}
 # what a paradigm does not use, and why: scripts over all paradigms give all the same options, so it is ignored
 IGNORED: dict[str, dict[str, str]] = {
@@ -164,23 +118,28 @@ def exports() -> str:
     return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
 
 
+def declared() -> dict[str, object]:
+    """The options that extensions declare, by name, as typer takes them; None where they are not given."""
+    return {name: annotated(option, given=True, rich_help_panel=option.panel) for name, option in all_options().items()}
+
+
 def own_help(name: str) -> dict[str, str]:
-    """What help says of arguments and options that differ between applications; of those it lacks, nothing."""
-    known, takes = known_of(name), {taken for form in inputs_of(name) for taken in form.takes}
+    """Help of arguments and options that differ between applications; of those it lacks, nothing."""
+    texts = {option.name: option.help for option, _ in options_of(name)}
     forms = ", ".join(form.inputs for form in inputs_of(name))
-    taken = {"fov": "fov_rad", "exposure": "exposure", "scene_root": "roots"}
-    own = [*known.options, *(option for option, key in taken.items() if key in takes)]
-    texts = {option: OPTIONS[option].help for option in own}
-    if known.observe:
+    if protocols_of(name):
         texts["observe"] = OPTIONS["observe"].help
     if exports_of(name):
         texts["export"] = f"{', '.join(exports_of(name))}; several separated by commas."
     texts["inputs"] = f"What to fit: {forms}; or folders of these; {WITHOUT}."
-    texts["recipe"] = f"{', '.join(known.recipes)}; default: full, the best that ships."
+    offered = dict.fromkeys(offer.name for offer in door.offers_of(door.Recipe, name))
+    texts["recipe"] = f"{', '.join(offered)}; default: full, the best that ships."
     return texts
 
 
 def unused(paradigm: str, app: str) -> set[str]:
     """Options that help of a paradigm leaves out, of one application or, for "", of all."""
-    by_app = {"app"} | (set(OWN) - own_help(app).keys()) if app else set(OWN)
+    general = {watcher.option.name for watcher in door.offers(door.Watcher)}
+    varying = {"observe", "export", *all_options()} - general
+    by_app = {"app"} | (varying - own_help(app).keys()) if app else varying
     return by_app | IGNORED.get(paradigm, {}).keys() | set(POINTLESS.get(paradigm, ()))

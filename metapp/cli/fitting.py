@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from data_tools.formats import exports_of
+from metapp import door
 from metapp.cli.console import Exit, out, print_json, what_failed
 from metapp.cli.streams import one_line
 from metapp.runs.reporter import number, say
@@ -43,8 +44,8 @@ def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
             failed, total = failed + 1, total + 1
             print_json({"input": done.source, "failure": one_line(what_failed(done.error))})
             continue
-        failed += len(done.failures)
-        total += len(done.failures) + len(done.records) if lines is None else 1
+        failed += len(done.counted_failures)
+        total += len(done.counted_failures) + len(done.records) if lines is None else 1
         if lines is not None:
             print_json({"input": str(done.plan.request.inputs[0])} | done.document())
         else:
@@ -55,30 +56,25 @@ def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
 
 
 def _show(run: Run, *, json: bool) -> None:
-    """Draw the picture of a run; print its table, or its object, and say where everything is and what failed."""
-    from metapp.runs.outputs import OUTPUTS, write_renders
-    from metapp.runs.pictures import picture_of_run
-
+    """Print the table of a run, or its object, and say where everything is and what failed."""
     plan, paradigm = run.plan, run.plan.paradigm.name
-    side = plan.request.render
-    remarks = write_renders(plan.app, run.tasks, run.folder.path / OUTPUTS, side) if side else []
     if not plan.request.quiet:
-        where = f"gallery: {run.gallery}"
-        if not run.gallery:
-            where = f"picture: {picture_of_run(plan.app, paradigm, run.tasks, run.records, run.folder.path)}"
+        where = f"gallery: {run.gallery}" if run.gallery else f"picture: {run.picture}"
         if not json:
             most = LISTED if run.gallery else None
             rate = run.tasks_per_second if run.gallery else None
             out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
         say(f"{where}\nrecords: {run.folder.file}" + (f"\nmade: {run.made}" if run.made else ""))
-        say(f"to look at: metapp view {run.folder.path}")
+        if any(offer.name == "view" for offer in door.offers(door.Command)):
+            say(f"to look at: metapp view {run.folder.path}")
         others = [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]
         if others:
             say(f"other forms: metapp export {run.folder.path} KIND, one of {', '.join(others)}")
-        for line in remarks:
+        for line in run.remarks:
             say(line)
     for failure in run.failures:
-        say(f"failed: {one_line(failure.reason)}")
+        what = "failed" if failure in run.counted_failures else "warning: skipped"
+        say(f"{what}: {one_line(failure.reason)}")
     if json:
         print_json(run.document())
 

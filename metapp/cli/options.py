@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, fields
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
+
+from metapp import door
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or its record.jsonl.")]
 FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
@@ -22,6 +25,30 @@ def field_of_view(unsaid: str) -> Any:
     """The option for a camera's field of view in degrees; its help ends with what 0 means."""
     words = f"Field of view along the photos' shorter side; 0: {unsaid}."
     return typer.Option(min=0, max=150, metavar="DEGREES", help=words)
+
+
+def annotated(option: door.Option, *, given: bool = False, **more: Any) -> Any:
+    """The annotation by which typer makes an option that an extension declares.
+
+    Args:
+        option: it.
+        given: whether the value is None where the option is not given, rather than its default.
+        more: for `typer.Option`.
+    """
+    limits: dict[str, Any] = {"min": option.low, "max": option.high} if option.is_number else {}
+    choices = enum.StrEnum("Choice", list(option.choices)) if option.choices else None
+    kind: Any = choices or (Path if option.default is None else type(option.default))
+    if option.several:
+        kind = list[kind] | None
+    elif given or option.default is None:
+        kind = kind | None
+    names = (option.flag,) if isinstance(option.default, bool) else ()
+    return Annotated[kind, typer.Option(*names, metavar=option.metavar or None, help=option.help, **(limits | more))]
+
+
+def plain(value: Any) -> Any:
+    """The value of an option: of a choice its word."""
+    return value.value if isinstance(value, enum.Enum) else value
 
 
 def takes(options: Callable[..., Options]) -> Callable[[Callable[[Options], Result]], Callable[..., Result]]:

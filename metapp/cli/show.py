@@ -9,10 +9,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.cli.console import out, print_json
-from metapp.cli.names import ALL
 from metapp.evaluation.notes import csv_of, text_table, title_of
 from metapp.evaluation.rows import Column, Row, Table
 from metapp.evaluation.subject import Subject
+from metapp.evaluation.tables import ALL
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 

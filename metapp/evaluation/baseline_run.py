@@ -13,6 +13,7 @@ from metapp.evaluation.baseline_fits import FORM, allowed_for, fit_baselines, tr
 from metapp.runs import BadOption
 from metapp.runs.inputs import data_label, tasks_to_fit
 from metapp.runs.naming import observe_of
+from metapp.runs.options import name_parts, recorded_options
 from metapp.runs.outputs import OUTPUTS, write_pictures
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import progress
@@ -54,10 +55,11 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     known = {each.name: each for each in baselines_of(app) if not each.matches}
     if method not in known:
         raise BadOption(f"--method {method}: not one of {app.name}, expected {', '.join(known)}.{meant(method, known)}")
-    baseline, (tasks, label) = known[method], tasks_to_fit(app, request)
+    baseline, (tasks, label) = known[method], tasks_to_fit(plan)
     source = training_folder(plan) if baseline.learns else None
     if baseline.learns and source is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
+    options = recorded_options(app.name, plan.options)
     settings = {
         "app": app.name,
         **observe_of(app),
@@ -66,13 +68,13 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
         "training": source and data_label(source),
         "allowed": allowed_for(plan)._asdict(),
         "recipe": request.recipe,
-        **({"detail": request.detail} if request.detail else {}),
+        **({"options": options} if options else {}),
         "seed": request.seed,
         "versions": versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),
     }
-    detail = f"detail{request.detail}" if request.detail else ""
-    words = [label, request.recipe, f"seed{request.seed}", detail, method, app.protocol]
+    ways = name_parts(app.name, plan.options)
+    words = [label, request.recipe, f"seed{request.seed}", *ways, method, app.protocol]
     folder = RunFolder(
         request.out / app.name / "baseline" / "-".join(filter(None, words)), settings, FORM, plan.origin()
     )

@@ -8,8 +8,9 @@ from typing import NamedTuple, get_args
 
 from torch import Generator
 
+from metapp.learning.names import rule_names
 from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
-from metapp.learning.rules import RULES, rule_of
+from metapp.learning.rules import rule_of
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
 from metapp.runs.naming import observe_of
@@ -93,7 +94,7 @@ class Study:
     def __init__(self, plan: Plan, design: Design) -> None:
         self.plan, self.design = plan, design
         theta = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
-        names = dict.fromkeys(rule_of(text).name for text in design.rules or (*RULES, *COMPOSED))
+        names = dict.fromkeys(rule_of(text).name for text in design.rules or (*rule_names(), *COMPOSED))
         reasons = {name: [part.refusal(plan.app, theta) for part in rule_of(name).parts] for name in names}
         self.refused = {name: next(filter(None, some)) for name, some in reasons.items() if any(some)}
         self.rules = [name for name in names if name not in self.refused]

@@ -13,6 +13,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App, Traits
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
@@ -91,6 +92,19 @@ def at_detail(setup: ExemplarSetup, side: int) -> ExemplarSetup:
     """The same setup for exemplars of another side of `details_of`."""
     finer = details_of(setup).index(side)
     return replace(setup, height=(setup.height >> setup.finer) << finer, width=side, finer=finer)
+
+
+def with_detail(recipe: Recipe, side: int) -> Recipe:
+    """A recipe for exemplars of another side in px.
+
+    Raises:
+        ValueError: its setup has no such choice.
+    """
+    sides = details_of(recipe.setup) if isinstance(recipe.setup, ExemplarSetup) else ()
+    if side not in sides:
+        expected = f"one of {', '.join(map(str, sides))}" if sides else "no choice; take another recipe"
+        raise ValueError(f"expected {expected}")
+    return replace(recipe, setup=at_detail(recipe.setup, side))
 
 
 class ExemplarApp(App):

@@ -15,22 +15,23 @@ from safetensors.torch import save
 from torch import Tensor
 
 from data_tools.readers.brdf_objects import unit_vectors
+from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.appearance.presentation import maps_of
-from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
-from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export, check_name, check_options, check_protocol, recipe_of_tasks
+from metapp.runs.checks import check_export, check_name, check_protocol, check_types
+from metapp.runs.choosing import recipe_of_tasks
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
 from metapp.runs.memory import in_memory
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.notebook import card_of, table_of
+from metapp.runs.options import outputs_of
 from metapp.runs.outputs import export_fit
 from metapp.runs.pictures import beside, image_of
-from metapp.runs.plan import plan
+from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.runs.surroundings import threads, threads_of
 from metapp.runs.viewing import shown_of
@@ -40,6 +41,9 @@ from metapp.viewer.page import Group, document, write_page
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+# options of `Request` that programs give
+GENERAL = ("observe", "rule", "recipe", "steps", "budget", "data", "checkpoint", "seed", "device", "out")
 
 
 class Fit:
@@ -59,9 +63,9 @@ class Fit:
     """
 
     def __init__(
-        self, app: App, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
+        self, plan: Plan, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
     ) -> None:
-        self.app, self.task, self.settings = app, task, settings
+        self.app, self.task, self.settings, self._plan = plan.app, task, settings, plan
         self._page: Path | None = None
         self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
         self.error: float | None = record["error"]
@@ -121,12 +125,23 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        maps = maps_of(presentation_of(self.app), self.parameters, self.task)
+        maps = maps_of(self._plan.presentation, self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Any]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        return presentation_of(self.app).outputs(self.parameters, self.task)
+        return self._plan.presentation.outputs(self.parameters, self.task)
+
+    @functools.cached_property
+    def rendered(self) -> dict[str, np.ndarray]:
+        """What the options of outputs ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
+        made = outputs_of(self.app.name, self._plan.options)
+        with threads(threads_of(self.app)):
+            files = [
+                door.load(output.output)(self._plan.presentation, self.task, self.parameters, value).files
+                for output, value in made
+            ]
+        return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
 
     @functools.cached_property
     def _images(self) -> dict[str, Image]:
@@ -150,7 +165,7 @@ class Fit:
         file = Path(path or f"{file_name(self.name)}.html")
         record = {"error": self.error, "seconds": self.seconds}
         with threads(threads_of(self.app)), torch.no_grad():
-            shown = presentation_of(self.app)
+            shown = self._plan.presentation
             fit = shown_of(shown, self.settings["paradigm"], record, self.parameters, self.task)
         page = document(f"metapp: {title_of(self.app)}", [Group(self.name, title_of(self.app), [fit])])
         self._page = write_page(page, file)
@@ -173,7 +188,7 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        export_fit(presentation_of(self.app), self.task, self.parameters, Path(path), form, self.settings)
+        export_fit(self._plan.presentation, self.task, self.parameters, Path(path), form, self.settings)
 
 
 class Fits(list[Fit]):
@@ -225,7 +240,6 @@ def fit_all(
     sources: Sequence[Any] | None = None,
     *,
     paradigm: str = "meta",
-    fov: float = 0.0,
     **options: Any,
 ) -> Fits:
     """Fit files and folders, things in memory, or the test tasks of a data set.
@@ -235,9 +249,8 @@ def fit_all(
         sources: files and folders, or things in memory, as of `fit`; None: the test tasks of `data`, else of the
             embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
-        fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
-        options: observe, rule, recipe, steps, budget, detail, data, checkpoint, seed, device, exposure, scene_root, as
-            on the command line; `out` is where checkpoints that were trained here are looked for.
+        options: observe, rule, recipe, steps, budget, data, checkpoint, seed, device, and those of the application,
+            with the names of the command line; `out` is where checkpoints that were trained here are looked for.
 
     Returns:
         The fits, a list.
@@ -246,32 +259,42 @@ def fit_all(
         ValueError: a bad file or array, no checkpoint; an option that the application does not have.
         FloatingPointError: a fit is not finite.
     """
-    for key in ("data", "out", "checkpoint"):
-        if isinstance(options.get(key), str | PathLike):
-            options[key] = Path(options[key])
-    roots = options.get("scene_root", ())
-    options["scene_root"] = [Path(root) for root in ([roots] if isinstance(roots, str | PathLike) else roots)]
     if isinstance(sources, str | PathLike | Mapping | np.ndarray | Tensor) or not isinstance(sources or (), Iterable):
         raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
     if sources is not None and not (sources := list(sources)):
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
-    check_options({"app": app, "paradigm": paradigm, "fov": fov, **options})
-    request, sources = Request(app, paradigm, fov=fov, quiet=True, **options), sources or []
-    check_name(app)
-    check_protocol(request.observe, app)
+    request, sources = _request(app, paradigm, options), sources or []
     if in_memory(sources):
         return _fitted(replace(request, objects=sources))
     return _fitted(replace(request, inputs=[Path(source) for source in sources]))
+
+
+def _request(app: str, paradigm: str, options: Mapping[str, Any]) -> Request:
+    """The request of options as programs give them, without inputs.
+
+    Raises:
+        BadOption: no such application, protocol or general option, or one of another type.
+    """
+    general = {name: value for name, value in options.items() if name in GENERAL}
+    for key in ("data", "out", "checkpoint"):
+        if isinstance(general.get(key), str | PathLike):
+            general[key] = Path(general[key])
+    check_types({"app": app, "paradigm": paradigm, **general})
+    check_name(app)
+    own = {name: value for name, value in options.items() if name not in GENERAL}
+    request = Request(app, paradigm, options=own, quiet=True, **general)
+    check_protocol(request.observe, app)
+    return request
 
 
 def _fitted(request: Request) -> Fits:
     """Fits of a request's inputs, or of the objects that it has instead."""
     planned = plan(request)
     with threads(threads_of(planned.app)):
-        tasks, label = tasks_to_fit(planned.app, planned.request)
+        tasks, label = tasks_to_fit(planned)
         if request.objects and not request.recipe:
             planned = plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)
-        return Fits(Fit(planned.app, task, settings, *result) for task, result in zip(tasks, results, strict=True))
+        return Fits(Fit(planned, task, settings, *result) for task, result in zip(tasks, results, strict=True))

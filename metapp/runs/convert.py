@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from data_tools.formats import AUTO, Conversion
+from data_tools.formats import AUTO
+from metapp.door import Conversion
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import os
-import pkgutil
 import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
-from data_tools import synthetic
-from metapp.apps import app_names
+from metapp import door
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
@@ -23,19 +21,29 @@ _STALE_SECONDS = 3600.0
 
 
 def embedded_apps() -> list[str]:
-    """Return the applications that have an embedded set: `data_tools.synthetic` holds a module of their name."""
-    return sorted({module.name for module in pkgutil.iter_modules(synthetic.__path__)} & set(app_names()))
+    """Return the applications that have an embedded set."""
+    return sorted(offer.app for offer in door.offers(door.Synthetic))
 
 
-def embedded_module(app: str) -> ModuleType:
-    """The module of data_tools that draws an application's embedded set.
+def embedded_offer(app: str) -> door.Synthetic:
+    """The record of an application's embedded set.
 
     Raises:
         ValueError: there is none; the message lists those that exist.
     """
-    if app not in embedded_apps():
-        raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
-    return importlib.import_module(f"{synthetic.__name__}.{app}")
+    offers = {offer.app: offer for offer in door.offers(door.Synthetic)}
+    if app not in offers:
+        raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(sorted(offers))}.")
+    return offers[app]
+
+
+def embedded_module(app: str) -> Any:
+    """The module that draws an application's embedded set.
+
+    It has COUNTS, tasks by split; UNITS, of their tensors; `synthetic_tasks(split, count, seed, **options)`, an
+    iterator; and may have VERSION, raised when its draw changes; BESIDE, what lies beside a shard.
+    """
+    return door.module_of(embedded_offer(app).module)
 
 
 def split_counts(app: str, count: int | None = None) -> dict[str, int]:
@@ -64,9 +72,7 @@ def embedded_data(
     count: int | None = None,
     out: Path | None = None,
     quiet: bool = False,
-    size: int | None = None,
-    photos: int = 1,
-    anisotropic: bool = False,
+    options: Mapping[str, Any] | None = None,
 ) -> Path:
     """The folder of an application's embedded data set, made now if it is not there yet.
 
@@ -77,23 +83,19 @@ def embedded_data(
         out: where to write the set; None is the cache, where a finished set of the same application, seed and count
             is taken as it is.
         quiet: no progress.
-        size: px a side of pictures, where the set can be drawn at several sizes; None is the default.
-        photos: of each material, where the set can be drawn with several.
-        anisotropic: other materials, where there are such.
+        options: of the set, by name.
 
     Raises:
-        ValueError: an application without embedded set, of one size or of one photo; a count below 1, a negative seed,
-            a folder that holds other data.
+        ValueError: an application without embedded set, or without one of the options; a count below 1, a negative
+            seed, a folder that holds other data.
     """
     counts = split_counts(app, count)
-    notes = _notes(app, seed, sum(counts.values()), size, photos, anisotropic)
+    notes = _notes(app, seed, sum(counts.values()), options or {})
     if out is not None:
         _make(app, out, counts, notes, quiet)
         return out
-    sized = f"-{size}px" if "size" in notes else ""
-    sized += f"-{photos}photos" if "photos" in notes else ""
-    sized += "-anisotropic" * anisotropic
-    folder = cache_folder() / "data" / f"{app}-{notes['count']}{sized}-seed{seed}-v{_version(app)}"
+    ways = "".join(f"-{name}" if notes[name] is True else f"-{name}{notes[name]}" for name in _drawn(app, notes))
+    folder = cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{seed}-v{_version(app)}"
     if _is_finished(folder, app, notes):
         return folder
     try:
@@ -118,25 +120,21 @@ def embedded_data(
     return folder
 
 
-def _notes(app: str, seed: int, count: int, size: int | None, photos: int, anisotropic: bool) -> Document:
-    """What the manifest of a set says of how it was drawn; ValueError where it cannot be."""
-    module = embedded_module(app)
+def _notes(app: str, seed: int, count: int, options: Mapping[str, Any]) -> Document:
+    """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
+    module, known = embedded_module(app), {option.name: option for option in embedded_offer(app).options}
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
-    usual, most = getattr(module, "SIZE", None), getattr(module, "MOST_PHOTOS", 1)
-    if size not in (None, usual):
-        if usual is None:
-            raise ValueError(f"{app}: size {size}, but its embedded set has one size; leave --size out.")
-        notes["size"] = size
-    if photos != 1:
-        if not 1 <= photos <= most:
-            has = f"up to {most}; give fewer" if most > 1 else "none or one; leave --photos out"
-            raise ValueError(f"{app}: {photos} photos of each task, but its embedded set has {has}.")
-        notes["photos"] = photos
-    if anisotropic:
-        if "phi_h" not in module.UNITS:
-            raise ValueError(f"{app}: no anisotropic materials, only brdf has some; leave --anisotropic out.")
-        notes["anisotropic"] = True
+    for name, value in options.items():
+        if name not in known:
+            raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
+        if value not in (known[name].default, getattr(module, name.upper(), None)):
+            notes[name] = value
     return notes
+
+
+def _drawn(app: str, notes: Document) -> dict[str, Any]:
+    """The options that a set was drawn by."""
+    return {option.name: notes[option.name] for option in embedded_offer(app).options if option.name in notes}
 
 
 def embedded_exists(app: str) -> bool:
@@ -157,8 +155,8 @@ def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet
 
     module = embedded_module(app)
     beside = getattr(module, "BESIDE", None)
-    drawn = {key: notes[key] for key in ("size", "photos", "anisotropic") if key in notes}
-    units = module.UNITS | (module.SEVERAL_UNITS if "photos" in notes else {})
+    drawn = _drawn(app, notes)
+    units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
     shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
     with ShardWriter(folder, app, units, notes, beside) as writer, shown as bar:
         for split, count in counts.items():

@@ -3,42 +3,42 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
-from metapp.apps import presentation_of
-from metapp.learning.task import Task
+from metapp import door
+from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
 from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import default_recipe
+from metapp.runs.choosing import chosen_recipe
 from metapp.runs.fits import Fitter, Result
-from metapp.runs.inputs import SOURCED, Source, former_label, sources_read, sources_to_fit
+from metapp.runs.inputs import SOURCED, Source, sources_to_fit
 from metapp.runs.naming import name_of, observe_of
-from metapp.runs.outputs import OUTPUTS, write_fit
-from metapp.runs.pictures import write_gallery, write_thumbnail
+from metapp.runs.options import outputs_of, watchers_of
+from metapp.runs.outputs import OUTPUTS, write_fit, write_outputs
+from metapp.runs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
 from metapp.runs.plan import Plan
 from metapp.runs.plan import plan as plan_of
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
 from metapp.runs.request import Request, portion_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
-from metapp.runs.watching import Watched
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, guarded, summary
-from metapp.viewer.live import Live
 
 
 class Failure(NamedTuple):
-    """A source that was not fitted, and why."""
+    """A source that was not fitted, and why; `named`: whether the user named it, so that it should have been good."""
 
     source: str
     error: Exception
+    named: bool = True
 
     @property
     def reason(self) -> str:
@@ -52,25 +52,32 @@ class Run(NamedTuple):
     Attributes:
         plan: with its checkpoint.
         label: the data's name.
-        tasks: what was fitted; () where inputs are read when their turn comes.
         records: of all fits, those of earlier calls among them.
         folder: where records and parameters are.
         made: the folder of what fits made for their user; None where nothing.
         failures: what was not fitted.
+        remarks: what outputs say of themselves.
         tasks_per_second: of what was fitted now, all that takes time counted: reading, fitting, keeping, pictures; None
             where there was nothing left to fit.
-        gallery: the page of all fits of the folder, of inputs that are read when their turn comes.
+        picture: of up to 20 fits beside their references.
+        gallery: the page of all fits of the folder, of runs that are resumed.
     """
 
     plan: Plan
     label: str
-    tasks: Sequence[Task]
     records: list[Document]
     folder: RunFolder
     made: Path | None
     failures: list[Failure]
+    remarks: list[str]
     tasks_per_second: float | None
+    picture: Path
     gallery: Path | None
+
+    @property
+    def counted_failures(self) -> list[Failure]:
+        """The failures that make the run fail: of what was named; where failures are listed, all."""
+        return [failure for failure in self.failures if failure.named or self.plan.request.resumes]
 
     def document(self) -> Document:
         """What --json prints."""
@@ -127,7 +134,7 @@ def execute(plan: Plan, lines: Iterable[Request] | None = None) -> Iterator[Run 
         try:
             one = plan if lines is None else _plan_of_line(plan, request)
             with threads(threads_of(one.app)):
-                sources, label = _sources(one)
+                sources, label = sources_to_fit(one)
                 recipe = one.request.recipe
                 fitter = fitters[recipe] = fitters.get(recipe) or Fitter(with_checkpoint(one), warns=True)
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
@@ -141,7 +148,7 @@ def execute(plan: Plan, lines: Iterable[Request] | None = None) -> Iterator[Run 
 
 def _plan_of_line(plan: Plan, request: Request) -> Plan:
     """The plan of a line, by the recipe that its inputs have; training was done for the plan of all."""
-    recipe = request.recipe or default_recipe(request)
+    recipe = request.recipe or chosen_recipe(request)
     if recipe == plan.request.recipe:
         return replace(plan, request=replace(plan.request, inputs=request.inputs))
     return plan_of(replace(request, recipe=recipe, train=False, train_steps=None))
@@ -157,27 +164,21 @@ def with_checkpoint(plan: Plan) -> Plan:
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def _sources(plan: Plan) -> tuple[list[Source], str]:
-    if plan.request.lazy:
-        sources, label = sources_to_fit(plan.app, plan.request)
-        former = former_label(label)
-        return sources, former if _path(plan, former).is_dir() else label
-    return sources_read(plan.app, plan.request)
-
-
 def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
-    """Fit the sources that have no record yet, or all anew where all have one and are fitted one by one."""
-    plan, request, lazy = fitter.plan, fitter.plan.request, fitter.plan.request.lazy
+    """Fit the sources that have no record yet; where all have one and the run is not to be resumed, fit all anew."""
+    plan, request = fitter.plan, fitter.plan.request
     folder, mine = _folder(plan, label), portion_of(request.shard).of(sources)
     if not mine:
         few = f"none of {len(sources)} inputs, expected some; take {len(sources)} parts at most"
         raise ValueError(f"--shard {request.shard}: {few}.")
-    loop = _Loop(fitter, folder, lazy=lazy)
+    loop = _Loop(fitter, folder)
     known = loop.known(mine)
-    if not lazy and len(known) == len(mine):
+    if not request.resumes and len(known) == len(mine):
         known = {}  # a finished run is run anew, one that was cut off is completed
     if not request.quiet:
-        _announce(plan, folder, len(sources), len(mine), len(known) if lazy else 0, loop.live)
+        _announce(plan, folder, len(sources), len(mine), len(known) if request.resumes else 0)
+        for line in loop.lines:
+            say(line)
     begin = time.perf_counter()
     with progress(plan.paradigm.name, len(mine), done=len(known), quiet=request.quiet) as bar:
         for done in loop.fit([source for source in mine if source.place not in known]):
@@ -188,46 +189,40 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     rate = loop.count / (time.perf_counter() - begin) if loop.count else None
     records = loop.known(mine)
     if not records:
-        raise ValueError(f"none of {len(mine)} inputs could be fitted; the first: {loop.failures[0].reason}")
-    tasks = () if lazy else [source.task() for source in mine]
-    for task in tasks:
-        write_fit(loop.presentation, folder, task, folder.theta(task.name), request.exports)
-    for form in request.exports if tasks else ():
-        say(f"{len(tasks)} fit{'s' * (len(tasks) != 1)} written as {form}: {folder.path / form}")
+        raise _first_error(loop.failures, len(mine))
+    for form in request.exports if loop.count else ():
+        say(f"{loop.count} fit{'s' * (loop.count != 1)} written as {form}: {folder.path / form}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
-    gallery = None
-    if lazy:
+    picture, gallery = loop.sheet(mine, records), None
+    if request.resumes:
         failures = [(failure.source, failure.reason) for failure in loop.failures]
         gallery = write_gallery(plan.app, plan.paradigm.name, folder, failures)
-    return Run(plan, label, tasks, list(records.values()), folder, made, loop.failures, rate, gallery)
+    rows = list(records.values())
+    return Run(plan, label, rows, folder, made, loop.failures, loop.remarks, rate, picture, gallery)
+
+
+def _first_error(failures: Sequence[Failure], count: int) -> Exception:
+    """The error of a run that fitted nothing: of one input its own."""
+    if count == 1:
+        return named(failures[0].error, Path(failures[0].source))
+    return ValueError(f"none of {count} inputs could be fitted; the first: {failures[0].reason}")
 
 
 def _folder(plan: Plan, label: str) -> RunFolder:
     """The folder of a run; seconds of fits side by side are shares: those have one of their own."""
-    settings, form = plan.settings(label), FIT
-    if plan.request.lazy:
-        settings, form = settings | {"batched": True}, FIT | SOURCED
-    return RunFolder(_path(plan, label), settings, form, plan.origin())
+    settings, path = plan.settings(label), plan.path(label)
+    if plan.request.batch not in ("", "1"):
+        settings, path = settings | {"batched": True}, path.with_name(f"{path.name}-batch")
+    return RunFolder(path, settings, FIT | SOURCED, plan.origin())
 
 
-def _path(plan: Plan, label: str) -> Path:
-    path = plan.path(label)
-    return path.with_name(f"{path.name}-batch") if plan.request.lazy else path
-
-
-def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int, live: Live | None) -> None:
+def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) -> None:
     assert plan.checkpoint is not None
-    what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} "
-    if plan.request.lazy:
-        number, parts = portion_of(plan.request.shard)
-        what += f"inputs{f', part {number} of {parts}: {mine}' if parts > 1 else ''}"
-        what += f"{f', {known} fitted before' if known else ''}; {plan.steps} steps"
-    else:
-        what += f"task{'s' * (total != 1)}, {plan.steps} steps"
-    say(f"{what}, from {plan.checkpoint.source}")
-    if live:
-        say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")
-        say(f"watch: {live.address} shows the same in a browser of this machine, until the fits are over")
+    number, parts = portion_of(plan.request.shard)
+    what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} input{'s' * (total != 1)}"
+    what += f", part {number} of {parts}: {mine}" if parts > 1 else ""
+    what += f", {known} fitted before" if known else ""
+    say(f"{what}; {plan.steps} steps, from {plan.checkpoint.source}")
 
 
 class _Loop:
@@ -235,59 +230,73 @@ class _Loop:
 
     Attributes:
         count: how many were fitted.
-        failures: what was not; only of a lazy loop, else what fails is raised.
-        live: the page that follows, where fits are watched and messages are not left out.
+        failures: what was not.
+        remarks: what outputs say of themselves.
+        lines: what those that watch say before the first fit.
     """
 
-    def __init__(self, fitter: Fitter, folder: RunFolder, *, lazy: bool = False) -> None:
+    def __init__(self, fitter: Fitter, folder: RunFolder) -> None:
         plan = fitter.plan
-        file, self.live = folder.path / "watch.png", Live() if plan.request.watch and not plan.request.quiet else None
-        fitter.watched = Watched(plan.app, plan.paradigm.name, file, self.live) if plan.request.watch else None
-        self.fitter, self.folder, self.lazy = fitter, folder, lazy
-        self.presentation = presentation_of(plan.app, plan.size)
+        self.fitter, self.folder, self.presentation = fitter, folder, plan.presentation
+        watchers = [door.load(watcher.watcher) for watcher in watchers_of(plan.options)]
+        fitter.watching = [watch(plan.app, plan.paradigm.name, folder.path, plan.request.quiet) for watch in watchers]
+        self.lines = [line for watching in fitter.watching for line in watching.lines]
+        self.outputs = outputs_of(plan.app.name, plan.options)
         self.size = BatchSize(check_batch(plan.request.batch or "1"), plan.device)
         self.failures: list[Failure] = []
+        self.remarks: list[str] = []
         self.count = 0
+        self._columns: dict[str, Column] = {}
 
     def known(self, sources: Sequence[Source]) -> dict[str, Document]:
-        """Records of sources that have not changed since, by their places; else the folder's name is of the content."""
-        finished = self.folder.finished()
-        if self.lazy:
-            finished = {record["source"]: record for record in finished.values()}
-            sources = [each for each in sources if finished.get(each.place, {}).get("stamp") == each.stamp]
-        return {source.place: finished[source.place] for source in sources if source.place in finished}
+        """Records of sources that have not changed since, by their places."""
+        finished = {record.get("source", name): record for name, record in self.folder.finished().items()}
+        return {
+            source.place: finished[source.place]
+            for source in sources
+            if source.place in finished and finished[source.place].get("stamp", "") == source.stamp
+        }
 
     def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
-        """Fit sources and keep each fit; what has a record is whole. The page that follows ends, whatever fails."""
+        """Fit sources and keep each fit; what has a record is whole. Those that watch end, whatever fails."""
         try:
-            yield from self._fits(sources)
+            first = 0
+            while first < len(sources):
+                some, first = sources[first : first + self.size.now], first + self.size.now
+                failed = len(self.failures)
+                for group in alike(self._read(some)):
+                    yield from self._fitted(group)
+                yield from self.failures[failed:]
             self.fitter.finish(self.count)
         finally:
-            if self.live:
-                self.live.close()
+            for watching in self.fitter.watching:
+                watching.close()
 
-    def _fits(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
-        if not self.lazy:
-            self.fitter.check([source.task() for source in sources])
-        first = 0
-        while first < len(sources):
-            some, first = sources[first : first + self.size.now], first + self.size.now
-            failed = len(self.failures)
-            for group in alike(self._read(some)):
-                yield from self._fitted(group)
-            yield from self.failures[failed:]
+    def sheet(self, sources: Sequence[Source], records: Mapping[str, Document]) -> Path:
+        """Write the picture of the first fits beside their references."""
+        first = [source for source in sources if source.place in records][:COMPARED]
+        for source in first:
+            if source.place not in self._columns:  # fitted by an earlier call
+                self._keep_column(source, source.task(), self.folder.theta(records[source.place]["name"]))
+        columns = [(self._columns[source.place], records[source.place]) for source in first]
+        plan = self.fitter.plan
+        return picture_of_run(plan.app, plan.paradigm.name, columns, list(records.values()), self.folder.path)
+
+    def _keep_column(self, source: Source, task: Task, theta: Params) -> None:
+        with torch.no_grad():
+            self._columns[source.place] = column_of_fit(self.presentation, task, theta)
 
     def _fail(self, source: Source, error: Exception) -> None:
-        if not self.lazy:
-            raise error
         # frames hold what was read: of thousands of failures that is all memory
         error.__context__ = error.__cause__ = None
-        self.failures.append(Failure(source.place, error.with_traceback(None)))
+        self.failures.append(Failure(source.place, error.with_traceback(None), source.named))
 
     def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
         for source in sources:
             try:
-                yield source, source.task()
+                task = source.task()
+                self.fitter.check([task])
+                yield source, task
             except (ValueError, OSError) as error:
                 self._fail(source, error)
 
@@ -313,15 +322,17 @@ class _Loop:
 
     def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Document:
         """Write all that a fit makes, then its record."""
-        record, theta = result
-        if self.lazy:
-            theta = {key: value.detach().cpu() for key, value in theta.items()}
-            with torch.no_grad():
-                write_thumbnail(self.fitter.plan.app, task, theta, self.folder.path)
-                write_fit(self.presentation, self.folder, task, theta, self.fitter.plan.request.exports)
-            record = record | {"batch": beside, "source": source.place, "stamp": source.stamp}
-        elif source.file:
-            record = record | {"source": source.file, "stamp": source.stamp}
+        record, plan = result.record, self.fitter.plan
+        theta = {key: value.detach().cpu() for key, value in result.theta.items()}
+        with torch.no_grad():
+            write_fit(self.presentation, self.folder, task, theta, plan.request.exports)
+            self.remarks += write_outputs(self.presentation, self.outputs, self.folder, task, theta)
+            if plan.request.resumes:
+                write_thumbnail(plan.app, task, theta, self.folder.path)
+            if len(self._columns) < COMPARED:
+                self._keep_column(source, task, theta)
+        record = record | ({"batch": beside} if beside > 1 else {})
+        record |= {"source": source.place, "stamp": source.stamp} if source.stamp else {}
         self.folder.add(record, theta)
         self.count += 1
         return record

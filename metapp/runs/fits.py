@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Generator
@@ -18,13 +18,34 @@ from metapp.paradigms import Job
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
 from metapp.runs.request import time_text
-from metapp.runs.watching import Watched
 from metapp.storage import Document
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
 PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
 PACING = 0.3  # seconds that these take, about; one of them at least
 ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
+
+
+class Watching(Protocol):
+    """Follows fits while they run.
+
+    Attributes:
+        lines: what to say before the first fit.
+    """
+
+    lines: Sequence[str]
+
+    def follow(self, descent: Iterator[Step], task: Task, steps: int, clock: Stopwatch) -> Iterator[Step]:
+        """The descent of a fit of this task, first of several; what takes time pauses the clock."""
+
+    def show(self, task: Task, theta: Params, when: str) -> None:
+        """Take note of parameters [T, ...], of which the first are the task's."""
+
+    def finish(self) -> None:
+        """The last fit is over."""
+
+    def close(self) -> None:
+        """End, whatever failed."""
 
 
 class Result(NamedTuple):
@@ -34,24 +55,21 @@ class Result(NamedTuple):
     theta: Params
 
 
-def fit_tasks(
-    plan: Plan, tasks: Sequence[Task], watched: Watched | None = None, *, warns: bool = False
-) -> Iterator[Result]:
+def fit_tasks(plan: Plan, tasks: Sequence[Task], *, warns: bool = False) -> Iterator[Result]:
     """Fit tasks, each alone, so that its time is its own.
 
     The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
-    reference. Where fits are watched, drawing is not part of their times.
+    reference.
 
     Args:
         plan: with a checkpoint.
         tasks: what to fit.
-        watched: the picture that is redrawn as steps go by, if any.
         warns: whether warnings are also said, not only recorded; tables of hundreds of fits count them instead.
 
     Yields:
         Each fit as it comes.
     """
-    fitter = Fitter(plan, watched, warns=warns)
+    fitter = Fitter(plan, warns=warns)
     fitter.check(tasks)
     for task in tasks:
         yield from fitter.fit([task])
@@ -63,13 +81,14 @@ class Fitter:
 
     Attributes:
         plan: with a checkpoint.
-        watched: the picture that is redrawn as steps go by, if any.
+        watching: what follows the fits; drawing is not part of their times.
         warns: whether warnings are also said.
         over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
     """
 
-    def __init__(self, plan: Plan, watched: Watched | None = None, *, warns: bool = False) -> None:
-        self.plan, self.watched, self.warns = plan, watched, warns
+    def __init__(self, plan: Plan, *, warns: bool = False) -> None:
+        self.plan, self.warns = plan, warns
+        self.watching: list[Watching] = []
         self.over: dict[bool, list[float]] = {True: [], False: []}
         self._budget = plan.budget
         self._paces: list[Pace] = []
@@ -93,10 +112,10 @@ class Fitter:
         """
         plan, app = self.plan, self.plan.app
         self._warm_up(tasks[0])
-        fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watched)
+        fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
         theta = fit.theta
-        if self.watched:
-            self.watched.show(tasks[0], theta, f"after {taken} steps")
+        for watching in self.watching:
+            watching.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
         warnings = warnings_of(plan, stacked, theta, self._rng(tasks))
         results = []
@@ -129,8 +148,8 @@ class Fitter:
 
     def finish(self, count: int) -> None:
         """Draw what was not drawn yet; say how many of so many fits took longer than the budget, and why."""
-        if self.watched:
-            self.watched.finish()
+        for watching in self.watching:
+            watching.finish()
         budget = self._budget or 0.0
         for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
             if over := self.over[moved]:
@@ -161,7 +180,7 @@ class Fitter:
         return rngs if len(rngs) > 1 else rngs[0]
 
     def _timed(
-        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
+        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watching: Sequence[Watching] = ()
     ) -> tuple[Step, float, Tasks, int]:
         """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
         plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
@@ -170,8 +189,8 @@ class Fitter:
         deadline = None if budget is None else Deadline(budget, clock, known)
         stacked = stack(plan.app, tasks, plan.device)
         descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
-        if watched:
-            descent = watched.shown(descent, tasks[0], count, clock)
+        for each in watching:
+            descent = each.follow(descent, tasks[0], count, clock)
         fit = last(descent)
         seconds = clock()
         pace = deadline and deadline.pace()

@@ -6,31 +6,30 @@ import collections
 import functools
 import hashlib
 import itertools
-import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
-from data_tools.formats import inputs_of, merge_of
+from data_tools.formats import inputs_of
 from data_tools.readers.photos import SIZE
+from metapp import door
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
 from metapp.runs.memory import tasks_of_objects
+from metapp.runs.options import merge_of, read_options, recorded_options
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.request import Request
-from metapp.runs.surroundings import return_memory
 from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.text import as_text
 
-BETWEEN = 32  # inputs that are read between two times that freed memory is returned
-SOURCED = {"source": str, "stamp": str}  # what a record of a run of many inputs holds of its source
+SIZES = 6  # hex digits of a stamp that are of sizes
+SOURCED = {"source?": str, "stamp?": str}  # what the record of a file's fit holds of it
 
 
 class Source(NamedTuple):
@@ -41,14 +40,14 @@ class Source(NamedTuple):
         read: -> the task; ValueError or OSError where it is damaged.
         stamp: changes when the file does; "" in a data set, whose content is part of the run's name.
         mark: what its task's name needs to be its own in a run, "" where nothing.
-        file: the path that a task in memory was read from; "" of a data set, and of several photos.
+        named: whether the user named it, so that it must be good; False of what was found in a folder.
     """
 
     place: str
     read: Callable[[], Task]
     stamp: str = ""
     mark: str = ""
-    file: str = ""
+    named: bool = False
 
     def task(self) -> Task:
         """Read it.
@@ -84,52 +83,74 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     return distinct(tasks), data_label(folder)
 
 
-def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
-    """What a request is to fit, its files or its data set's test tasks, and the name of that in run folders.
+def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
+    """The tasks of a plan's sources, read now, and the name of the data.
 
     A path that was named must be good; a damaged file that was found in a folder is skipped with a warning.
 
     Raises:
         ValueError: a path that is missing or no input of the application, a damaged file, no test task.
     """
-    sources, label = sources_read(app, request)
-    return [source.read() for source in sources], label
+    if plan.request.objects:
+        app = plan.app
+        how: dict[str, Any] = {"observe": app.protocol}
+        for form in inputs_of(app.name):
+            how |= _arguments(plan, form)
+        tasks = distinct(tasks_of_objects(app.name, plan.request.objects, how))
+        return tasks, label_of(tasks)
+    sources, label = sources_to_fit(plan)
+    tasks = []
+    for source in sources:
+        try:
+            tasks.append(source.task())
+        except (ValueError, OSError) as error:
+            if source.named:
+                raise named(error, Path(source.place)) from None
+            say(f"warning: skipped {named(error, Path(source.place))}")
+    if not tasks:
+        raise ValueError(f"none of the {len(sources)} found could be read.")
+    return tasks, label
 
 
-def sources_read(app: App, request: Request) -> tuple[list[Source], str]:
-    """The same as sources whose tasks are in memory.
+def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
+    """What a plan is to fit, its files or its data set's test tasks, and the name of that in run folders.
+
+    Of files nothing is read yet, and the name says nothing of their content.
 
     Raises:
-        ValueError: as of `tasks_to_fit`.
+        ValueError: a path that is missing or no input of the application; no test task.
     """
-    if not (request.inputs or request.objects):
+    app, request = plan.app, plan.request
+    if not request.inputs:
         tasks, label = tasks_of_data(app, request.data, request.quiet)
         return sources_of(tasks), label
-    files, tasks = list[Path | None](), list[Task]()
-    for file, task in _tasks_of_inputs(app, request):
-        files.append(file)
-        tasks.append(task)
-        if len(tasks) % BETWEEN == 0:
-            return_memory()
-    tasks, stamp = distinct(tasks), _stamps()
-    sources = [
-        source._replace(file=as_text(str(file.resolve())), stamp=stamp(file)) if file else source
-        for source, file in zip(sources_of(tasks), files, strict=True)
-    ]
-    return sources, label_of(tasks)
+    merging = merge_of(app.name, plan.options)
+    sources = [_merged(plan, *merging)] if merging else _sources_of_files(plan)
+    roots = sorted(str(path.resolve()) for path in request.inputs)
+    # read otherwise, the same files are other tasks
+    ways = [f"{name}={value}" for name, value in recorded_options(app.name, plan.options).items()]
+    return sources, _label(_stem(str(request.inputs[0].resolve())), len(roots), _digest(*roots, *ways))
 
 
-def _tasks_of_inputs(app: App, request: Request) -> Iterator[tuple[Path | None, Task]]:
-    """Tasks of files, each with its path; the one of several photos, and those of objects, have none."""
-    how = {"observe": app.protocol, **_arguments(app, request)}
-    for task in tasks_of_objects(app.name, request.objects, how) if request.objects else ():
-        yield None, task
-    if request.exposures:
-        yield None, _merged(app, request)
-        return
-    for path in request.inputs:
-        for places, read in _found(app, path, request):
-            yield from _read(path, places, read)
+def _sources_of_files(plan: Plan) -> list[Source]:
+    """Files and what folders hold, each once, by path; of several of one stem later ones are numbered."""
+    sources: dict[str, Source] = {}
+    stamp = _stamps()
+    for path in plan.request.inputs:
+        for places, read in _found(plan, path):
+            for place in places:
+                whole = str(place.resolve())
+                is_named = len(places) == 1 or place == path
+                sources.setdefault(
+                    whole, Source(as_text(whole), functools.partial(read, place), stamp(Path(whole)), named=is_named)
+                )
+    numbers: collections.Counter[str] = collections.Counter()
+    ordered = []
+    for whole in sorted(sources):
+        numbers[_stem(whole)] += 1
+        number = numbers[_stem(whole)]
+        ordered.append(sources[whole]._replace(mark=f"-{number}" if number > 1 else ""))
+    return ordered
 
 
 def label_of(tasks: Sequence[Task]) -> str:
@@ -137,39 +158,9 @@ def label_of(tasks: Sequence[Task]) -> str:
     return _label(tasks[0].name, len(tasks), _content(tasks))
 
 
-def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
-    """The same as sources, sorted; of files nothing is read yet, and their name says nothing of their content.
-
-    Raises:
-        ValueError: a path that is missing or no input of the application; no test task.
-    """
-    if not request.inputs:
-        tasks, label = tasks_of_data(app, request.data, request.quiet)
-        return sources_of(tasks), label
-    readers: dict[str, Callable[[], Task]] = {}
-    for path in request.inputs:
-        for places, read in _found(app, path, request):
-            readers |= {str(place.resolve()): functools.partial(read, place) for place in places}
-    stems = collections.Counter(map(_stem, readers))
-    stamp = _stamps()
-    sources = [
-        Source(as_text(place), read, stamp(Path(place)), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}")
-        for place, read in sorted(readers.items(), key=lambda item: item[0])
-    ]
-    roots = sorted(str(path.resolve()) for path in request.inputs)
-    # read otherwise, the same files are other tasks
-    ways = [f"{name}={value:g}" for name in ("fov", "exposure") if (value := getattr(request, name))]
-    return sources, _label(request.inputs[0].resolve().name, len(roots), _digest(*roots, *ways))
-
-
 def _label(first: str, count: int, digest: str) -> str:
     more = f"-and-{count - 1}-more" if count > 1 else ""
     return f"{file_name(first)[:40]}{more}-{digest}"
-
-
-def former_label(label: str) -> str:
-    """What `sources_to_fit` called several inputs before it counted them: by the first one alone."""
-    return re.sub(r"-and-\d+-more(-[0-9a-f]{6})$", r"\1", label)
 
 
 def sources_of(tasks: Sequence[Task]) -> list[Source]:
@@ -177,10 +168,17 @@ def sources_of(tasks: Sequence[Task]) -> list[Source]:
     return [Source(task.name, functools.partial(_same, task)) for task in tasks]
 
 
-def source_of(record: Document, sources: Sequence[Source]) -> Source | None:
-    """The source that a record is of: where it was, else the only one of its name that has not changed since."""
-    place = Path(record["source"])
-    same = [source for source in sources if Path(source.place).name == place.name and source.stamp == record["stamp"]]
+def source_of(record: Document, sources: Sequence[Source], moved: bool = False) -> Source | None:
+    """The source that a record is of: where it was, else the only one of its name that has not changed since.
+
+    Args:
+        record: of a fit, with its source and stamp.
+        sources: among which it is looked for.
+        moved: whether files may have been copied, so that their names and sizes count alone, and not their times.
+    """
+    place, end = Path(record["source"]), SIZES if moved else None
+    named_alike = [source for source in sources if Path(source.place).name == place.name]
+    same = [source for source in named_alike if source.stamp[:end] == record["stamp"][:end]]
     there = [source for source in same if source.place == str(place)] or same
     return there[0] if len(there) == 1 else None
 
@@ -203,12 +201,13 @@ def distinct(tasks: list[Task]) -> list[Task]:
     return renamed
 
 
-def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
-    """What each reader that recognises a path finds there, and how it reads one of these.
+def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
+    """Sources that each reader finds at a path that it recognises, and the function that reads one of them.
 
     Raises:
         ValueError: there is no such path, or it is no input of the application.
     """
+    app = plan.app
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
@@ -216,55 +215,33 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
     readers = [form for form in known if form.recognises(path)]
     if not readers:
         expected = ", ".join(form.inputs for form in known)
-        remedy = _takes_fits(app) if path.suffix == ".safetensors" else ""
-        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these{remedy}.")
+        fits = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
+        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these{fits}.")
     for form in readers:
         places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(form.read, **_arguments(app, request))
+        yield places, functools.partial(form.read, arguments=_arguments(plan, form))
 
 
-def _arguments(app: App, request: Request) -> dict[str, Any]:
-    """What a request tells readers, as of `Format.takes`."""
-    return {
-        "size": app.traits.reads,
-        "least": min(app.traits.reads, SIZE),
-        "roots": request.scene_root,
-        "fov_rad": math.radians(request.fov),
-        "exposure": request.exposure,
-    }
+def _arguments(plan: Plan, form: door.Format) -> dict[str, Any]:
+    """The arguments of readers, by keyword: the size that fits have, and options of the format that were given."""
+    reads = plan.app.traits.reads
+    return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | read_options(form, plan.options)
 
 
-def _takes_fits(app: App) -> str:
-    """What takes a fit, which somebody gave as an input."""
-    plugin = ", Mitsuba's neural_brdf (import metapp.mitsuba) the file" if app.name == "brdf" else ""
-    return f"; of a fit, metapp view takes the file, metapp export the run's folder{plugin}"
+def _merged(plan: Plan, merge: door.Merge, value: Any) -> Source:
+    """The one source of all inputs, as an option merges them."""
+    app = plan.app
+    places = [place for path in plan.request.inputs for some, _ in _found(plan, path) for place in some]
+    (form, *_) = (form for form in inputs_of(app.name) if form.recognises(places[0]))
 
+    def read() -> Task:
+        task: Task = door.load(merge.merge)(places, value, **_arguments(plan, form))
+        return task
 
-def _merged(app: App, request: Request) -> Task:
-    """The one task of photos of different exposures."""
-    merge = merge_of(app.name)
-    assert merge is not None  # as was checked
-    places = [place for path in request.inputs for found, _ in _found(app, path, request) for place in found]
-    size = {"size": app.traits.reads} if app.traits.reads else {}
-    return merge(places, request.exposures, fov_rad=math.radians(request.fov), **size)
-
-
-def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Iterator[tuple[Path, Task]]:
-    count = 0
-    for place in places:
-        try:
-            task = read(place)
-        except (ValueError, OSError) as error:
-            if len(places) == 1:
-                raise named(error, place) from None
-            say(f"warning: skipped {named(error, place)}")
-        else:
-            count += 1
-            yield place, task
-    if not count:
-        raise ValueError(f"{path}: none of the {len(places)} found could be read.")
+    stamp = _stamps()
+    return Source(as_text(str(places[0].resolve())), read, _digest(*map(stamp, places)), named=True)
 
 
 def _same(task: Task) -> Task:
@@ -297,7 +274,8 @@ def _stamps() -> Callable[[Path], str]:
 
 
 def _stamp(path: Path) -> str:
-    """Sizes and times of a file, or of the files that a folder holds."""
+    """Digests of the sizes, then of the times, of a file or of the files that a folder holds."""
     files = [path] if path.is_file() else sorted(file for file in path.iterdir() if file.is_file())
     states = [(file.name, file.stat()) for file in files]
-    return _digest(*(f"{name} {state.st_size} {state.st_mtime_ns}" for name, state in states))
+    sizes = _digest(*(f"{name} {state.st_size}" for name, state in states))
+    return f"{sizes}-{_digest(*(f'{state.st_mtime_ns}' for _, state in states))}"

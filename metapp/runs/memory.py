@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from data_tools.formats import objects_of
+from metapp import door
 from metapp.learning.task import Task
 from metapp.storage.records import file_name
 
@@ -35,9 +35,10 @@ def tasks_of_objects(app: str, objects: Sequence[object], how: Mapping[str, Any]
     Raises:
         ValueError: something else than the application takes; as readers of files, with the object's name.
     """
-    from_object = objects_of(app)
-    if from_object is None:
+    offers = door.offers_of(door.InMemory, app)
+    if not offers:
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
+    from_object = door.load(offers[0].task)
     return [from_object(source, name, how) for source, name in zip(objects, _names(objects), strict=True)]
 
 

@@ -9,20 +9,20 @@ from typing import Any, NamedTuple
 
 from torch import Generator
 
-from data_tools.formats import Export, exports_of
+from data_tools.formats import exports_of
+from metapp import door
 from metapp.appearance.colour import stretched, tone_map
-from metapp.appearance.presentation import Picture, Presentation
-from metapp.apps import presentation_of
+from metapp.appearance.presentation import Picture, Presentation, Rendered
 from metapp.learning.app import App, Distilled, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import QUICK, check_export, check_name, check_size
-from metapp.runs.embedded import embedded_exists
-from metapp.runs.inputs import data_folder, data_label, tasks_to_fit
+from metapp.runs.checks import check_export, check_name
+from metapp.runs.options import check_options
 from metapp.runs.plan import plan
-from metapp.runs.recorded import app_as, read_run
+from metapp.runs.recorded import app_as, plan_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.request import Request
+from metapp.runs.shipped import QUICK
 from metapp.storage import Document
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import RunFolder, file_name, read_theta
@@ -48,18 +48,22 @@ def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Pat
     write_pictures(shown.files(theta, task), folder / file_name(task.name))
 
 
-def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> list[str]:
-    """Write pictures of the tasks' scenes, <folder>/<task>/<name>.exr and .png, their longer side in px.
+def write_outputs(
+    presentation: Presentation[Any],
+    outputs: Sequence[tuple[door.Output, Any]],
+    run: RunFolder,
+    task: Task,
+    theta: Params,
+) -> list[str]:
+    """Write what outputs make of a fit, beside its files.
 
     Returns:
         what to say of them.
     """
-    shown, lines = presentation_of(app), []
-    for task in tasks:
-        made = shown.rendered(task, side)
-        if made is None:
-            raise ValueError(f"{task.name}: no scene, expected one to render; leave --render out.")
-        write_pictures(made.files, folder / file_name(task.name))
+    lines = []
+    for output, value in outputs:
+        made: Rendered = door.load(output.output)(presentation, task, theta, value)
+        write_pictures(made.files, run.path / OUTPUTS / file_name(task.name))
         lines += [f"{task.name}: {line}" for line in made.lines]
     return lines
 
@@ -95,14 +99,15 @@ def export_fit(shown: Presentation[Any], task: Task, theta: Params, path: Path, 
     """
     app = shown.app
     form = exports_of(app.name)[name]
-    if isinstance(form, Export):
+    write = door.load(form.write)
+    if form.of_surface:
         surface = shown.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
-        form.write(surface, path, {"task": task.name, **settings})
+        write(surface, path, {"task": task.name, **settings})
         return
     if form.holds and set(theta) != set(form.holds):
         theta = distilled(app, task, theta)
-    form.writer().export(app, theta, path)
+    write(app, theta, path)
 
 
 def distilled(app: App, task: Task, theta: Params) -> Params:
@@ -136,7 +141,7 @@ class Exported(NamedTuple):
 
 
 def export_run(
-    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, size: str, quiet: bool
+    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
 ) -> Exported:
     """Write every fit of a run.
 
@@ -146,11 +151,11 @@ def export_run(
         inputs: what was fitted, for forms that are made of that, too.
         data: the data set whose test tasks were fitted, for the same.
         out: folder to write to; None: a folder of the form's name in the run's.
-        size: "HxW" in px, "" for the application's own.
+        options: that the application's presentation takes, by name.
         quiet: no progress.
 
     Raises:
-        BadOption: fits of the application cannot be written so, or not of that size.
+        BadOption: fits of the application cannot be written so, or not by these options.
         ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
     """
     folder, records = read_run(run)
@@ -160,18 +165,16 @@ def export_run(
     (name,) = apps
     check_name(name)
     check_export(form, name)
+    check_options(Request(name, options=options), "")
     target = out or folder / form
     with progress(form, len(records), quiet=quiet) as bar:
-        tasks: dict[str, dict[str, Task]] = {}
+        tasks = tasks_as(records, app_as(records[-1]["settings"]), inputs, data)
         for record in records:
-            app, settings, name = app_as(record["settings"]), record["settings"], record["name"]
-            if settings["data"] not in tasks:
-                tasks[settings["data"]] = _tasks(app, settings["data"], inputs, data)
-            task = tasks[settings["data"]].get(name, Task(name, {}))
+            settings, name = record["settings"], record["name"]
+            task = tasks.get(name, Task(name, {}))
             theta, path = read_theta(folder, name), target / file_name(name)
-            shown = presentation_of(app, check_size(size, app))
             try:
-                export_fit(shown, task, theta, path, form, settings)
+                export_fit(plan_as(settings, options=options).presentation, task, theta, path, form, settings)
             except KeyError as missing:
                 if task.data:
                     raise
@@ -181,11 +184,3 @@ def export_run(
                 ) from None
             bar.advance(name)
     return Exported(form, str(target), [record["name"] for record in records])
-
-
-def _tasks(app: App, label: str, inputs: list[Path], data: Path | None) -> dict[str, Task]:
-    """What was fitted, by name, as far as it can be found: inputs, a data set's test tasks."""
-    embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
-    if not (inputs or data or embedded):
-        return {}
-    return {task.name: task for task in tasks_to_fit(app, Request(app.name, inputs=inputs, data=data, quiet=True))[0]}

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
+from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -125,18 +126,30 @@ COMPARED = 20  # tasks in a picture of all paradigms
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
-def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[Document], folder: Path) -> Path:
-    """Write `pictures.png` into a run's folder: up to 20 tasks, a column each, the reference above the fit.
+def column_of_fit(presentation: Presentation[Any], task: Task, theta: Params) -> Column:
+    """The reference of a task above its fit, parameters without a task axis."""
+    return Column(_shown(presentation.outputs(theta, task)), task.name)
+
+
+def picture_of_run(
+    app: App, paradigm: str, columns: Sequence[tuple[Column, Document]], records: Sequence[Document], folder: Path
+) -> Path:
+    """Write `pictures.png` into a run's folder: a column for each of some tasks, with the error of its record.
+
+    Args:
+        app: the application.
+        paradigm: its name.
+        columns: of the first tasks, and their records.
+        records: of all tasks.
+        folder: the run's.
 
     Returns:
         The file.
     """
-    columns, outputs = [], presentation_of(app).outputs
-    for task, record in list(zip(tasks, records, strict=True))[:20]:
-        columns.append(Column(_shown(outputs(read_theta(folder, task.name), task)), task.name, _label(record)))
     mean = summary(records)["error"]
-    found = "" if mean is None else f": mean error{factor_of(app)} {mean:.3f}"
-    return write_sheet(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
+    whole = "" if mean is None else f": mean error{factor_of(app)} {mean:.3f}"
+    labelled = [column._replace(error=_label(record)) for column, record in columns]
+    return write_sheet(labelled, f"{title_of(app)}, {paradigm}{whole}", folder / "pictures.png")
 
 
 def picture_of_table(

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
-from metapp.apps import app_of, recipes_of
+from metapp.appearance.presentation import Presentation
+from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
 from metapp.runs.batch_size import check_batch
-from metapp.runs.checks import (
-    check_detail,
-    check_export,
-    check_inputs,
-    check_name,
-    check_protocol,
-    check_rule,
-    check_size,
-    default_recipe,
-)
+from metapp.runs.checks import check_export, check_name, check_protocol, check_rule
+from metapp.runs.choosing import chosen_recipe
 from metapp.runs.naming import observe_of
+from metapp.runs.options import (
+    adapted,
+    check_options,
+    merge_of,
+    name_parts,
+    recorded_options,
+    shown_options,
+    without_adapted,
+)
 from metapp.runs.request import Request, portion_of, seconds_of, time_text
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
 from metapp.storage import Document
@@ -45,12 +47,12 @@ class Plan:
     """What a request comes to.
 
     Attributes:
-        request: as it was made, with recipe and rule by their names; steps None, detail 0 where they are the recipe's.
+        request: as it was made, with recipe and rule by their names; steps None where they are the recipe's.
         paradigm: what fits.
         job: application, recipe, rule and steps that it works on.
         device: what it works with.
         budget: seconds that a fit may take; None: as many as its steps do.
-        size: height and width in px of what fits make for their users; None for the application's own choice.
+        options: what was given of the options that extensions declare, but for what is their default.
         checkpoint: what fits begin at; None until `checkpoints.find_checkpoint` has found it.
     """
 
@@ -59,13 +61,18 @@ class Plan:
     job: Job
     device: torch.device
     budget: float | None = None
-    size: tuple[int, int] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
     checkpoint: Checkpoint | None = None
 
     @property
     def app(self) -> App:
         """The application under its protocol, with the network of the recipe and of the rule."""
         return self.job.app
+
+    @property
+    def presentation(self) -> Presentation[Any]:
+        """The application's presentation, by the options that it takes."""
+        return presentation_of(self.app, **shown_options(self.app.name, self.options))
 
     @property
     def steps(self) -> int:
@@ -90,6 +97,7 @@ class Plan:
     def settings(self, label: str) -> Document:
         """Everything that figures of a run on data of this name depend on: what its records carry, and their key."""
         job, recipe, app = self.job, self.job.recipe, self.app
+        options = recorded_options(app.name, self.options)
         adam, guard = self.paradigm.adam(job, self.prepared), self.paradigm.guard(job)
         assert self.checkpoint is not None
         return {
@@ -105,7 +113,7 @@ class Plan:
             "checkpoint": self.checkpoint.digest,
             "data": label,
             "recipe": self.request.recipe,
-            **({"detail": self.request.detail} if self.request.detail else {}),
+            **({"options": options} if options else {}),
             "seed": self.request.seed,
             "device": str(self.device),
             "versions": versions(),
@@ -119,8 +127,7 @@ class Plan:
         name = f"{label}-{request.recipe}-seed{request.seed}"
         if self.paradigm.name == "meta":
             name += f"-{self.job.rule}"
-        if request.detail:
-            name += f"-detail{request.detail}"
+        name += "".join(f"-{part}" for part in name_parts(self.app.name, self.options))
         if request.steps is not None:
             name += f"-{request.steps}steps"
         if self.budget is not None:
@@ -134,10 +141,6 @@ class Plan:
         request = self.request
         known: Document = {
             "inputs": [str(path.absolute()) for path in request.inputs],
-            "roots": [str(path.absolute()) for path in request.scene_root],
-            "fov_rad": math.radians(request.fov),
-            "exposure": request.exposure,
-            "exposures": request.exposures,
             "data": request.data and str(request.data.absolute()),
             "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }
@@ -160,23 +163,29 @@ def plan(request: Request) -> Plan:
     check_name(request.app)
     check_protocol(request.observe, request.app)
     recipes = recipes_of(request.app, request.observe)
-    name = request.recipe or default_recipe(request)
+    options = check_options(request, request.observe or next(iter(protocols_of(request.app)), ""))
+    name = request.recipe or chosen_recipe(request)
     if name not in recipes:
         raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.{meant(name, recipes)}")
-    recipe = check_detail(request, name, recipes[name])
+    recipe = adapted(recipes[name], name, request, options)
+    if recipe == recipes[name]:  # by options that say what it does anyway
+        options = without_adapted(request.app, options)
     rule = check_rule(request, recipe)
     app = app_of(request.app, recipe, request.observe, rule=rule if paradigm.name == "meta" else "")
     device = find_device(request.device, app)
     steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
-    detail = request.detail if recipe.setup != recipes[name].setup else 0
-    request = replace(request, recipe=name, rule=rule, steps=steps, detail=detail)
-    _check(request, app)
-    budget, size = seconds_of(request.budget), check_size(request.size, app)
-    return Plan(request, paradigm, Job(app, recipe, rule, steps), device, budget, size)
+    request = replace(request, recipe=name, rule=rule, steps=steps)
+    _check(request, options)
+    planned = Plan(request, paradigm, Job(app, recipe, rule, steps), device, seconds_of(request.budget), options)
+    try:
+        planned.presentation  # noqa: B018  # which may refuse its options
+    except ValueError as error:
+        raise BadOption(str(error)) from None
+    return planned
 
 
-def _check(request: Request, app: App) -> None:
-    """Refuse options of what the application does not have, and those that exclude each other.
+def _check(request: Request, options: Mapping[str, Any]) -> None:
+    """Refuse options that exclude each other, and forms that the application is not written in.
 
     Raises:
         BadOption: there is such a one.
@@ -186,8 +195,7 @@ def _check(request: Request, app: App) -> None:
         raise BadOption("--budget: the time of one fit; fits side by side have none, leave --batch out or give 1.")
     if request.train_steps and not request.train:
         raise BadOption("--train-steps: only with --train.")
-    if request.render and request.lazy:
-        raise BadOption("--render: of scenes one by one; leave --batch and --shard out.")
     for form in request.exports:
         check_export(form, request.app)
-    check_inputs(request, app)
+    if merge_of(request.app, options) and request.resumes:
+        raise BadOption("--batch and --shard: of several inputs, which are merged into one here; leave them out.")

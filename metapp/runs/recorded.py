@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,24 +11,27 @@ from metapp.learning.task import Task
 from metapp.paradigms import paradigms
 from metapp.runs import BadOption
 from metapp.runs.embedded import embedded_exists
-from metapp.runs.inputs import SOURCED, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.inputs import SOURCED, Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.options import options_from_record
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.storage import Document
-from metapp.storage.records import FIT, NUMBER, holds, read_records
+from metapp.storage.records import FIT, read_records
 from metapp.storage.text import meant, path_of
 
 # what settings and origins of records hold: plans are made of them, and anybody may have written them
 SETTINGS = {
     **{"app": str, "data": str, "recipe": str},
     **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "peer")},
-    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "detail?": range(1 + 10**4), "versions?": {...: str}},
+    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "options?": dict, "versions?": {...: str}},
 }
-ORIGIN = {
-    **{f"{name}?": str for name in ("machine", "data", "checkpoint")},
-    **{"inputs?": [str], "roots?": [str], "fov_rad?": NUMBER, "exposure?": NUMBER, "exposures?": str},
-}
-FORM = {**FIT, "settings": {**SETTINGS, "paradigm": str, "rule": str}, "origin?": ORIGIN}  # of a fit's record
+ORIGIN = {**{f"{name}?": str for name in ("machine", "data", "checkpoint")}, "inputs?": [str]}
+FORM = {
+    **FIT,
+    **SOURCED,
+    "settings": {**SETTINGS, "paradigm": str, "rule": str},
+    "origin?": ORIGIN,
+}  # of a fit's record
 
 
 class Recorded(NamedTuple):
@@ -64,12 +66,12 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     return Recorded(folder, [records[names.index(task)]])
 
 
-def plan_as(settings: Document, origin: Document | None = None, **more: Any) -> Plan:
+def plan_as(settings: Document, options: Mapping[str, Any] | None = None, **more: Any) -> Plan:
     """The plan that a fit was made by, as far as its record says it.
 
     Args:
         settings: of the record.
-        origin: of the record, for how files were read.
+        options: of extensions, beside those that the record states.
         more: further options, as of `Request`.
 
     Raises:
@@ -81,9 +83,8 @@ def plan_as(settings: Document, origin: Document | None = None, **more: Any) -> 
         rule=settings.get("rule", "") if settings.get("paradigm") == "meta" else "",
         recipe=settings["recipe"],
         observe=settings.get("observe", ""),
-        detail=settings.get("detail", 0),
+        options=options_from_record(settings["app"], settings.get("options", {})) | dict(options or {}),
         quiet=True,
-        **reading_of(origin or {}),
         **more,
     )
     if request.paradigm not in paradigms():
@@ -110,19 +111,21 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
         Without those that are not there, or not as they were fitted.
     """
     settings, origin = records[-1]["settings"], records[-1].get("origin", {})
-    sourced = [record for record in records if holds(record, SOURCED) and record["stamp"]]
+    sourced = [record for record in records if record.get("stamp")]
+    moved = bool(inputs)
     if not (inputs or data):
         inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
         data = path_of(origin["data"]) if "data" in origin and path_of(origin["data"]).is_dir() else None
-    request = Request(app.name, inputs=inputs, data=data, quiet=True, **reading_of(origin))
-    known = _of_sources(sourced, app, request)
-    if known or settings.get("batched"):
-        return known
+    if not inputs and any("source" in record for record in records):
+        return {}
     label = settings["data"]
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
     if not (inputs or data or embedded):
         return {}
-    tasks, now = tasks_to_fit(app, request)
+    planned = plan_as(settings, inputs=inputs, data=data)
+    if inputs:
+        return _of_sources(sourced, sources_to_fit(planned)[0], moved)
+    tasks, now = tasks_to_fit(planned)
     return {task.name: task for task in tasks} if now == label else {}
 
 
@@ -131,16 +134,7 @@ def _existing(places: Iterable[str]) -> list[Path]:
     return [path for path in map(path_of, places) if path.exists()]
 
 
-def reading_of(origin: Document) -> Document:
-    """The options of a record's origin that say how files were read."""
-    fov = round(math.degrees(origin.get("fov_rad", 0.0)), 9)  # as it was given, so that radians are the same bits
-    roots = [path_of(path) for path in origin.get("roots", [])]
-    photos = {"exposure": origin.get("exposure", 0.0), "exposures": origin.get("exposures", "")}
-    return {"fov": fov, "scene_root": roots} | photos
-
-
-def _of_sources(records: list[Document], app: App, request: Request) -> dict[str, Task]:
-    """Tasks of files that have not changed since, each of which its record knows; no other is read."""
-    sources = sources_to_fit(app, request)[0] if records and request.inputs else []
-    by_name = {record["name"]: source_of(record, sources) for record in records}
+def _of_sources(records: list[Document], sources: list[Source], moved: bool) -> dict[str, Task]:
+    """Tasks of files that have not changed since, or in size where they have moved; no other is read."""
+    by_name = {record["name"]: source_of(record, sources, moved) for record in records}
     return {name: source.task()._replace(name=name) for name, source in by_name.items() if source}

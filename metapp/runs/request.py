@@ -1,12 +1,12 @@
-"""What a user asks of a fit: every option, as it was given; nothing is looked up, and nothing large is imported."""
+"""The options of a fit as they were given; nothing is looked up, and nothing large is imported."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from metapp.runs import BadOption
 
@@ -16,18 +16,15 @@ UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 @dataclass(frozen=True)
 class Request:
-    """The options of a fit; those of the command line have the same names, and --help says what each means.
+    """The options that all fits have; those of the command line have the same names, and --help says what each means.
 
     Attributes:
         app: name of the application.
         paradigm: general, overfit, finetune, quickft or meta.
         inputs: files and folders; none: the test tasks of the data set.
         objects: of a program, in memory, instead of files.
-        detail: px a side that photographs are read and fitted at; 0: as many as in training.
         export: forms to write fits in, with commas between them.
-        fov: of photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else as usual.
-        exposure: of flash photos without maps, by how many stops they are too bright, negative: too dark.
-        exposures: of photos of one mirror ball, which are merged into one input; "": inputs are apart.
+        options: what was given of the options that extensions declare, by name (`metapp.runs.options`).
         quiet: no progress, no messages but warnings.
     """
 
@@ -47,15 +44,8 @@ class Request:
     out: Path = Path("runs")
     batch: str = ""
     shard: str = ""
-    watch: bool = False
     export: str = ""
-    size: str = ""
-    detail: int = 0
-    render: int = 0
-    fov: float = 0.0
-    exposure: float = 0.0
-    exposures: str = ""
-    scene_root: Sequence[Path] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     device: str = "auto"
     quiet: bool = False
@@ -66,8 +56,8 @@ class Request:
         return tuple(dict.fromkeys(name for name in self.export.split(",") if name))
 
     @property
-    def lazy(self) -> bool:
-        """Whether inputs are read when their turn comes, and what fails stops nothing: with --batch or --shard."""
+    def resumes(self) -> bool:
+        """Whether a run that is finished stays as it is, and failures are listed: with --batch or --shard."""
         return bool(self.batch or self.shard)
 
 

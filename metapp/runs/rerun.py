@@ -20,7 +20,7 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
 from metapp.runs.plan import Plan
-from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run
+from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage import Document
@@ -129,7 +129,7 @@ def _repeated(folder: Path, records: list[Document], instead: Instead, tables: T
     # more threads than processors wait for each other, by minutes where a record says a thousand
     count = min(first["threads"], os.cpu_count() or 1) if "threads" in first else threads_of(plan.app)
     with threads(count), _as_precise(first["settings"]):
-        repeat = _repeat(plan, first["settings"], tables)
+        repeat = _repeat(plan, records, instead, tables)
         around = _changed(first, repeat.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(plan.device)})
         by_name = {task.name: task for task in repeat.tasks}
@@ -155,7 +155,6 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     device = str(settings.get("device", "cpu")).split(":")[0]
     return plan_as(
         settings if a_fit else settings | {"paradigm": "general"},
-        origin,
         inputs=inputs if a_fit else (),
         steps=settings.get("steps") or None if a_fit else None,
         data=instead.data or (None if instead.inputs or origin.get("inputs") else known.get("data")),
@@ -166,9 +165,14 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     )
 
 
-def _repeat(plan: Plan, settings: Document, tables: Tables) -> Repeat:
+def _repeat(plan: Plan, records: list[Document], instead: Instead, tables: Tables) -> Repeat:
+    settings = records[0]["settings"]
     if settings.get("paradigm") in paradigms():
-        tasks, label = tasks_to_fit(plan.app, plan.request)
+        if plan.request.inputs:
+            label = settings["data"]
+            tasks = list(tasks_as(records, plan.app, list(instead.inputs), instead.data).values())
+        else:
+            tasks, label = tasks_to_fit(plan)
         plan = find_checkpoint(plan)
         return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
     repeat = tables(plan, settings)

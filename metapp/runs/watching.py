@@ -33,14 +33,23 @@ class Watched:
         live: the page of the same, where it is served.
     """
 
-    def __init__(self, app: App, paradigm: str, file: Path, live: Live | None = None) -> None:
-        self.app, self.paradigm, self.file, self.live = app, paradigm, file, live
+    def __init__(self, app: App, paradigm: str, folder: Path, quiet: bool = False) -> None:
+        self.app, self.paradigm, self.file = app, paradigm, folder / "watch.png"
+        self.live = None if quiet else Live()
+        self.lines = (
+            []
+            if self.live is None
+            else [
+                f"watch: {self.file}; the time that it takes to draw is not part of the seconds",
+                f"watch: {self.live.address} shows the same in a browser of this machine, until the fits are over",
+            ]
+        )
         self._next = 0.0  # on the clock of time.monotonic
         self._last: tuple[Task, Params, str] | None = None  # what was not drawn, as it came too soon
         self._curve: list[tuple[int, float]] = []
         self._told: tuple[Document, str] | None = None
 
-    def shown(self, descent: Iterator[Step], task: Task, steps: int, clock: Stopwatch) -> Iterator[Step]:
+    def follow(self, descent: Iterator[Step], task: Task, steps: int, clock: Stopwatch) -> Iterator[Step]:
         """The descent of a fit of this task, first of several, as it is drawn; drawing pauses the clock."""
         self._curve = []
         for now in descent:
@@ -74,6 +83,11 @@ class Watched:
             self.live.tell(*self._told, self._curve)
         self._last, now = None, time.monotonic()
         self._next = now + max(EVERY, now - begin)
+
+    def close(self) -> None:
+        """Close the page."""
+        if self.live:
+            self.live.close()
 
     def finish(self) -> None:
         """Draw what was not drawn yet; tell the page that it was the last."""

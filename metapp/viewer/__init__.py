@@ -1,5 +1,12 @@
-"""Interactive pages of fits: one HTML file each, which needs no server and loads nothing.
+"""Interactive HTML pages of fits, and pages that follow fits while they run."""
 
-`page.py` writes it; `scripts/` holds the viewers, and `three.min.js` what they draw with: three.js, of the version and
-by the command in `tools/three.sh`, under the MIT licence (`LICENSE.three`).
-"""
+from metapp.door import Command, Option, Watcher
+
+OFFERS = (
+    Command("view", "metapp.cli.view:command"),
+    Command("try", "metapp.cli.trial:command"),
+    Watcher(
+        Option("watch", False, "Show the fit while it runs: update watch.png and serve a page.", panel="Output"),
+        "metapp.runs.watching:Watched",
+    ),
+)

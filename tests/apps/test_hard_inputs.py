@@ -26,7 +26,7 @@ from metapp.learning.learn import MetaParameters, Step, last
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.checks import shipped_path
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 from tests.marked import long
 from tests.quick import app_by

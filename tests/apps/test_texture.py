@@ -24,7 +24,7 @@ from metapp.networks.exemplar import JUDGED, ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
-from metapp.runs.checks import shipped_path
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 SIZE, LEVELS = 32, 3

@@ -7,11 +7,11 @@ import subprocess
 import sys
 
 import pytest
+from metapp.cli.names import KNOWN, RULE_NAMES, WHICH
 
 from data_tools.formats import exports_of
 from metapp.apps import app_names
 from metapp.cli import main
-from metapp.cli.names import KNOWN, RULE_NAMES, WHICH
 
 
 @pytest.fixture

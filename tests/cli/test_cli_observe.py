@@ -24,7 +24,7 @@ from metapp.cli.fitting import table_of
 from metapp.evaluation.tables.results import closing
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.checks import shipped_path
+from metapp.runs.shipped import shipped_path
 from metapp.runs.statistics import statistics_of
 from metapp.storage.records import load_checkpoint, read_records, summary
 from tests.quick import app_by

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.runs.checks import shipped_path
 from metapp.runs.pack import GROWTH
+from metapp.runs.shipped import shipped_path
 from metapp.storage.packing import read_pack, write_pack
 from metapp.storage.records import load_checkpoint, read_records, read_theta, save_checkpoint
 from tests.marked import long

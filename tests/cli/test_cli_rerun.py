@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from metapp.runs.checks import shipped_path
 from metapp.runs.rerun import ELSEWHERE, ROUNDING
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.conftest import Result
 

@@ -16,7 +16,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms
-from metapp.runs.checks import shipped_path
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 APP = Brdf()

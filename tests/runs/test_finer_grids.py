@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import shipped_path
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, save_checkpoint
 
 APPS = [

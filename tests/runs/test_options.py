@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from metapp.cli.names import KNOWN, Known
 from torch import Generator
 from typer.testing import CliRunner
 
@@ -19,12 +20,12 @@ from metapp.baselines import baselines_of
 from metapp.cli.commands import SUMMARIES
 from metapp.cli.commands import app as cli
 from metapp.cli.fit_options import OPTIONS
-from metapp.cli.names import KNOWN, Known
 from metapp.learning.task import Task
 from metapp.runs import BadOption
-from metapp.runs.checks import details, ships
+from metapp.runs.checks import details
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
+from metapp.runs.shipped import ships
 
 
 @pytest.mark.parametrize("name", app_names())

@@ -330,4 +330,3 @@ def fewer(data: Params, rng: Generator) -> Params:
 
 
 register(Brdf.loss, nbrdf_in_c.loss)
-APP = Brdf

@@ -60,6 +60,3 @@ def _display(linear: Tensor) -> Tensor:
     coverage = linear[..., 3:]
     display = coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
     return display.permute(2, 0, 1)[None]
-
-
-PRESENTATION = BrdfPresentation

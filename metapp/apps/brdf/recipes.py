@@ -111,6 +111,4 @@ PAPER = replace(
     rule="meta-sgd",
 )
 
-RECIPES = {
-    "": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "few": FEW, "anisotropic": ANISOTROPIC}
-}
+RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "few": FEW, "anisotropic": ANISOTROPIC}

@@ -1,1 +1,29 @@
 """Illumination: HDR environment maps, from themselves or from an LDR photograph of a sphere (paper section 4.1.5)."""
+
+from __future__ import annotations
+
+from metapp.apps.options import size
+from metapp.door import Application, recipes
+
+_HERE = "metapp.apps.illumination"
+OFFERS = (
+    Application(
+        "illumination",
+        f"{_HERE}.app:Illumination",
+        f"{_HERE}.presentation:IlluminationPresentation",
+        protocols=("reference", "photo"),
+        options=(size("of the map, up to 1024x2048"),),
+        examples=(
+            ("general illumination {}/courtyard.exr", "an environment map as a network, by one forward pass"),
+            (
+                "meta illumination {}/courtyard.exr --size 256x512",
+                "a map fitted in a few learned steps, as EXR of 256 rows",
+            ),
+            ("meta illumination {}/ball.png --observe photo", "an HDR map of one LDR photo of a mirror ball"),
+            ("data ball {}/ball.png --out {}/ball", "the light that the ball mirrors, without a network"),
+            ("baseline illumination {}/courtyard.exr --method sh", "the map as spherical harmonics, to compare"),
+        ),
+        files="data_tools.synthetic.examples:write_example",
+    ),
+    *recipes("illumination", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")),
+)

@@ -278,6 +278,3 @@ def _inside(side: int, device: torch.device) -> Tensor:
     """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
     shown = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
     return shown.flatten().nonzero()[:, 0].to(device)
-
-
-APP = Illumination

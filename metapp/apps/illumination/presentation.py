@@ -121,6 +121,3 @@ def shown(maps: Tensor, photo: Tensor) -> Tensor:
     column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
     pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
     return srgb_to_linear(pictures).permute(1, 2, 0)
-
-
-PRESENTATION = IlluminationPresentation

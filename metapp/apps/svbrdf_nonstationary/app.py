@@ -345,6 +345,3 @@ def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
 def _pairs(counts: tuple[int, int]) -> Tensor:
     """The same ones for all tasks and for ever, [V, 2, 3]."""
     return draw_pairs(counts, Generator().manual_seed(sum(counts)), 1)[0]
-
-
-APP = SvbrdfNonstationary

@@ -188,6 +188,3 @@ def sheet(maps: Maps, photo: Tensor) -> Tensor:
     above = [part.expand(3, -1, -1) for part in displayed(maps).values()]
     rows = [torch.cat(row, 2) for row in (above, [flash, *relit(maps).values()])]
     return srgb_to_linear(torch.cat(rows, 1)).permute(1, 2, 0)
-
-
-PRESENTATION = SvbrdfNonstationaryPresentation

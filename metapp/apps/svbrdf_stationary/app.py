@@ -351,6 +351,3 @@ def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
         top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
         each.append(gram(maps[..., top : top + height, left : left + width] * root))
     return torch.stack(each, 1)
-
-
-APP = SvbrdfStationary

@@ -86,6 +86,3 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
 def _as_files(pictures: dict[str, Picture]) -> dict[str, Picture]:
     """Pictures [C, H, W] as files have them, [H, W, C]."""
     return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
-
-
-PRESENTATION = SvbrdfStationaryPresentation

@@ -23,4 +23,4 @@ PAPER = as_published(
     ExemplarSetup(256, 256, UNet(32, outputs=6), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
     tasks=3,
 )
-RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL}}
+RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}

@@ -1,1 +1,26 @@
 """Textures: a network from noise to a texture with the visual statistics of an exemplar (paper section 4.1.1)."""
+
+from __future__ import annotations
+
+from metapp.apps.options import DETAIL, size
+from metapp.door import Application, recipes
+
+_HERE = "metapp.apps.texture"
+OFFERS = (
+    Application(
+        "texture",
+        f"{_HERE}.app:Texture",
+        f"{_HERE}.presentation:TexturePresentation",
+        options=(size("textures and maps up to 4096x4096"), DETAIL),
+        examples=(
+            ("baseline texture {}/gravel.png --method quilting", "a texture quilted of the photo, without a network"),
+            ("general texture {}/gravel.png", "a texture like the photo, by one forward pass"),
+            ("meta texture {}/gravel.png", "a texture fitted in a few learned steps"),
+            ("meta texture {}/gravel.png --size 512x768 --export png16", "a texture of 512 x 768 px as PNG of 16 bits"),
+            ("quickft texture {}/gravel.png", "a texture fitted by a tuned Adam of as many steps, to compare"),
+        ),
+        files="data_tools.synthetic.examples:write_example",
+        needs_vgg=True,
+    ),
+    *recipes("texture", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-vgg19"),
+)

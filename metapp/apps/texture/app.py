@@ -82,6 +82,3 @@ class Texture(ExemplarApp):
         side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
         x, y = round(left * (size - side)), round(top * (size - side))
         return image[:, y : y + side, x : x + side]
-
-
-APP = Texture

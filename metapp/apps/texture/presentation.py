@@ -101,6 +101,3 @@ def _quilted(exemplar: Tensor) -> Tensor:
     block, overlap = block_of(exemplar.numpy())
     size = QUILTED * exemplar.shape[0], QUILTED * exemplar.shape[1]
     return torch.from_numpy(quilted(exemplar.numpy(), size, np.random.default_rng(0), block=block, overlap=overlap))
-
-
-PRESENTATION = TexturePresentation

@@ -25,4 +25,4 @@ PAPER = as_published(
 # the authors' features
 TAPS = ("relu1_2", "relu2_2", "relu3_4", "relu4_4", "relu5_4")
 VGG19 = replace(PAPER, setup=replace(PAPER.setup, features="vgg19", taps=TAPS))
-RECIPES = {"": {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK, "full": FULL}}
+RECIPES = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK, "full": FULL}

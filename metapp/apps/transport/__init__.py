@@ -1,1 +1,26 @@
 """Transport: the light of a scene as a density over primary sample space, to guide paths by (paper section 4.1.6)."""
+
+from __future__ import annotations
+
+from metapp.door import Application, recipes
+
+_HERE = "metapp.apps.transport"
+OFFERS = (
+    Application(
+        "transport",
+        f"{_HERE}.app:Transport",
+        f"{_HERE}.presentation:TransportPresentation",
+        examples=(
+            (
+                "general transport {}/box.xml",
+                "the light paths of a scene as a density, by one forward pass; renders by it",
+            ),
+            ("meta transport {}/box.xml", "the density fitted in a few learned steps"),
+            ("meta transport {}/box.xml --render 64", "the scene guided at all bounces, and unguided in the same time"),
+            ("quickft transport {}/box.xml", "the density fitted by a tuned Adam of as many steps, to compare"),
+            ("data cornell --count 2 --out {}/boxes", "two random Cornell boxes, traced, as a data set"),
+        ),
+        files="data_tools.synthetic.examples:write_example",
+    ),
+    *recipes("transport", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
+)

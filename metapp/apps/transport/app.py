@@ -129,6 +129,3 @@ class Transport(App):
             return {}
         film, directions = answer
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
-
-
-APP = Transport

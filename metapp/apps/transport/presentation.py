@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
-from metapp.appearance.presentation import Fitted, Picture, Presentation, Rendered, Visible, pictures_view
+from metapp.appearance.presentation import Fitted, Picture, Presentation, Visible, pictures_view
 from metapp.appearance.view import View
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -35,7 +35,6 @@ class TransportPresentation(Presentation[Transport]):
     title = "Transport"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     logarithmic = True
-    renders = True
 
     def __init__(self, app: Transport, size: tuple[int, int] | None = None) -> None:
         super().__init__(app, size)
@@ -75,11 +74,6 @@ class TransportPresentation(Presentation[Transport]):
             return view_of(self.app.flow, theta, task, self.app.setup.picture)
         both = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(self.app.flow, theta)}
         return pictures_view(both)
-
-    def rendered(self, task: Task, side: int) -> Rendered | None:
-        from metapp.extensions.guided.rendering import rendered  # imports Mitsuba
-
-        return rendered(task, side) if "scene" in task.data else None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
@@ -132,6 +126,3 @@ def picture(film: Tensor, directions: Tensor) -> Tensor:
 
 def _enlarged(values: Tensor, times: int) -> Tensor:
     return values.repeat_interleave(times, 0).repeat_interleave(times, 1)
-
-
-PRESENTATION = TransportPresentation

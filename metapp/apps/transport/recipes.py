@@ -38,4 +38,4 @@ QUICK = Recipe(
 FULL = replace(QUICK, setup=replace(QUICK.setup, picture=256))
 # Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
 PAPER = replace(as_published(QUICK, TransportSetup(Flow(hidden=64, bins=16))), batch=10_000)
-RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL}}
+RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}

@@ -29,7 +29,7 @@ from metapp.evaluation.report.html import (
 from metapp.evaluation.report.views import fits_of, write_view
 from metapp.evaluation.rows import Row, paired_of, paper, values_of
 from metapp.evaluation.subject import Subject, evenly
-from metapp.evaluation.tables import NAMES, load_table
+from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.results import result_row
 from metapp.learning.task import Task
 from metapp.runs.naming import is_first_protocol, name_of
@@ -53,13 +53,13 @@ HEADINGS = {
 }
 
 
-def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str] = NAMES) -> Path:
+def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> Path:
     """Write `index.html`, of what has been measured so far, and an interactive page of each application beside it.
 
     Args:
         subjects: of which applications.
         folder: made if missing.
-        tables: that it has, of `NAMES`.
+        tables: that it has, of `table_names`.
 
     Returns:
         The file.

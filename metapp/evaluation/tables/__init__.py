@@ -1,33 +1,36 @@
-"""The tables of `metapp evaluate`, by the modules here that define them, in capitals.
-
-NAMES are those of fits by checkpoints that are there, STUDIES those that train for themselves.
-"""
+"""The tables of `metapp evaluate`."""
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
+
+from metapp import door
 
 if TYPE_CHECKING:
     from metapp.evaluation.rows import Table
 
-MODULES = {
-    "results": "results",
-    "quickft": "results",
-    "image": "image",
-    "ablation": "ablation",
-    "storage": "storage",
-    "samples": "storage",
-    "convergence": "convergence",
-    "baselines": "baselines",
-    "rules": "rules",
-}
-STUDIES = ("rules",)  # hours: no part of "all", nor of the report
-NAMES = tuple(name for name in MODULES if name not in STUDIES)
+ALL = "all"  # all tables but those that train for themselves
+_HERE = "metapp.evaluation.tables"
+OFFERS = (
+    door.Table("results", f"{_HERE}.results:RESULTS"),
+    door.Table("quickft", f"{_HERE}.results:QUICKFT"),
+    door.Table("image", f"{_HERE}.image:IMAGE"),
+    door.Table("ablation", f"{_HERE}.ablation:ABLATION"),
+    door.Table("storage", f"{_HERE}.storage:STORAGE"),
+    door.Table("samples", f"{_HERE}.storage:SAMPLES"),
+    door.Table("convergence", f"{_HERE}.convergence:CONVERGENCE"),
+    door.Table("baselines", f"{_HERE}.baselines:BASELINES"),
+    door.Table("rules", f"{_HERE}.rules:RULES", study=True),
+)
+
+
+def table_names(*, studies: bool = False) -> list[str]:
+    """The tables of fits by checkpoints that are there, or those that train for themselves."""
+    return [offer.name for offer in door.offers(door.Table) if offer.study is studies]
 
 
 def load_table(name: str) -> Table:
-    """The table of that name, one of NAMES or STUDIES."""
-    module = importlib.import_module(f"metapp.evaluation.tables.{MODULES[name]}")
-    result: Table = getattr(module, name.upper())
+    """The table of that name, one of `table_names`."""
+    (reference,) = (offer.table for offer in door.offers(door.Table) if offer.name == name)
+    result: Table = door.load(reference)
     return result

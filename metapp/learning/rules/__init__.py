@@ -8,19 +8,17 @@ are in use, and composes further ones.
 from metapp.learning.rules.descent import fixed_adam, half_cosine, like, outer_adam, sgd
 from metapp.learning.rules.part import Part
 from metapp.learning.rules.parts import META_EPS
-from metapp.learning.rules.rule import PARTS, RULES, SHORT, LearnedRule, rule_of
+from metapp.learning.rules.rule import LearnedRule, parts_by_name, rule_of
 
 __all__ = [
     "META_EPS",
-    "PARTS",
-    "RULES",
-    "SHORT",
     "LearnedRule",
     "Part",
     "fixed_adam",
     "half_cosine",
     "like",
     "outer_adam",
+    "parts_by_name",
     "rule_of",
     "sgd",
 ]

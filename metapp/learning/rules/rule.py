@@ -9,24 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
+from metapp import door
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
+from metapp.learning.names import composition_names, part_names, rule_names
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.network import Network
 from metapp.learning.rules.part import Before, Part
-from metapp.learning.rules.parts import (
-    Average,
-    Basis,
-    Betas,
-    Curvature,
-    Eps,
-    LossParameters,
-    Paces,
-    Rates,
-    SharedRates,
-    SignedRates,
-)
-from metapp.learning.rules.solve import Solve
 from metapp.learning.task import Params
 
 
@@ -36,7 +24,7 @@ class LearnedRule:
 
     Attributes:
         name: of the rule or composition.
-        parts: in the order of PARTS.
+        parts: in the order in which they act.
     """
 
     name: str
@@ -137,50 +125,18 @@ class LearnedRule:
         return alpha
 
 
-# In the order in which they act on a step.
-PARTS: Mapping[str, Part] = {
-    part.name: part
-    for part in (
-        SignedRates(),
-        Rates(),
-        SharedRates(),
-        Solve(),
-        Betas(),
-        LossParameters(),
-        Paces(),
-        Eps(),
-        Curvature(),
-        Network(),
-        Average(),
-        Basis(),
-    )
-}
+def parts_by_name() -> Mapping[str, Part]:
+    """All parts, in the order in which they act on a step."""
+    return _parts_of(door.offers(door.Part))
 
-# Short names, for compositions.
-SHORT: Mapping[str, str] = {"adam": "rates+betas", "tied": "shared+pace"}
 
-NAMED: Mapping[str, str] = {
-    # the paper's rule: one rate per weight, the same at every step, any sign
-    "meta-sgd": "sgd",
-    # Adam with rates per weight and step, betas per step, and loss parameters
-    "meta-adam": "adam+loss",
-    # the same with one rate per weight for all steps, times one per parameter tensor and step: as small as meta-sgd's
-    "meta-adam-tied": "tied+betas+loss",
-    # the same with a learned eps, for recipes that start from General's encoder and train it through the steps
-    "meta-encoder": "meta-adam-tied+eps",
-    # the same with tail averaging, where samples are random, which lets the parameters scatter
-    "meta-mean": "meta-encoder+average",
-    # meta-encoder, and a convolutional network that adds to the steps of parameters on a grid
-    "meta-lgd": "meta-encoder+network",
-    # meta-mean, in the eigenbasis of the training tasks' gradients
-    "meta-basis": "meta-mean+basis",
-    # the same without the mean, for descents from coarse to fine, whose last iterates are of several sizes
-    "meta-axes": "meta-encoder+basis",
-    # meta-adam, its step multiplied by learned matrices from both sides
-    "meta-curvature": "meta-adam+curvature",
-    # ridge regression in the last layer, on learned features
-    "ridge": "solve+loss",
-}
+@cache  # one object a part: compiled steps are found by it
+def _parts_of(offers: tuple[door.Part, ...]) -> Mapping[str, Part]:
+    return {offer.name: door.load(offer.part)() for offer in offers}
+
+
+def _compositions(short: bool) -> dict[str, str]:
+    return {offer.name: offer.parts for offer in door.offers(door.Rule) if offer.short is short}
 
 
 def rule_of(name: str) -> LearnedRule:
@@ -196,20 +152,21 @@ def rule_of(name: str) -> LearnedRule:
 
 def _expanded(name: str, whole: str) -> set[str]:
     """The names of the parts of a rule that is a component of the rule `whole`."""
-    if name in PARTS:
+    if name in part_names():
         return {name}
-    inner = ({**SHORT, **NAMED}).get(name) if "+" not in name else name
+    inner = (_compositions(True) | _compositions(False)).get(name) if "+" not in name else name
     if inner is None:
-        known = ", ".join((*NAMED, *SHORT, *PARTS))
+        known = ", ".join((*rule_names(), *composition_names()))
         raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, joined by +: {known}.")
     return {part for each in inner.split("+") for part in _expanded(each, whole)}
 
 
 @cache  # one object a rule: compiled steps are found by it
 def _composed(names: frozenset[str]) -> LearnedRule:
-    parts = tuple(part for name, part in PARTS.items() if name in names)
+    all_parts = parts_by_name()
+    parts = tuple(part for name, part in all_parts.items() if name in names)
     rule = LearnedRule(_name(names), parts)
-    kinds = [name for name, part in PARTS.items() if part.is_rate]
+    kinds = [name for name, part in all_parts.items() if part.is_rate]
     rates = [name for name in kinds if rule.has(name)]
     if len(rates) != 1:
         raise ValueError(
@@ -227,12 +184,9 @@ def _composed(names: frozenset[str]) -> LearnedRule:
 
 def _name(names: frozenset[str]) -> str:
     """The one name of a set of parts: a rule's if it has one, else the parts in order, with short names in front."""
-    for rule, parts in NAMED.items():
+    for rule, parts in _compositions(False).items():
         if _expanded(parts, rule) == names:
             return rule
-    short = [each for each, parts in SHORT.items() if names.issuperset(parts.split("+"))]
-    covered = {part for each in short for part in SHORT[each].split("+")}
-    return "+".join([*short, *(part for part in PARTS if part in names - covered)])
-
-
-RULES: Mapping[str, LearnedRule] = {name: rule_of(name) for name in NAMED}
+    short = {name: parts for name, parts in _compositions(True).items() if names.issuperset(parts.split("+"))}
+    covered = {part for parts in short.values() for part in parts.split("+")}
+    return "+".join([*short, *(part for part in part_names() if part in names - covered)])

@@ -1,0 +1,38 @@
+"""Groups of commands that extensions offer."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from metapp import door
+
+
+class Group(TyperGroup):
+    """A group that knows of which extension a command is that is left out."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is named; a usage error names the extension that has it."""
+        if args and (extension := door.switched_off(door.Command, args[0])):
+            raise typer.BadParameter(
+                f"'{args[0]}' is a command of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
+            )
+        return super().resolve_command(ctx, args)
+
+
+def add_commands(app: typer.Typer, under: str) -> None:
+    """Add the commands that are offered under another one, or, for "", under none."""
+    for offer in door.offers(door.Command):
+        if offer.under == under:
+            add_command(app, door.load(offer.command), offer.name, bare_is_help=offer.bare_is_help)
+
+
+def add_command(app: typer.Typer, function: Callable[..., Any], name: str, *, bare_is_help: bool) -> None:
+    """Add a command; for --help the paragraphs of its docstring flow, while indented examples keep their lines."""
+    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+    text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
+    app.command(name, no_args_is_help=bare_is_help, help=text)(function)

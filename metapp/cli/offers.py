@@ -1,0 +1,28 @@
+"""The commands that ship, but for those of the paradigms."""
+
+from metapp.door import Command
+
+_HERE = "metapp.cli"
+
+OFFERS = (
+    Command("examples", f"{_HERE}.examples:command"),
+    Command("doctor", f"{_HERE}.doctor:command"),
+    Command("evaluate", f"{_HERE}.evaluate:command"),
+    Command("baseline", f"{_HERE}.baseline:command"),
+    Command("plan", f"{_HERE}.plan:command"),
+    Command("export", f"{_HERE}.export:command"),
+    Command("pack", f"{_HERE}.pack:pack_command"),
+    Command("unpack", f"{_HERE}.pack:unpack_command"),
+    Command("rerun", f"{_HERE}.rerun:command"),
+    Command("compare", f"{_HERE}.compare:command"),
+    Command("synth", f"{_HERE}.data_synth:synth", under="data", bare_is_help=True),
+    Command("cornell", f"{_HERE}.data_sets:cornell", under="data", bare_is_help=True),
+    Command("join", f"{_HERE}.data_sets:join", under="data", bare_is_help=True),
+    Command("noisy", f"{_HERE}.data_sets:noisy", under="data", bare_is_help=True),
+    Command("markers", f"{_HERE}.data_markers:markers", under="data", bare_is_help=True),
+    Command("rectify", f"{_HERE}.data_markers:rectify", under="data", bare_is_help=True),
+    Command("ball", f"{_HERE}.data_ball:ball", under="data", bare_is_help=True),
+    Command("check", f"{_HERE}.data_sets:check", under="data", bare_is_help=True),
+    Command("vgg", f"{_HERE}.data_vgg:vgg", under="data"),
+    Command("scene", f"{_HERE}.data_scene:scene", under="data"),
+)

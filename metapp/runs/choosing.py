@@ -1,0 +1,107 @@
+"""The recipe of a request that names none: the one that its inputs choose, else the usual one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from data_tools.formats import inputs_of
+from metapp import door
+from metapp.apps import recipe_offers
+from metapp.learning.task import Task
+from metapp.runs import BadOption
+from metapp.runs.reporter import say
+from metapp.runs.request import Request
+from metapp.runs.shipped import FULL, ships, usual_recipe
+from metapp.storage.manifest import read_manifest
+
+
+def chosen_recipe(request: Request) -> str:
+    """The recipe that every input of a request, or every task of its data set, chooses, else the usual one.
+
+    Raises:
+        BadOption: some inputs choose one, and others do not.
+        ValueError: the data set cannot be read.
+    """
+    app = request.app
+    for recipe, choice in _choices(request):
+        if choice.tells and request.resumes:  # it reads the inputs, which may be thousands
+            continue
+        if _all_choose(request, recipe, choice) if request.inputs else _is_set_of(choice, request.data):
+            what = "input" if request.inputs else f"task of {request.data}"
+            if not request.quiet:
+                say(f"{app}: recipe {recipe}, since every {what} has {choice.has}")
+            return recipe
+    return usual_recipe(app)
+
+
+def recipe_of_tasks(request: Request, tasks: Sequence[Task]) -> str:
+    """The same for tasks that were made in memory."""
+    for recipe, choice in _choices(request):
+        if all(_chooses_task(request.app, choice, task) for task in tasks):
+            return recipe
+    return usual_recipe(request.app)
+
+
+def _choices(request: Request) -> Iterator[tuple[str, door.Chosen]]:
+    """The recipes that inputs may choose, with checkpoints for the paradigm."""
+    for name, offer in recipe_offers(request.app, request.observe).items():
+        choice = offer.chosen
+        serves = choice and (not choice.paradigms or request.paradigm in choice.paradigms)
+        if choice and serves and ships(request.app, name, request.observe):
+            yield name, choice
+
+
+def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
+    if choice.tensor:
+        return choice.tensor in task.data
+    (form, *_) = (form for form in inputs_of(app) if form.name in choice.formats)
+    tells: Callable[[Task], bool] = getattr(form.files(), f"{choice.tells}_task")
+    return tells(task)
+
+
+def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
+    """Whether all inputs choose a recipe; BadOption where only some do."""
+    choosing = [path for path in request.inputs if _chooses(request.app, choice, path)]
+    others = [path for path in request.inputs if _holds_others(request.app, choice, path)]
+    if choosing and others:
+        first, other = (
+            _source(request.app, path, form)
+            for path, form in (
+                (choosing[0], _form(request.app, choosing[0])),
+                (others[0], _form(request.app, others[0])),
+            )
+        )
+        raise BadOption(
+            f"{request.app}: {first} has {choice.has}, {other} has not, and recipes for these differ; fit them by two "
+            f"commands, or all by --recipe {recipe} or --recipe {FULL}."
+        )
+    return bool(choosing)
+
+
+def _chooses(app: str, choice: door.Chosen, path: Path) -> bool:
+    """Whether a path is, or holds, an input that chooses the recipe."""
+    forms = [form for form in inputs_of(app) if form.name in choice.formats and form.recognises(path)]
+    return any(not choice.tells or getattr(form.files(), choice.tells)(path) for form in forms)
+
+
+def _holds_others(app: str, choice: door.Chosen, path: Path) -> bool:
+    """Whether a path is, or holds, an input that does not."""
+    forms = [form for form in inputs_of(app) if form.recognises(path)]
+    return any(form.name not in choice.formats for form in forms) or bool(forms and not _chooses(app, choice, path))
+
+
+def _form(app: str, path: Path) -> door.Format:
+    return next(form for form in inputs_of(app) if form.recognises(path))
+
+
+def _source(app: str, path: Path, form: door.Format) -> Path:
+    """The first source that a path is or holds."""
+    return (form.find([path])[0] or [path])[0]
+
+
+def _is_set_of(choice: door.Chosen, data: Path | None) -> bool:
+    # of a folder that is not there, whatever reads it says so
+    if not choice.tensor or data is None or not data.exists():
+        return False
+    return choice.tensor in read_manifest(data).units
