@@ -26,13 +26,13 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.engine import FASTEST
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
-from metapp.learning.rules import RULES
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Batch
 
 APP = Brdf()
 
-RULE = RULES["meta-curvature"]
-FIRST = RECIPES[""]["quick"].meta["meta-curvature"].first
+RULE = rule_of("meta-curvature")
+FIRST = RECIPES["quick"].meta["meta-curvature"].first
 ROUNDS = 3
 
 

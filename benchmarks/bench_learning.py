@@ -50,7 +50,7 @@ from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, RULES, sgd
+from metapp.learning.rules import META_EPS, rule_of, sgd
 from metapp.learning.task import Batch, Params
 
 APP = Brdf()
@@ -265,7 +265,7 @@ def bench_brdf() -> None:
     supply: list[Iterator[Batch]] = [iter(())]
     loss = Loss(lambda data, rng, done: Drawn((), next(supply[0])), APP.loss)
     first = Adam(5e-3, beta2=0.99, eps=META_EPS)
-    rules = {"sgd": (sgd, alpha), "default": (RULES[DEFAULT].rule, RULES[DEFAULT].alpha(APP, theta, STEPS, first))}
+    rules = {"sgd": (sgd, alpha), "default": (rule_of(DEFAULT).rule, rule_of(DEFAULT).alpha(APP, theta, STEPS, first))}
 
     def plain() -> tuple[Tensor, list[Tensor]]:
         weights = [weight.clone().requires_grad_() for weight in plain_weights(theta)]

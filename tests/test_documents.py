@@ -16,7 +16,7 @@ import typer
 from packaging.specifiers import SpecifierSet
 
 from metapp.cli.commands import app as cli
-from metapp.learning.rules import RULES
+from metapp.learning.names import rule_names
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -85,7 +85,7 @@ def unknown_in(line: str) -> str:
     for i, word in enumerate(words):
         if word.startswith("-") and word not in known:
             return word
-        if word == "--rule" and "+" not in words[i + 1] and words[i + 1] not in RULES:
+        if word == "--rule" and "+" not in words[i + 1] and words[i + 1] not in rule_names():
             return words[i + 1]
     return ""
 

@@ -13,13 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from metapp.cli.names import PART_NAMES, RULE_NAMES
 from typer.testing import CliRunner
 
 from metapp.apps import app_names
 from metapp.cli.commands import app as cli
-from metapp.learning.rules import PARTS, RULES
-from metapp.learning.rules.rule import SHORT
 
 ROOT = Path(__file__).parent.parent
 FILES = {
@@ -177,11 +174,6 @@ def test_help_answers_at_once(arguments: list[str]) -> None:
 def test_help_names_all_applications(command: str) -> None:
     shown = CliRunner().invoke(cli, [*command.split(), "--help"], env={"COLUMNS": "200"}).stdout
     assert [name for name in app_names() if name not in shown] == []
-
-
-def test_help_names_all_rules() -> None:
-    assert sorted(RULE_NAMES) == sorted(RULES)
-    assert [*SHORT, *PARTS] == list(PART_NAMES)
 
 
 def test_functions_and_classes_are_small() -> None:

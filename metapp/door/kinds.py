@@ -9,12 +9,11 @@ import functools
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from metapp.door.finding import module_of
 
-if TYPE_CHECKING:
-    from metapp.learning.task import Task
+Task = Any  # metapp.learning.task.Task, which imports torch
 
 
 class Option(NamedTuple):
@@ -269,8 +268,7 @@ class Format(NamedTuple):
     def read(self, source: Path, arguments: Mapping[str, object]) -> Task:
         """Read one source, by those of the arguments of readers, by keyword, that the format takes."""
         takes = {*self.takes, *(option.keyword for option in self.options)}
-        task: Task = self.files().read_task(source, **{key: arguments[key] for key in takes & arguments.keys()})
-        return task
+        return self.files().read_task(source, **{key: arguments[key] for key in takes & arguments.keys()})
 
     def conversion(self, paths: list[Path], split: str, options: Mapping[str, object]) -> Conversion:
         """How files become tasks by the command's options; ValueError for bad paths."""

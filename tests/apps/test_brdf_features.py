@@ -16,13 +16,13 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
 APP = Brdf(SIZE)
-RECIPE = RECIPES[""]["full"]
+RECIPE = RECIPES["full"]
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None
     """From a last layer of zeros, in five steps of 512 samples."""
     start = MetaParameters(
         {key: value[0] for key, value in (theta | {"last": 0 * theta["last"]}).items()},
-        RULES["ridge"].alpha(APP, {key: value[0] for key, value in theta.items()}, 5, Adam(1e-3)),
+        rule_of("ridge").alpha(APP, {key: value[0] for key, value in theta.items()}, 5, Adam(1e-3)),
     )
     start.alpha["penalty.last"].fill_(-20.0)
     tasks = tasks_of(theta)

@@ -317,7 +317,7 @@ def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
     assert whole["threads"] == torch.get_num_threads()
     assert "threads" not in whole["settings"]
     assert "warning" not in whole
-    monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit=Adam(1.0)))
+    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit=Adam(1.0)))
     result, worse = record("--recipe", "quick")
     assert "warning: m0: the visible loss rose from" in result.err
     assert worse["warning"].startswith("the visible loss rose from ")

@@ -34,7 +34,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
         now += PREPARED
         return prepare(task)
 
-    monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40))
+    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit_steps=40))
     monkeypatch.setattr(Brdf, "sample", staticmethod(slow_sample))
     monkeypatch.setattr(Brdf, "prepare", staticmethod(slow_prepare))
     monkeypatch.setattr("metapp.learning.deadline.time", type("clock", (), {"perf_counter": lambda: now}))

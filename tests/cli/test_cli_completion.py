@@ -7,11 +7,12 @@ import subprocess
 import sys
 
 import pytest
-from metapp.cli.names import KNOWN, RULE_NAMES, WHICH
 
 from data_tools.formats import exports_of
 from metapp.apps import app_names
 from metapp.cli import main
+from metapp.evaluation.tables import table_names
+from metapp.learning.names import rule_names
 
 
 @pytest.fixture
@@ -38,17 +39,17 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         ("metapp plan ", ["brdf"]),
         ("metapp examples t", ["texture", "transport"]),
         ("metapp data synth sv", ["svbrdf_nonstationary", "svbrdf_stationary"]),
-        ("metapp meta svbrdf_nonstationary --recipe ", list(KNOWN["svbrdf_nonstationary"].recipes)),
+        ("metapp meta svbrdf_nonstationary --recipe ", ["quick", "full", "paper", "several"]),
         ("metapp meta --recipe me", ["measured"]),
-        ("metapp meta brdf --rule meta-", [name for name in RULE_NAMES if name.startswith("meta-")]),
+        ("metapp meta brdf --rule meta-", [name for name in rule_names() if name.startswith("meta-")]),
         ("metapp meta brdf --rule adam+cu", ["adam+curvature"]),
         ("metapp meta texture --export ", list(exports_of("texture"))),
         ("metapp meta svbrdf_stationary --export gltf,b", ["gltf,blender"]),
         ("metapp export runs/brdf/meta/gold m", ["merl", "mitsuba"]),
         ("metapp meta illumination --observe ", ["reference", "photo"]),
         ("metapp general texture --device c", ["cpu", "cuda"]),
-        ("metapp baseline texture --method ", list(KNOWN["texture"].methods)),
-        ("metapp evaluate --which ", list(WHICH)),
+        ("metapp baseline texture --method ", ["nearest", "quilting", "gpdm", "patches"]),
+        ("metapp evaluate --which ", [*table_names(), "all", "rules"]),
         ("metapp evaluate brdf transport --recipe f", ["full", "few"]),
     ],
 )

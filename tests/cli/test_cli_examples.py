@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps import app_names
-from metapp.cli.examples import COMMANDS, FOLDER, VGG, lines_of
+from metapp.apps import app_names, application_of
+from metapp.cli.examples import FOLDER, lines_of
 from tests.needs_mitsuba import skip_without_mitsuba
 
 
@@ -40,8 +40,7 @@ def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_every_application_has_five_commands() -> None:
-    assert sorted(COMMANDS) == app_names()
-    assert {len({line for line, _ in lines}) for lines in COMMANDS.values()} == {5}
+    assert {len({line for line, _ in application_of(name).examples}) for name in app_names()} == {5}
 
 
 def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_path: Path) -> None:
@@ -71,7 +70,7 @@ def test_the_first_command_of_an_application_works(works: Callable, app: str) ->
 @pytest.mark.usefixtures("inputs")
 @pytest.mark.parametrize("app", app_names())
 def test_the_other_commands_work(request: pytest.FixtureRequest, works: Callable, app: str) -> None:
-    if app in VGG:
+    if application_of(app).needs_vgg:
         request.getfixturevalue("vgg")
     for line, _ in lines_of(app, FOLDER)[1:]:
         works(line)

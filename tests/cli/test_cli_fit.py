@@ -32,8 +32,8 @@ NETWORKS = 10
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
-    recipe = replace(RECIPES[""]["quick"], overfit_steps=30, finetune_steps=5)
-    monkeypatch.setitem(RECIPES[""], "quick", recipe)
+    recipe = replace(RECIPES["quick"], overfit_steps=30, finetune_steps=5)
+    monkeypatch.setitem(RECIPES, "quick", recipe)
     monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
     return recipe
 
@@ -137,7 +137,7 @@ def test_a_search_goes_on_from_no_checkpoint(fit: Callable) -> None:
 
 def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
     # a recipe that moves too far, and a search that looks at one other
-    monkeypatch.setitem(RECIPES[""], "quick", replace(short, quickft=Adam(1.0)))
+    monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0)))
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
     assert fit("general", *STEPS).code == 0
     assert "no Adam was tuned" in fit("quickft").err
@@ -314,7 +314,7 @@ def test_a_composition_is_trained_and_used(fit: Callable) -> None:
     (path,) = Path("runs").rglob("adam+curvature.safetensors")
     start, info = load_checkpoint(path)
     assert info["checkpoint"] == "adam+curvature"
-    assert info["training"]["clip"] == RECIPES[""]["quick"].meta["meta-curvature"].clip
+    assert info["training"]["clip"] == RECIPES["quick"].meta["meta-curvature"].clip
     assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
     again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet").document
     assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.document["tasks"]]

@@ -70,10 +70,10 @@ def light(brightest: float) -> Tensor:
 @pytest.fixture(autouse=True)
 def seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """In place of BRDFs, with few steps of everything and without a compiler."""
-    quick = recipes.RECIPES[""]["quick"]
+    quick = recipes.RECIPES["quick"]
     short = {"meta-sgd": replace(quick.meta["meta-sgd"], order=1)}
     quick = replace(quick, steps=2, overfit_steps=3, finetune_steps=3, meta=short, rule="meta-sgd")
-    table = {**recipes.RECIPES[""], "quick": quick, "full": quick}
+    table = {**recipes.RECIPES, "quick": quick, "full": quick}
     monkeypatch.setattr(recipes, "RECIPES", {"reference": table, "photo": table})
     monkeypatch.setattr(brdf, "APP", Seen)
     monkeypatch.setattr(presentation, "PRESENTATION", Shown)

@@ -61,7 +61,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
 
     few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
-    quick = RECIPES[""]["quick"]
+    quick = RECIPES["quick"]
     recipe = replace(
         quick,
         steps=2,
@@ -72,7 +72,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         meta={name: replace(training, **few, tuned=False) for name, training in quick.meta.items()},
         setup=TransportSetup(Flow(code=3, hidden=8, bins=4)),
     )
-    monkeypatch.setitem(RECIPES[""], "quick", recipe)
+    monkeypatch.setitem(RECIPES, "quick", recipe)
     monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
     monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
@@ -125,7 +125,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
 @pytest.mark.long
 def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 4)
-    app = Transport(replace(RECIPES[""]["quick"].setup, picture=24))
+    app = Transport(replace(RECIPES["quick"].setup, picture=24))
     judged, errors = [], images.Studio.errors
 
     def noted(self: images.Studio, picture: torch.Tensor) -> dict[str, float]:

@@ -20,7 +20,7 @@ from metapp.engine.packing import Layout
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
+from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
 from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
@@ -122,7 +122,7 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
 def moved(rule: str, rng: Generator) -> Params:
     """A rule's hyperparameters, away from their first values."""
     one = {key: value[0] for key, value in theta_of(rng, 1).items()}
-    alpha = RULES[rule].alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
+    alpha = rule_of(rule).alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
     return {key: value + 0.02 * torch.randn(value.shape, generator=rng) for key, value in alpha.items()}
 
 
@@ -138,7 +138,7 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: p
     monkeypatch.setattr(in_c._Step, "__init__", counting(in_c._Step.__init__, steps))
 
     def grads(kind: Callable[[Params], Params], engine: Engine) -> Params:
-        lifted = after_learning(loss_of([]), RULES[rule].rule, steps=STEPS, order=order, clip=0.05, engine=engine)
+        lifted = after_learning(loss_of([]), rule_of(rule).rule, steps=STEPS, order=order, clip=0.05, engine=engine)
         leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
         value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
         pulls = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
@@ -167,7 +167,7 @@ def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
         "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
         "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
         "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
-        **{name: RULES[name].rule(spread(moved(name, rng), tasks, 1)) for name in IN_C},
+        **{name: rule_of(name).rule(spread(moved(name, rng), tasks, 1)) for name in IN_C},
     }
 
 
@@ -197,8 +197,8 @@ def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
 def test_what_is_not_in_c_is_left_to_torch() -> None:
     rng = Generator().manual_seed(5)
     theta, rule, loss = theta_of(rng), sgd({"rate": torch.ones(1)}), loss_of([])
-    mean, basis = (RULES[name].rule(spread(moved(name, rng), TASKS, 1)) for name in ("meta-mean", "meta-axes"))
-    ridge = app_of("brdf", RECIPES[""]["quick"], rule="ridge")
+    mean, basis = (rule_of(name).rule(spread(moved(name, rng), TASKS, 1)) for name in ("meta-mean", "meta-axes"))
+    ridge = app_of("brdf", RECIPES["quick"], rule="ridge")
     cases = {
         "mean": (mean, loss, theta),
         "basis": (basis, loss, theta),

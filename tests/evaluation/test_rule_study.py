@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from metapp import door
 from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
@@ -23,9 +24,10 @@ from metapp.evaluation.study import COMPOSED, QUICKFT, Case, Design, Study, trai
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
+from metapp.learning.names import rule_names
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules import rule as rule_table
+from metapp.learning.rules import rule_of
 from metapp.paradigms import tuning
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
@@ -42,13 +44,13 @@ SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}],)
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Small trainings, without a compiler, of three rules beside QuickFT."""
-    quick = RECIPES[""]["quick"]
+    quick = RECIPES["quick"]
     trainings = {rule: replace(each, tasks=2, warmup=0, validate_every=1) for rule, each in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2, validate_every=1)
-    monkeypatch.setitem(RECIPES[""], "quick", replace(quick, general=general, meta=trainings, batch=16))
+    monkeypatch.setitem(RECIPES, "quick", replace(quick, general=general, meta=trainings, batch=16))
     monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
     monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
-    monkeypatch.setattr(studies, "RULES", {name: RULES[name] for name in ("meta-sgd", "meta-lgd")})
+    monkeypatch.setattr(studies, "rule_names", lambda: ["meta-sgd", "meta-lgd"])
     monkeypatch.setattr(studies, "COMPOSED", ("sgd", "sgd+loss", "loss+meta-sgd", "adam"))
     shrink_spheres(monkeypatch)
     return
@@ -217,16 +219,15 @@ def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None
     study = functools.partial(Study, plan_of(), Design())
     rules = study().rules
     assert [rule_of(name).name for name in COMPOSED] == list(COMPOSED)
-    assert set(rules) == ({rule_of(name).name for name in (*RULES, *COMPOSED)}) - {"meta-lgd", "ridge"}
+    assert set(rules) == ({rule_of(name).name for name in (*rule_names(), *COMPOSED)}) - {"meta-lgd", "ridge"}
     # of its own, so that other tests find the rules that there were
     monkeypatch.setattr(rule_table, "_composed", functools.cache(rule_table._composed.__wrapped__))
-    monkeypatch.setitem(rule_table.NAMED, "meta-new", "rates+betas+eps")
-    monkeypatch.setitem(studies.RULES, "meta-new", rule_of("rates+betas+eps"))  # type: ignore[arg-type]
-    assert "meta-new" in study().rules
+    with door.extended("new", [door.Rule("meta-new", "rates+betas+eps")]):
+        assert "meta-new" in study().rules
 
 
 def test_rules_without_moments_are_trained_as_the_papers() -> None:
-    recipe = RECIPES[""]["quick"]
+    recipe = RECIPES["quick"]
     assert training_for(recipe, "sgd+loss") is recipe.meta["meta-sgd"]
     assert training_for(recipe, "rates+loss").first == Adam(0.1)
     assert training_for(recipe, "adam+curvature") is recipe.meta["meta-curvature"]

@@ -16,7 +16,7 @@ from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
+from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
 from metapp.learning.task import Batch, Params
 from tests.learning.parabolas import unused
 from tests.paradigms.small import applicable
@@ -53,7 +53,7 @@ def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Par
     theta = {key: value[0].double() for key, value in APP.init(Generator().manual_seed(2), 1).items()}
     alpha = {
         key: value + 0.05 * randn(*value.shape)
-        for key, value in RULES[rule].alpha(APP, theta, steps, Adam(5e-3, beta2=0.99, eps=META_EPS)).items()
+        for key, value in rule_of(rule).alpha(APP, theta, steps, Adam(5e-3, beta2=0.99, eps=META_EPS)).items()
     }
     return MetaParameters(theta, alpha).flat()
 
@@ -66,12 +66,12 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
     def mean(order: int, engine: Engine | None = TORCH) -> Callable[[Params], Tensor]:
         def unrolled_mean(phi: Params) -> Tensor:
             start = MetaParameters.unflat(phi)
-            learned = RULES[rule].rule(spread(start.alpha, TASKS, 1))
+            learned = rule_of(rule).rule(spread(start.alpha, TASKS, 1))
             return APP.loss(unrolled(spread(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}).mean()
 
         if engine is None:  # one unrolled graph
             return unrolled_mean
-        lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order, engine=engine)
+        lifted = after_learning(BRDF, rule_of(rule).rule, steps=STEPS, order=order, engine=engine)
         return lambda phi: lifted.value(phi, (batches, last, None), {}).mean()
 
     return phi, mean

@@ -30,7 +30,7 @@ from metapp.learning.learn import (
     task_loss,
 )
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES, fixed_adam, sgd
+from metapp.learning.rules import fixed_adam, rule_of, sgd
 from metapp.learning.task import Batch, Params, Task, Tasks
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 from tests.paradigms.small import applicable
@@ -107,12 +107,13 @@ def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: G
     alpha = (
         {}
         if rule == "adam"
-        else RULES[rule].alpha(APP, {key: value[0] for key, value in start.items()}, steps, Adam(5e-3, beta2=0.99))
+        else rule_of(rule).alpha(APP, {key: value[0] for key, value in start.items()}, steps, Adam(5e-3, beta2=0.99))
     )
 
     def fit(rows: list[int]) -> Params:
         theta = {key: value[rows] for key, value in start.items()}
-        own = fixed_adam(Adam(1e-2), theta, steps) if rule == "adam" else RULES[rule].rule(spread(alpha, len(rows), 1))
+        own = fixed_adam(Adam(1e-2), theta, steps)
+        own = own if rule == "adam" else rule_of(rule).rule(spread(alpha, len(rows), 1))
         return learn(theta, own, materials.select(rows), given(batches), steps=steps, rng=rng)
 
     together = fit(list(range(count)))

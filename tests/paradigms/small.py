@@ -25,9 +25,10 @@ from metapp.apps.transport.app import TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App, linear_in
 from metapp.learning.learn import MetaParameters, last
+from metapp.learning.names import rule_names
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
-from metapp.learning.rules import RULES, rule_of
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.field import LocalField
@@ -43,7 +44,7 @@ KINDS = [*app_names(), FEATURED]
 OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
 # each application with its own rule, and each other rule on the fastest application, instead of all with all
 ONE_QUICK = ["brdf", *(long(kind) for kind in KINDS if kind != "brdf")]  # trainings of one application, of others long
-PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in RULES if rule not in OWN_RULES.values())]
+PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in rule_names() if rule not in OWN_RULES.values())]
 
 
 class Small(NamedTuple):
@@ -170,7 +171,7 @@ def small_recipe(app: App) -> Recipe:
 def applicable(app: App) -> list[str]:
     """The named rules whose parts apply to an application."""
     theta = {key: value[0] for key, value in app.init(rng(), 1).items()}
-    return [name for name, rule in RULES.items() if not any(part.refusal(app, theta) for part in rule.parts)]
+    return [name for name in rule_names() if not any(part.refusal(app, theta) for part in rule_of(name).parts)]
 
 
 def rng(seed: int = 0) -> Generator:

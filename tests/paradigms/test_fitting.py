@@ -14,7 +14,7 @@ from metapp.learning.app import App
 from metapp.learning.deadline import Deadline, Pace
 from metapp.learning.learn import MetaParameters, last, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
-from metapp.learning.rules import RULES, fixed_adam, rule_of
+from metapp.learning.rules import fixed_adam, rule_of
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
@@ -192,7 +192,7 @@ def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, ta
     single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
     fits = []
     for count in (15, steps):
-        alpha = RULES["meta-mean"].alpha(job.app, single, count, Adam(1e-3))
+        alpha = rule_of("meta-mean").alpha(job.app, single, count, Adam(1e-3))
         start = MetaParameters(single, alpha)
         fits.append(paradigms()["meta"].fit(job._replace(steps=steps), start, tasks.select([0]), rng()))
     for key, value in fits[0].items():

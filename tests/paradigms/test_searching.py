@@ -14,7 +14,7 @@ from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
@@ -166,7 +166,7 @@ def test_a_rule_is_tuned_as_quickft_is(
     job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
     encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
     made = result(prepare.prepare(rule, job, tasks, rng(), encoder=encoder))
-    plain = RULES[rule].alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
+    plain = rule_of(rule).alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta
     for name, value in made.phi.alpha.items():

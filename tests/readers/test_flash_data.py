@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.formats import Label
 from data_tools.readers import flash, photos, svbrdf_inputs
 from data_tools.readers.flash import find_shown, shown, split_by_material
 from data_tools.readers.image_files import focal_length_of
 from data_tools.readers.photos import field_of_view, read_photo, seen_share
+from metapp.door import Label
 from tests.pictures import noise, photograph, write
 
 

@@ -1,33 +1,34 @@
-"""Every record of a format names a module that does what the record says."""
+"""Every record of a format, of an export and of objects in memory names what does what the record says."""
 
 from __future__ import annotations
 
-import importlib
 import inspect
 
 import pytest
 
-from data_tools.formats import EXPORTS, Export, Format, formats
+from data_tools.formats import formats
+from metapp import door
+from metapp.door import Export, Format
 
 
 @pytest.mark.parametrize("form", formats(), ids=lambda form: f"{form.name}-{form.app}")
 def test_modules_have_what_records_say(form: Format) -> None:
-    module = importlib.import_module(form.module)
-    if form.inputs or form.command:
-        assert callable(module.recognises)
-        assert callable(module.find)
-        assert set(form.takes) <= set(inspect.signature(module.read_task).parameters)
-    assert callable(getattr(module, "export", None)) is form.exports
+    module = form.files()
+    assert callable(module.recognises)
+    assert callable(module.find)
+    takes = {*form.takes, *(option.keyword for option in form.options)}
+    assert takes <= set(inspect.signature(module.read_task).parameters)
     if form.command:
-        settings = [setting.name for setting in form.command.settings]
+        options = [option.name for option in form.command.options]
         if hasattr(module, "conversion"):
-            assert list(inspect.signature(module.conversion).parameters)[2:] == settings
+            assert list(inspect.signature(module.conversion).parameters)[2:] == options
         else:
             assert module.UNITS
-            assert set(settings) <= set(inspect.signature(module.read_task).parameters)
+            assert set(options) <= set(inspect.signature(module.read_task).parameters)
 
 
-@pytest.mark.parametrize("form", EXPORTS, ids=lambda form: form.name)
-def test_writers_take_a_surface(form: Export) -> None:
-    writer = getattr(importlib.import_module(f"data_tools.assets.{form.module}"), f"write_{form.name}")
-    assert list(inspect.signature(writer).parameters) == ["surface", "path", "provenance"]
+@pytest.mark.parametrize("form", door.offers(Export), ids=lambda form: f"{form.name}-{form.apps[0]}")
+def test_writers_take_a_surface_or_parameters(form: Export) -> None:
+    parameters = list(inspect.signature(door.load(form.write)).parameters)
+    assert parameters[:2] == (["surface", "path"] if form.of_surface else ["app", "theta"])
+    assert len(parameters) == 3

@@ -249,8 +249,8 @@ def test_the_plugin_sees_what_fits_see(tmp_path: Path) -> None:
 def test_exported_fits_are_as_good_on_both_halves_of_the_circle(tmp_path: Path) -> None:
     materials = synthetic_materials("test")[:8]
     tasks = stack(APP, [brdf_task(each.name, each.evaluate) for each in materials])
-    rule = RECIPES[""]["quick"].rule
-    job = Job(APP, RECIPES[""]["quick"], rule)
+    rule = RECIPES["quick"].rule
+    job = Job(APP, RECIPES["quick"], rule)
     prepared = load_checkpoint(shipped_path("brdf", rule))[0]
     theta = paradigms()["meta"].fit(job, prepared, tasks, torch.Generator().manual_seed(0))
     angles, wi, wo = random_directions(20_000)

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from metapp.cli.names import KNOWN, Known
 from torch import Generator
 from typer.testing import CliRunner
 
-from data_tools.formats import merge_of
+from metapp import door
 from metapp.appearance.presentation import Presentation
 from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.baselines import baselines_of
@@ -22,7 +21,7 @@ from metapp.cli.commands import app as cli
 from metapp.cli.fit_options import OPTIONS
 from metapp.learning.task import Task
 from metapp.runs import BadOption
-from metapp.runs.checks import details
+from metapp.runs.options import all_options, options_of
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from metapp.runs.shipped import ships
@@ -38,7 +37,7 @@ def test_files_data_sets_and_trainings_go_by_the_best_recipe_that_ships(name: st
 
 
 def test_every_field_of_a_request_but_objects_is_an_option() -> None:
-    assert {field.name for field in fields(Request)} == OPTIONS.keys() | {"paradigm", "objects"}
+    assert {field.name for field in fields(Request)} == OPTIONS.keys() | {"paradigm", "objects", "options"}
 
 
 OWN = {"observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene-root"}
@@ -79,46 +78,39 @@ def test_help_fits_a_screen_and_leaves_out_what_the_paradigm_does_not_use(paradi
         assert len(shown.splitlines()) <= 50
         assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output", "Machine"]
         options = set(re.findall(r"^│ (?:-q, )?--([a-z-]+)", shown, re.MULTILINE))
-        every = {option.replace("_", "-") for option in OPTIONS} | {"json"}
+        every = {option.replace("_", "-") for option in (*OPTIONS, *all_options())} | {"json"}
         assert options == every - {"app", "inputs"} - (OWN - SHOWN[name]) - UNUSED[paradigm]
 
 
 @pytest.mark.parametrize("name", app_names())
-def test_what_help_and_completion_know_of_an_application_is_what_it_has(name: str) -> None:
+def test_offers_of_an_application_are_what_it_has(name: str) -> None:
     protocols = protocols_of(name)
-    recipes = {recipe: None for protocol in protocols or ("",) for recipe in recipes_of(name, protocol)}
+    assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
     apps = [app_of(name, recipes_of(name)["quick"], protocol) for protocol in protocols or ("",)]
     methods = {each.name: None for app in apps for each in baselines_of(app) if not each.matches}
-    shown = presentation_of(apps[0])
-    options = {
-        "size": type(shown).refusal is not Presentation.refusal,
-        "detail": bool(details(name)),
-        "render": shown.renders,
-        "exposures": merge_of(name) is not None,
-    }
-    known = KNOWN[name]
-    assert sorted(known.recipes) == sorted(recipes)
-    assert known == Known(known.recipes, protocols, tuple(methods), tuple(key for key, has in options.items() if has))
+    assert [method for offer in door.offers_of(door.Baselines, name) for method in offer.names] == list(methods)
+    options = {option.name for option, _ in options_of(name)}
+    assert ("size" in options) is (type(presentation_of(apps[0])).refusal is not Presentation.refusal)
 
 
 @pytest.mark.parametrize(
     ("app", "recipe", "detail", "line"),
     [
-        ("brdf", "", 512, "brdf has no choice by recipe .*; leave it out"),
-        ("texture", "quick", 512, "no choice by recipe quick; give --recipe full"),
+        ("brdf", "", 512, "--detail: brdf has no such option, only svbrdf_stationary, texture; leave it out"),
+        ("texture", "quick", 512, "--detail 512, by recipe quick: expected no choice; take another recipe"),
         ("texture", "full", 300, "expected one of 256, 512"),
     ],
 )
 def test_a_detail_that_there_is_not_is_refused(app: str, recipe: str, detail: int, line: str) -> None:
     with pytest.raises(BadOption, match=line):
-        plan(Request(app, recipe=recipe, detail=detail))
+        plan(Request(app, recipe=recipe, options={"detail": detail}))
 
 
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
 def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) -> None:
-    usual, fine = (plan(Request(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
-    assert usual.request.detail == 0
-    assert fine.request.detail == 512
+    usual, fine = (plan(Request(app, "general", recipe="full", options={"detail": detail})) for detail in (256, 512))
+    assert usual.options == {}
+    assert fine.options == {"detail": 512}
     assert (usual.app.traits.reads, fine.app.traits.reads) == (0, 512)
     shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
     assert shapes[0] == shapes[1]
@@ -129,4 +121,4 @@ def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) ->
 
 def test_training_has_no_detail() -> None:
     with pytest.raises(BadOption, match="leave --train out"):
-        plan(Request("texture", recipe="full", detail=512, train=True))
+        plan(Request("texture", recipe="full", options={"detail": 512}, train=True))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from metapp.apps.options import DETAIL, size
 from metapp.door import Application, recipes
+from metapp.networks.options import DETAIL, size
 
 _HERE = "metapp.apps.svbrdf_stationary"
 OFFERS = (

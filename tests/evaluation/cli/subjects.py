@@ -22,7 +22,7 @@ from tests.small_spheres import shrink_spheres
 def few_steps() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40, finetune_steps=5))
+        patch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.evaluation.tables.convergence.FURTHER", (2, 4))
         patch.setattr("metapp.evaluation.figures.style.DPI", 40)
         shrink_spheres(patch)

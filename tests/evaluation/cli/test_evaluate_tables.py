@@ -16,7 +16,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.cli.show import rich_table
 from metapp.evaluation.rows import paired_of
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import NAMES, load_table
+from metapp.evaluation.tables import load_table, table_names
 from metapp.learning.task import Params, Tasks
 from metapp.storage.records import RunFolder, read_records
 from tests.evaluation.cli.subjects import call, rows
@@ -43,19 +43,19 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path
     assert "missing" not in full.err
     assert full.document["which"] == "all"
     rows = full.document["rows"]
-    assert {row["table"] for row in rows} == set(NAMES)
+    assert {row["table"] for row in rows} == set(table_names())
     assert all(set(row) >= KEYS for row in rows)
     for row in (row for row in rows if row["table"] not in ("storage", "samples")):
         assert row["low"] <= row["error"] <= row["high"], row
         assert row["tasks"] == 3
-    for name in NAMES:
+    for name in table_names():
         one = evaluate(*common, "--which", name, "--json").document
         assert one["which"] == name
         assert [row | {"table": name} for row in one["rows"]] == [row for row in rows if row["table"] == name]
     for form, mark in (("rich", "BRDF"), ("markdown", "| --- |"), ("latex", r"\bottomrule"), ("csv", "app,")):
         shown = evaluate(*common, "--which", "all", "--format", form)
         assert shown.code == 0, shown.err
-        assert shown.out.count(mark) >= (1 if form == "csv" else len(NAMES))
+        assert shown.out.count(mark) >= (1 if form == "csv" else len(table_names()))
 
 
 def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: Subject) -> None:
@@ -99,7 +99,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
     from rich.console import Console
 
     monkeypatch.setattr("metapp.cli.show.out", lambda: Console(width=width))
-    for name in NAMES:
+    for name in table_names():
         table, found = load_table(name), rows(subject, name)
         if not found:
             continue

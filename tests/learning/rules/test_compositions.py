@@ -11,9 +11,9 @@ from torch import Generator
 
 from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.learning.app import App
+from metapp.learning.names import composition_names, rule_names
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import PARTS, RULES, rule_of
-from metapp.learning.rules.rule import NAMED, SHORT
+from metapp.learning.rules import parts_by_name, rule_of
 from metapp.learning.task import Params
 from tests.quick import app_by
 
@@ -56,12 +56,13 @@ def test_every_name_names_its_own_rule() -> None:
     assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
     assert rule_of("sgd+curvature").name == "sgd+curvature"
     assert rule_of("solve+loss").name == "ridge"
-    for name, rule in RULES.items():
-        assert rule.name == name
-        assert rule_of(name) is rule
-    assert len({rule.parts for rule in RULES.values()}) == len(RULES)
-    assert len({*PARTS, *SHORT, *NAMED}) == len(PARTS) + len(SHORT) + len(NAMED)
-    assert not [name for name in (*PARTS, *SHORT, *NAMED) if "+" in name]
+    names = [*rule_names(), *composition_names()]
+    for name in rule_names():
+        assert rule_of(name).name == name
+        assert rule_of(name) is rule_of(name)
+    assert len({rule_of(name).parts for name in rule_names()}) == len(rule_names())
+    assert len(set(names)) == len(names)
+    assert not [name for name in names if "+" in name]
 
 
 @pytest.mark.parametrize("name", ["adam+magic", "meta-magic", "", "adam+", "+", "Adam", "adam + curvature"])
@@ -115,9 +116,9 @@ def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part
 @pytest.mark.parametrize("name", ["curvature", "basis"])
 def test_matrices_are_needed(name: str) -> None:
     app = app_by("brdf")
-    assert PARTS[name].refusal(app, {"w": torch.ones(2, 3)}) == ""
-    assert PARTS[name].refusal(app, {"b": torch.ones(3)}) == "no parameter has two axes"
-    assert bool(PARTS["curvature"].refusal(app, {"kernel": torch.ones(2, 3, 3, 3)}))
+    assert parts_by_name()[name].refusal(app, {"w": torch.ones(2, 3)}) == ""
+    assert parts_by_name()[name].refusal(app, {"b": torch.ones(3)}) == "no parameter has two axes"
+    assert bool(parts_by_name()["curvature"].refusal(app, {"kernel": torch.ones(2, 3, 3, 3)}))
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -126,7 +127,7 @@ def test_all_rules_of_recipes_apply(name: str) -> None:
         for recipe in recipes_of(name, observe).values():
             for rule in (*recipe.meta, recipe.rule):
                 own = app_of(name, recipe, observe, rule=rule)
-                RULES[rule].require(own, one(own))
+                rule_of(rule).require(own, one(own))
 
 
 def test_recipes_train_other_rules_as_their_default() -> None:

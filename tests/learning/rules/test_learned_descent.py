@@ -16,7 +16,7 @@ from metapp.learning.adjoint import TORCH, Engine, Loss, at_step, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES, rule_of
+from metapp.learning.rules import rule_of
 from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
@@ -43,7 +43,7 @@ def batches_for(app: illumination.Illumination, randn: Callable[..., Tensor], co
 def phi_of(app: App, randn: Callable[..., Tensor]) -> Params:
     """A start and a rule away from what it is at first, flat."""
     theta = one(app)
-    alpha = RULES["meta-lgd"].alpha(app, theta, STEPS, FIRST)
+    alpha = rule_of("meta-lgd").alpha(app, theta, STEPS, FIRST)
     return MetaParameters(theta, {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}).flat()
 
 
@@ -124,7 +124,7 @@ def test_tasks_have_networks_of_their_own(seen: dict[str, Tensor], randn: Callab
 
 
 def mean_after_learning(app: Any, batches: list[dict[str, Tensor]], engine: Engine) -> Callable[[Params], Tensor]:
-    lifted = after_learning(Loss(unused, app.loss), RULES["meta-lgd"].rule, steps=STEPS, order=2, engine=engine)
+    lifted = after_learning(Loss(unused, app.loss), rule_of("meta-lgd").rule, steps=STEPS, order=2, engine=engine)
     return lambda phi: lifted.value(phi, (batches[:-1], batches[-1], None), {}).mean()
 
 

@@ -13,7 +13,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import at_step
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, PARTS, RULES, fixed_adam, rule_of, sgd
+from metapp.learning.rules import META_EPS, fixed_adam, parts_by_name, rule_of, sgd
 from metapp.learning.rules.part import Before, Part
 from metapp.learning.rules.parts import Average, Basis, averaging
 from metapp.learning.task import Params
@@ -101,7 +101,7 @@ def test_eps_divides_small_gradients(start: Params, single: list[Params]) -> Non
 
 
 def test_curvature_is_of_axes_that_have_more_than_one_entry(start: Params) -> None:
-    alpha = PARTS["curvature"].initial(APP, start, 3, FIRST)
+    alpha = parts_by_name()["curvature"].initial(APP, start, 3, FIRST)
     assert {key: tuple(value.shape) for key, value in alpha.items() if key.endswith((".w1", ".b1"))} == {
         "left.w1": (3, 21, 21),
         "right.w1": (3, 6, 6),
@@ -171,7 +171,7 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
 
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_learned_rules_start_well_formed(rule: str, start: Params) -> None:
-    alpha = RULES[rule].alpha(APP, start, 5, Adam(5e-3, beta2=0.99))
+    alpha = rule_of(rule).alpha(APP, start, 5, Adam(5e-3, beta2=0.99))
     for key, value in alpha.items():
         assert value.dtype == torch.float64 or rule == "meta-sgd", key
         # one entry for all steps, or one a step
@@ -179,7 +179,7 @@ def test_learned_rules_start_well_formed(rule: str, start: Params) -> None:
         tied = rule == "meta-sgd" or paced or key == "eps" or key.startswith(("out.", "in."))
         assert value.shape[0] == (1 if tied else 5), key
         value += 0  # each has memory of its own, which training may write to
-    built = RULES[rule].rule(alpha)
+    built = rule_of(rule).rule(alpha)
     assert {key for key in built.alpha if key.startswith("loss.")} == (
         set() if rule == "meta-sgd" else {f"loss.{key}" for key in APP.loss_parameters(5)}
     )
@@ -189,7 +189,7 @@ def test_learned_rules_start_well_formed(rule: str, start: Params) -> None:
 @pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
 def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
     own = dataclasses.replace(settings, eps=1e-3)
-    learned = RULES[rule].rule(RULES[rule].alpha(APP, start, STEPS, own))
+    learned = rule_of(rule).rule(rule_of(rule).alpha(APP, start, STEPS, own))
     plain = fixed_adam(own if "eps" in learned.alpha else dataclasses.replace(own, eps=META_EPS), start, STEPS)
     until = -1 if "mean" in learned.alpha else None  # the last answer is a mean then
     assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])
@@ -198,31 +198,31 @@ def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, s
 def test_tied_rates_are_adam_s_where_its_rates_are_alike(start: Params, single: list[Params]) -> None:
     """With paces of 0 and the same rates at every step; a pace multiplies the rates of one tensor at one step."""
     rng = Generator().manual_seed(0)
-    tied = RULES["meta-adam-tied"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
-    free = RULES["meta-adam"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    tied = rule_of("meta-adam-tied").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    free = rule_of("meta-adam").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     for key in start:
         tied[f"rate.{key}"] = tied[f"rate.{key}"] + torch.randn(start[key].shape, generator=rng).double()
         free[f"rate.{key}"] = tied[f"rate.{key}"].repeat(STEPS, *[1] * start[key].ndim)
     assert set(tied) - set(free) == {f"pace.{key}" for key in start}
-    path = run(RULES["meta-adam-tied"].rule(tied), start, single)
-    assert_same(path, run(RULES["meta-adam"].rule(free), start, single))
+    path = run(rule_of("meta-adam-tied").rule(tied), start, single)
+    assert_same(path, run(rule_of("meta-adam").rule(free), start, single))
 
     tied["pace.w2"] = tied["pace.w2"].clone()
     tied["pace.w2"][3] = math.log(3)
     free["rate.w2"][3] += math.log(3)
-    paced = run(RULES["meta-adam-tied"].rule(tied), start, single)
-    assert_same(paced, run(RULES["meta-adam"].rule(free), start, single))
+    paced = run(rule_of("meta-adam-tied").rule(tied), start, single)
+    assert_same(paced, run(rule_of("meta-adam").rule(free), start, single))
     torch.testing.assert_close(paced[3]["w2"] - paced[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
 
 
 def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params]) -> None:
     rng = Generator().manual_seed(0)
-    alpha = RULES["meta-curvature"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    alpha = rule_of("meta-curvature").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     left, right = (torch.randn(21, 21, generator=rng).double() for _ in "lr")
     alpha |= {"left.w2": left[None], "right.w2": right[None]}
-    plain = RULES["meta-adam"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
-    bent = run(RULES["meta-curvature"].rule(alpha), start, single[:1])[0]
-    straight = run(RULES["meta-adam"].rule(plain), start, single[:1])[0]
+    plain = rule_of("meta-adam").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    bent = run(rule_of("meta-curvature").rule(alpha), start, single[:1])[0]
+    straight = run(rule_of("meta-adam").rule(plain), start, single[:1])[0]
     torch.testing.assert_close(bent["w2"] - start["w2"], left @ (straight["w2"] - start["w2"]) @ right)
     for key in set(start) - {"w2"}:
         torch.testing.assert_close(bent[key], straight[key])
@@ -232,10 +232,10 @@ def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params
 def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, start: Params, rng: Generator) -> None:
     grads = [{key: torch.randn(v.shape, generator=rng).to(v) for key, v in start.items()} for _ in range(steps)]
     tied, mean = (
-        RULES[rule].alpha(APP, start, steps, Adam(5e-3, eps=META_EPS)) for rule in ("meta-adam-tied", "meta-mean")
+        rule_of(rule).alpha(APP, start, steps, Adam(5e-3, eps=META_EPS)) for rule in ("meta-adam-tied", "meta-mean")
     )
-    path = run(RULES["meta-adam-tied"].rule(tied), start, grads)
-    averaged = run(RULES["meta-mean"].rule(mean), start, grads)
+    path = run(rule_of("meta-adam-tied").rule(tied), start, grads)
+    averaged = run(rule_of("meta-mean").rule(mean), start, grads)
     assert_same(averaged[:-1], path[:-1])
     last = path[-max(round(0.4 * steps), 1) :]
     for key in start:

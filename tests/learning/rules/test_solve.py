@@ -14,7 +14,7 @@ from metapp.learning.adjoint import Drawn, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import learn, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import PARTS, rule_of
+from metapp.learning.rules import parts_by_name, rule_of
 from metapp.learning.rules.solve import GREATEST, LEAST, ROUNDING, NormalEquations
 from metapp.learning.task import Batch, Linear, Params
 from tests.learning.parabolas import unused
@@ -167,6 +167,6 @@ def test_penalties_are_at_least_what_rounding_makes_of_the_normal_equations() ->
 
 
 def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
-    alpha = PARTS["solve"].initial(Line(), {key: each[0] for key, each in theta.items()}, STEPS, Adam(1e-3))
+    alpha = parts_by_name()["solve"].initial(Line(), {key: each[0] for key, each in theta.items()}, STEPS, Adam(1e-3))
     assert {key: tuple(each.shape) for key, each in alpha.items()} == {"penalty.W": (1, FEATURES), "keep.W": (STEPS,)}
     assert len(alpha["penalty.W"].unique()) == 1
