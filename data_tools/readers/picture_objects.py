@@ -119,7 +119,8 @@ def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, 
         path = folder / name
         try:
             path = write(folder)
-            return next(form for form in inputs_of(app) if form.recognises(path)).read(path, how)
+            task: Task = next(form for form in inputs_of(app) if form.recognises(path)).read(path, how)
+            return task
         except ValueError as error:
             text = str(error).replace(str(path), path.stem)
             raise ValueError(text.replace(f"{folder}/", "")) from None

@@ -53,7 +53,7 @@ def command(
     known = {name: application_of(name) for name in app_names() if application_of(name).examples}
     if app and app not in known:
         raise typer.BadParameter(f"'{app}': expected one of {', '.join(known)}.{meant(app, known)}")
-    apps, files = [app] if app else list(known), []
+    apps, files = [app] if app else list(known), list[Path]()
     for name in apps if folder else ():
         files += door.load(known[name].files)(name, folder) if known[name].files else []
     found = {name: lines_of(name, folder or FOLDER, None if app else 2) for name in apps}
