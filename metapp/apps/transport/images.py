@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 
+from metapp import door
 from metapp.appearance.metrics import dssim, mape, smape
 from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.apps.transport.flow import Flow
@@ -76,9 +77,8 @@ class Studio:
 
     def guided_path(self, spp: int, seed: int = 0) -> Shot:
         """The same, guided at all bounces by the cache that it learns while it renders."""
-        from metapp.extensions.guided.integrator import register_guided_path  # imports Mitsuba
-
-        register_guided_path()
+        for plugin in door.offers(door.Plugin):
+            door.load(plugin.register)()
         return self._by({"type": "metapp_guided_path"}, spp, seed)
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
