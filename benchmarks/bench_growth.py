@@ -21,7 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf.app import Brdf, network
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.engine import FASTEST
 from metapp.learning.adjoint import Drawn, Loss
@@ -62,7 +62,8 @@ def draw(size: Size, rng: Generator) -> Batch:
     where = (vectors / vectors.norm(dim=2, keepdim=True)).flatten(1, 2)
     cosine = torch.rand(size.tasks, 1, size.samples, generator=rng)
     other = APP.init(Generator().manual_seed(1), size.tasks)
-    return {"where": torch.cat([where, cosine], 1), "target": torch.log1p(network(other, where).clamp_min(0) * cosine)}
+    reflectance = APP.setup.reflectance(other, where).clamp_min(0)
+    return {"where": torch.cat([where, cosine], 1), "target": torch.log1p(reflectance * cosine)}
 
 
 def loss_of(size: Size) -> Loss:

@@ -25,11 +25,10 @@ from benchmarks import bench_samples
 from benchmarks.bench_samples import Errors, Way, errors_of, figure, ratios
 from data_tools.readers.brdf_task import as_measured
 from data_tools.readers.nbrdf import read_nbrdf
-from metapp.appearance.geometry import directions_to_full_circle
+from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
 from metapp.appearance.noise import factors
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.design import Limits, places_of
-from metapp.apps.brdf.featured import outgoing_cosine
 from metapp.baselines.baseline import Training
 from metapp.baselines.brdf import EPSILON, Space, _space
 from metapp.cli.console import run

@@ -21,14 +21,11 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError
-from torch import Generator
 
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp import door
-from metapp.apps import recipes_of
-from metapp.apps.brdf.app import Brdf, layers_of
-from metapp.apps.brdf.featured import TURN
-from metapp.apps.brdf.few import DARKEST
+from metapp.apps import app_of, recipes_of
+from metapp.apps.brdf.networks import network_of
 from metapp.learning.task import Params
 from metapp.rendering.bsdfs.neural_brdf import Material, register_neural_brdf
 from metapp.rendering.bsdfs.neural_svbrdf import register_maps_bsdf
@@ -42,10 +39,11 @@ def read_material(path: Path) -> Material:
         ValueError: there is none, or it is damaged.
     """
     theta = _parameters(path) if path.is_file() else _from_nbrdf(path)
-    layers = tuple((weights.float().numpy(), bias.float().numpy()) for weights, bias in layers_of(theta))
-    turn = float(theta[TURN]) if TURN in theta else None
-    darkest = DARKEST if "deviation" in theta else 0.0
-    return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta), turn, darkest)
+    network = network_of(theta)
+    folded = network.folded(theta)
+    layers = tuple((weights.float().numpy(), bias.float().numpy()) for weights, bias in folded.layers)
+    evaluate = functools.partial(network.evaluate, theta)
+    return Material(layers, folded.inputs != "nbrdf", evaluate, folded.turn, folded.darkest)
 
 
 def _parameters(path: Path) -> Params:
@@ -54,10 +52,9 @@ def _parameters(path: Path) -> Params:
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
-    setups = {None, *(each.setup for recipe in recipes_of("brdf").values() for each in recipe.meta.values())}
-    networks = [Brdf(setup).init(Generator().manual_seed(0), 1) for setup in setups]
-    known = [{key: value[0].shape for key, value in network.items()} for network in networks]
-    if shapes not in known:
+    recipes = recipes_of("brdf").values()
+    networks = {app_of("brdf", recipe, rule=rule).setup for recipe in recipes for rule in recipe.meta}
+    if shapes not in [network.shapes for network in networks]:
         found = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {found[:80]}, expected those of a BRDF fit; take a file of its params/.")
     if not all(bool(value.isfinite().all()) for value in theta.values()):

@@ -14,7 +14,6 @@ from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf.anisotropic import axes_of
 from metapp.apps.brdf.anisotropic_residual import corners
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.featured import features_of
 from metapp.apps.brdf.recipes import ANISOTROPIC
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task
@@ -50,7 +49,7 @@ def fitted() -> Params:
     theta = APP.init(torch.Generator().manual_seed(0), 1)
     batch = APP.sample(tasks, torch.Generator().manual_seed(1), 4096)
     theta["turn"] = axes_of(batch)
-    features = features_of(theta, batch["where"]).double()
+    features = APP.setup.features_of(theta, batch["where"]).double()
     cos = batch["where"][:, 6:7]
     target = torch.log1p(torch.expm1(batch["target"]) / cos.clamp_min(0.05)).double()
     gram = features @ features.mT + 0.1 * torch.eye(features.shape[1], dtype=torch.float64)

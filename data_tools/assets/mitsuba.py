@@ -109,7 +109,7 @@ def export(app: Brdf, theta: Params, path: Path) -> None:
     tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
     write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))
     description = f"{path.name}: a fit of metapp"
-    write_rgl(path / f"{path.name}.bsdf", partial(app.reflectance, theta), description, azimuths=app.anisotropic)
+    write_rgl(path / f"{path.name}.bsdf", partial(app.reflectance, theta), description, azimuths=app.setup.anisotropic)
     for plugin, (suffix, ending) in FILES.items():
         _write(brdf_scene(plugin, path.name, f"{path.name}{ending}"), path / f"{path.name}{suffix}.xml")
 

@@ -221,7 +221,7 @@ def _area(half: Tensor, viewers: Tensor) -> NDArray[np.float64]:
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a file of the RGL database; `path` without .bsdf gets it."""
     file = suffixed(path, SUFFIX)
-    write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp", azimuths=app.anisotropic)
+    write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp", azimuths=app.setup.anisotropic)
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:

@@ -146,6 +146,12 @@ def half_difference_incident(angles: Tensor) -> Tensor:
     return places
 
 
+def outgoing_cosine(where: Tensor) -> Tensor:
+    """Cos theta_o [T, N] of half vector, difference vector and cos theta_i, [T, 7, N]."""
+    half_x, _, half_z, x, _, z, _ = where.unbind(1)
+    return torch.addcmul(z * half_z, x, half_x)
+
+
 def cosines(angles: Tensor) -> Cosines:
     """The four cosines of half and difference angles [..., 3 or 4] in rad, without forming directions."""
     theta_h, theta_d, phi_d = angles[..., :3].unbind(-1)
@@ -158,6 +164,12 @@ def above_horizon(angles: Tensor) -> Tensor:
     """Whether both directions are above the surface: bool [...] of angles [..., 3 or 4] in rad."""
     incident, outgoing, *_ = cosines(angles)
     return (incident > 0) & (outgoing > 0)
+
+
+def spread_angles(count: int) -> Tensor:
+    """Angles [count, 3] in rad that are spread as held-out samples of BRDFs are: uniform, above the horizon."""
+    draws = torch.quasirandom.SobolEngine(3).draw(4 * count) * torch.tensor([math.pi / 2, math.pi / 2, math.tau])
+    return draws[above_horizon(draws)][:count]
 
 
 def direction_cosines(wi: Tensor, wo: Tensor, normal: Tensor) -> Cosines:

@@ -207,7 +207,7 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         title = f"a Lambertian body and {name}, by least squares on the table's error"
         lobes_of = functools.partial(_lobes, count)
         entries.append(Baseline(f"ggx_{count}", title, "be more than a sum of such lobes", lobes_of, learns=False))
-        if getattr(app.setup, "anisotropic", False):
+        if app.setup.anisotropic:
             title = title.replace("GGX", "anisotropic GGX")
             lobes_of = functools.partial(_anisotropic_lobes, count)
             entries.append(Baseline(f"ggx_{count}a", title, "be more than a sum of such lobes", lobes_of, learns=False))

@@ -10,10 +10,9 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.readers.gonio import Pairs, read_pairs
-from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps.brdf import few
+from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
+from metapp.apps.brdf import gaussian
 from metapp.apps.brdf.design import Limits, belief, expected_errors, places_of, plan
-from metapp.apps.brdf.featured import outgoing_cosine
 from metapp.learning.task import Params
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.plan import plan as plan_of
@@ -72,8 +71,8 @@ def fitted(theta: Params, angles: Tensor, reflectance: Tensor) -> Params:
     where = places_of(angles.float())
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
     batch = {"where": where, "target": target, "count": torch.tensor([float(len(angles))])}
-    linear = few.linear(theta, batch)
-    known = belief(theta, where, few.slope_of(reflectance.T[None].float(), where))
+    linear = gaussian.linear(theta, batch)
+    known = belief(theta, where, gaussian.slope_of(reflectance.T[None].float(), where))
     moment = (linear.residual[0] * linear.weights[0] / len(angles)) @ linear.features[0].T
     change = torch.einsum("cfg,cg->cf", known.covariance, moment.double())
     return theta | {"last": theta["last"] + change[None].float()}

@@ -15,7 +15,8 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cosines
-from metapp.apps.brdf.app import KNOTS, Brdf
+from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.nbrdf import KNOTS
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -252,7 +253,7 @@ def test_a_made_up_material_is_one_material(tasks: Tasks, rng: Generator) -> Non
 def test_mixtures_are_between_two_materials(tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     grey = weighted(tasks).mean(2, keepdim=True).expand(-1, -1, 3)  # which permuting channels leaves alone
     tasks = Tasks(tasks.names, {**tasks.data, "target": torch.log1p(grey)}, tasks.rows)
-    monkeypatch.setattr("metapp.apps.brdf.torch.randn", lambda *shape, **_: torch.zeros(shape))  # no gains
+    monkeypatch.setattr("metapp.apps.brdf.augmentation.torch.randn", lambda *shape, **_: torch.zeros(shape))  # no gains
     mixed = 0
     for _ in range(4):
         made = APP.augment(tasks, rng)

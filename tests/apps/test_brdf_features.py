@@ -10,8 +10,9 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import cosines, half_difference
-from metapp.apps.brdf.app import MEASURED_RAD, NOISE, Brdf, measured, network
-from metapp.apps.brdf.featured import INPUTS, Featured, features_of, inputs_of
+from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.augmentation import MEASURED_RAD, NOISE, measured
+from metapp.apps.brdf.featured import INPUTS, Featured, inputs_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
@@ -59,14 +60,14 @@ def test_inputs_are_finite_everywhere(where: torch.Tensor) -> None:
 
 def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tensor) -> None:
     """And the last feature is constant."""
-    assert bool((features_of(theta, where)[:, -1] == 1).all())
+    assert bool((SIZE.features_of(theta, where)[:, -1] == 1).all())
     twice = theta | {"last": 2 * theta["last"]}
-    logs = [torch.log1p(network(each, where)) for each in (theta, twice)]
+    logs = [torch.log1p(SIZE.reflectance(each, where)) for each in (theta, twice)]
     torch.testing.assert_close(2 * logs[0], logs[1], rtol=1e-4, atol=1e-5)
 
 
 def test_the_code_changes_features(theta: Params, where: torch.Tensor) -> None:
-    assert not torch.allclose(features_of(theta, where), features_of(theta | {"z": -theta["z"]}, where))
+    assert not torch.allclose(SIZE.features_of(theta, where), SIZE.features_of(theta | {"z": -theta["z"]}, where))
 
 
 def test_the_encoder_predicts_what_a_task_has_of_its_own(theta: Params) -> None:

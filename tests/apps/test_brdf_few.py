@@ -10,15 +10,12 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps.brdf.app import Brdf, fewer, layers_of, network
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.design import CALIBRATED, Limits, belief, expected_errors, places_of, plan
 from metapp.apps.brdf.featured import inputs_of
-from metapp.apps.brdf.few import (
+from metapp.apps.brdf.few import MOST, TABLE, Few
+from metapp.apps.brdf.gaussian import (
     DARKEST,
-    MOST,
-    TABLE,
-    Few,
-    condensed,
     cosine_product,
     features_of,
     linear,
@@ -134,10 +131,10 @@ def test_a_fit_of_what_the_model_draws_finds_it(theta: Params, where: Tensor) ->
 def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
     one = {key: value[0] for key, value in theta.items()}
     x = inputs_of(where)[0]
-    for weights, bias in (layers := layers_of(one))[:2]:
+    for weights, bias in (layers := APP.setup.folded(one).layers)[:2]:
         x = torch.nn.functional.silu(weights @ x + bias[:, None])
     x = layers[2][0] @ x + layers[2][1][:, None]
-    torch.testing.assert_close((x.exp() - DARKEST) / cosine_product(where)[0], network(theta, where)[0])
+    torch.testing.assert_close((x.exp() - DARKEST) / cosine_product(where)[0], APP.setup.reflectance(theta, where)[0])
 
 
 # What a fit sees
@@ -146,11 +143,11 @@ def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
 @pytest.mark.usefixtures("small_spheres")
 def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> None:
     task = brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
-    data = Brdf(None).prepare(task)
-    assert float(condensed(data)["count"]) == TABLE
+    data = Brdf().prepare(task)
+    assert float(APP.setup.prepare(data)["count"]) == TABLE
     rows = torch.arange(2048) % 40 + 100
     cut = {key: torch.cat([value[rows], value[2048:]]) for key, value in data.items()}
-    found = condensed(cut)
+    found = APP.setup.prepare(cut)
     assert float(found["count"]) == 40
     assert torch.equal(found["where"][:40].unique(dim=0), data["where"][100:140].unique(dim=0))
     assert torch.equal(found["where"][2048:], data["where"][2048:])
@@ -160,7 +157,7 @@ def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> N
 
 def test_training_draws_few_samples_of_each_material() -> None:
     where = places_of(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
-    data = fewer({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
+    data = APP.setup.augment({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
     assert data["where"].shape == where.shape
     assert bool(((data["count"] >= 4) & (data["count"] <= MOST)).all())
     assert len(data["count"].unique()) > 1

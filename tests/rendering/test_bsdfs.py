@@ -19,7 +19,8 @@ from torch import Tensor
 import metapp
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps.brdf.app import Brdf, layers_of
+from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.networks import network_of
 from metapp.rendering.scenes.rules import box_film
 from metapp.storage.tensors import read_tensors
 from tests.marked import long
@@ -83,7 +84,7 @@ def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor
 def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
     """Ours, in double precision, [3, N]."""
     theta = {key: value.double() for key, value in read_tensors(file).items()}
-    return Brdf().reflectance(theta, angles).numpy().T
+    return network_of(theta).evaluate(theta, angles).numpy().T
 
 
 @pytest.mark.parametrize("network", [*BOTH, long("few")])
@@ -265,7 +266,8 @@ def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: di
         dr.enable_grad(parameters[key])
     value = bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, len(light[0])), mi.Vector3f(light))
     dr.backward(dr.sum(value, axis=None))
-    layers = [part for pair in layers_of(read_tensors(fits[network])) for part in pair]
+    theta = read_tensors(fits[network])
+    layers = [part for pair in network_of(theta).folded(theta).layers for part in pair]
     for part in layers:
         part.requires_grad_()
     total(layers, network, light, viewer).backward()  # type: ignore[no-untyped-call]

@@ -26,7 +26,7 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
 from metapp.apps import presentation_of
 from metapp.apps.brdf.anisotropic_residual import CELLS as AZIMUTHAL
-from metapp.apps.brdf.app import Brdf, layers_of
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few import Few
 from metapp.apps.brdf.viewing import CELLS, packed
@@ -97,7 +97,7 @@ def open_page(browser: Any, folder: Path, fits: list[Shown]) -> Page:
 @pytest.mark.parametrize("name", APPS)
 def test_packed_weights_are_the_network(name: str) -> None:
     """Unpacked as the shader reads them, they give its outputs."""
-    layers = layers_of(theta_of(name))
+    layers = APPS[name].setup.folded(theta_of(name)).layers
     (w1, b1), (w2, b2), (w3, b3) = layers
     rng = Generator().manual_seed(0)
     x = torch.randn(w1.shape[1], generator=rng, dtype=torch.float64)
@@ -167,7 +167,7 @@ def test_the_shader_evaluates_the_fit(browser: Any, tmp_path: Path) -> None:
     ).unbind()
     wo = wo * torch.tensor([-1.0, 1, 1])
     for column, (name, app) in enumerate(APPS.items()):
-        to_angles = directions_to_four_angles if app.anisotropic else directions_to_rusinkiewicz
+        to_angles = directions_to_four_angles if app.setup.anisotropic else directions_to_rusinkiewicz
         wanted = app.reflectance(theta_of(name), to_angles(wi, wo))
         script = "([column, pairs]) => metapp.viewer.evaluate(column, pairs)[0]"
         found = torch.tensor(page.page.evaluate(script, [column, torch.stack([wi, wo], 1).tolist()]))
@@ -187,7 +187,7 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(browser: 
     angles[100:150, 0] = 1e-4
     wi, wo = rusinkiewicz_to_directions(angles[above_horizon(angles)].double())
     angles = directions_to_four_angles(wi, wo).float()
-    fit = app.reflectance(theta, angles if app.anisotropic else folded(angles))
+    fit = app.reflectance(theta, angles if app.setup.anisotropic else folded(angles))
     more = anisotropic.interpolated(shown[0].view.arrays["residual"], angles, turn)
     wanted = torch.expm1(torch.log1p(fit) + more).clamp_min(0)
     script = "pairs => metapp.viewer.evaluate(0, pairs)[1]"

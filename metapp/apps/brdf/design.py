@@ -1,4 +1,4 @@
-"""What samples leave open of a material, and which directions to measure next, by the Gaussian model of `few`.
+"""What samples leave open of a material, and which directions to measure next, by the model of `gaussian`.
 
 Its covariance after samples does not depend on what their colours are but through their brightness, so that directions
 can be chosen before anything is measured: one after the other, each where the expected error of all directions falls
@@ -14,9 +14,13 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.geometry import above_horizon, directions_to_full_circle, half_difference_incident
-from metapp.apps.brdf.featured import outgoing_cosine
-from metapp.apps.brdf.few import features_of, opponent, precision, reflectance_of, slope_of
+from metapp.appearance.geometry import (
+    directions_to_full_circle,
+    half_difference_incident,
+    outgoing_cosine,
+    spread_angles,
+)
+from metapp.apps.brdf.gaussian import features_of, opponent, precision, reflectance_of, slope_of
 from metapp.learning.task import Params
 
 CANDIDATES, REFERENCES = 4096, 2048
@@ -84,7 +88,7 @@ def belief(theta: Params, where: Tensor, slope: Tensor | None = None) -> Belief:
     Args:
         theta: parameters of one task [1, ...].
         where: places of the samples, [1, 7, N]; N may be 0.
-        slope: of the samples, [1, 3, N], as `few.slope_of` of what was measured; None: of what theta says.
+        slope: of the samples, [1, 3, N], as `gaussian.slope_of` of what was measured; None: of what theta says.
     """
     if slope is None:
         slope = slope_of(reflectance_of(theta, where).clamp_min(0), where)
@@ -92,12 +96,6 @@ def belief(theta: Params, where: Tensor, slope: Tensor | None = None) -> Belief:
     gram = features * precision(theta, slope)[0].double() @ features.T
     prior = torch.diag_embed(torch.exp(-2 * theta["deviation"][0].double()))
     return Belief(theta, torch.cholesky_inverse(torch.linalg.cholesky(gram + prior)))
-
-
-def spread_angles(count: int) -> Tensor:
-    """Angles [count, 3] in rad that are spread as held-out samples of BRDFs are: uniform, above the horizon."""
-    draws = torch.quasirandom.SobolEngine(3).draw(4 * count) * torch.tensor([math.pi / 2, math.pi / 2, math.tau])
-    return draws[above_horizon(draws)][:count]
 
 
 @functools.cache

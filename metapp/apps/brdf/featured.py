@@ -8,14 +8,17 @@ Features of a pair of directions are learned on all training materials; the code
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
 
+from metapp.appearance.geometry import outgoing_cosine
 from metapp.apps.brdf import anisotropic
+from metapp.apps.brdf.augmentation import measured
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
+from metapp.apps.brdf.network import BrdfNetwork, Folded
 from metapp.learning.task import Batch, Linear, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
@@ -23,7 +26,8 @@ INPUTS = 15
 TURN = "turn"  # of an anisotropic material, its own: the azimuth of its axes
 
 
-class Featured(NamedTuple):
+@dataclass(frozen=True)
+class Featured(BrdfNetwork):
     """The network's size.
 
     Attributes:
@@ -49,8 +53,11 @@ class Featured(NamedTuple):
 
     @property
     def own(self) -> tuple[str, ...]:
-        """What a material does not share with others."""
         return ("z", "last", TURN) if self.anisotropic else ("z", "last")
+
+    @property
+    def solves(self) -> str:
+        return "last"
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights, the same for all but for the code: 0."""
@@ -77,14 +84,61 @@ class Featured(NamedTuple):
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """A code and a last layer from samples, beside the shared weights."""
         own = {TURN: anisotropic.axes_of(condition)} if self.anisotropic else {}
-        samples = torch.cat([read_by(own, condition["where"]), condition["target"]], 1).transpose(1, 2)
+        samples = torch.cat([self._read(own, condition["where"]), condition["target"]], 1).transpose(1, 2)
         z, last = read_set(reader_of(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
         return with_decoder(own | {"z": z[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
 
+    def _read(self, theta: Params, where: Tensor) -> Tensor:
+        """What the network reads, [T, inputs, N] of places [T, 7, N]."""
+        return anisotropic.inputs_of(where, theta[TURN]) if self.anisotropic else inputs_of(where)
 
-def read_by(theta: Params, where: Tensor) -> Tensor:
-    """What a network reads [T, inputs, N] of half vector, difference vector and cos theta_i, [T, 7, N]."""
-    return anisotropic.inputs_of(where, theta[TURN]) if TURN in theta else inputs_of(where)
+    def features_of(self, theta: Params, where: Tensor) -> Tensor:
+        """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
+        x = self._read(theta, where)
+        for layer in (1, 2):
+            gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2, 1)
+            weights, bias = theta[f"w{layer}"] * (1 + gain), theta[f"b{layer}"] * (1 + gain) + shift
+            x = silu(torch.baddbmm(bias, weights, x))
+        x = torch.baddbmm(theta["b3"], theta["w3"], x)
+        return torch.cat([x, torch.ones_like(x[:, :1])], 1)
+
+    def reflectance(self, theta: Params, where: Tensor) -> Tensor:
+        """exp(last layer) - 1."""
+        return torch.expm1(torch.bmm(theta["last"], self.features_of(theta, where)))
+
+    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
+        where, target = batch["where"], batch["target"]
+        cos = where[:, 6:7]
+        features = self.features_of(theta, where)
+        residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
+        # the derivative of log(1 + f cos theta_i) in log(1 + f)
+        slope = 1 - (1 - cos) * torch.exp(-target)
+        d = slope * residual
+        s = torch.exp(learned["smoothing"])[:, None]
+        weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
+        return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
+
+    def augment(self, data: Params, rng: Generator) -> Params:
+        """Turn anisotropic materials about the normal; where it learns from measurements, make samples like these."""
+        if self.anisotropic:
+            turn = 2 * math.pi * torch.rand(len(data["where"]), 1, generator=rng, device=rng.device)
+            data = data | {"where": anisotropic.turned(data["where"], turn)}
+        return measured(data, rng) if self.measured else data
+
+    def folded(self, theta: Params) -> Folded:
+        """The code and the features' own layer are multiplied out."""
+        theta = {key: value.detach().double() for key, value in theta.items()}
+        layers = []
+        for layer in ("1", "2"):
+            gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2)
+            bias = theta[f"b{layer}"] * (1 + gain) + shift
+            layers.append((theta[f"w{layer}"] * (1 + gain), bias.flatten()))
+        last, constant = theta["last"][:, :-1], theta["last"][:, -1]
+        layers.append((last @ theta["w3"], (last @ theta["b3"]).flatten() + constant))
+        if self.anisotropic:
+            return Folded(layers, "anisotropic", float(theta[TURN]))
+        return Folded(layers, "featured")
 
 
 def inputs_of(where: Tensor) -> Tensor:
@@ -100,59 +154,3 @@ def inputs_of(where: Tensor) -> Tensor:
     logs = torch.stack([square + 1e-4, square + 1e-2, incident.clamp_min(1e-3), outgoing.clamp_min(1e-3)], 1).log()
     more = torch.stack([outgoing, angle.sqrt(), 1 / (1 + 100 * square), x * x - y * y], 1)
     return torch.cat([where, more, 0.4 * logs + 1], 1)
-
-
-def outgoing_cosine(where: Tensor) -> Tensor:
-    """Cos theta_o [T, N] of half vector, difference vector and cos theta_i, [T, 7, N]."""
-    half_x, _, half_z, x, _, z, _ = where.unbind(1)
-    return torch.addcmul(z * half_z, x, half_x)
-
-
-def features_of(theta: Params, where: Tensor) -> Tensor:
-    """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
-    x = read_by(theta, where)
-    for layer in (1, 2):
-        gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2, 1)
-        weights, bias = theta[f"w{layer}"] * (1 + gain), theta[f"b{layer}"] * (1 + gain) + shift
-        x = silu(torch.baddbmm(bias, weights, x))
-    x = torch.baddbmm(theta["b3"], theta["w3"], x)
-    return torch.cat([x, torch.ones_like(x[:, :1])], 1)
-
-
-def folded(theta: Params) -> list[tuple[Tensor, Tensor]]:
-    """One material's network as three plain layers, the code and the features' own layer multiplied out.
-
-    Args:
-        theta: parameters of one task, without a task axis.
-
-    Returns:
-        Weights [out, in] and biases [out] from `inputs_of` to log(1 + f), hidden ones with SiLU; float64.
-    """
-    theta = {key: value.detach().double() for key, value in theta.items()}
-    layers = []
-    for layer in ("1", "2"):
-        gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2)
-        bias = theta[f"b{layer}"] * (1 + gain) + shift
-        layers.append((theta[f"w{layer}"] * (1 + gain), bias.flatten()))
-    last, constant = theta["last"][:, :-1], theta["last"][:, -1]
-    layers.append((last @ theta["w3"], (last @ theta["b3"]).flatten() + constant))
-    return layers
-
-
-def reflectance_of(theta: Params, where: Tensor) -> Tensor:
-    """Reflectance before the clamp at 0: exp(last layer) - 1, [T, 3, N], linear RGB in 1/sr, above -1."""
-    return torch.expm1(torch.bmm(theta["last"], features_of(theta, where)))
-
-
-def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
-    """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
-    where, target = batch["where"], batch["target"]
-    cos = where[:, 6:7]
-    features = features_of(theta, where)
-    residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
-    # the derivative of log(1 + f cos theta_i) in log(1 + f)
-    slope = 1 - (1 - cos) * torch.exp(-target)
-    d = slope * residual
-    s = torch.exp(learned["smoothing"])[:, None]
-    weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
-    return Linear("last", features, residual, weights, d.abs().mean((1, 2)))

@@ -1,34 +1,32 @@
-"""A linear Gaussian model of BRDFs, for fits of few samples: a mean, learned features, and how far materials vary.
-
-Logarithms of reflectance are what it adds up, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
-Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
-weights, so that one ridge regression gives its mean, and its covariance says what the samples leave open:
-`metapp.apps.brdf.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes.
-"""
+"""The network of fits of few samples: the linear Gaussian model of `metapp.apps.brdf.gaussian`."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import silu
 
-from metapp.apps.brdf.featured import INPUTS, inputs_of, outgoing_cosine
-from metapp.learning.task import Batch, Linear, Params
+from metapp.appearance.noise import factors
+from metapp.apps.brdf import gaussian
+from metapp.apps.brdf.augmentation import NOISY, within_reach
+from metapp.apps.brdf.design import belief, expected_errors
+from metapp.apps.brdf.featured import INPUTS
+from metapp.apps.brdf.gaussian import DARKEST, opponent, slope_of
+from metapp.apps.brdf.network import BrdfNetwork, Folded, samples_at
+from metapp.learning.task import Batch, Linear, Params, Tasks
 
 MOST = 512  # samples of which a material has few at most
 TABLE = 32  # samples of a table, which has more, that a fit sees: the first ones
-DARKEST = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
-LARGEST = 14.0  # logarithm of reflectance: 1.2e6 1/sr
+FEWEST, FEW_NOISE, POLAR = 4, 0.1, 3  # few samples: at least, their noise, and the power that crowds theta_h around 0
+SEEN = 256  # at most, in training
 LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
-NOISE = (3.4, -3.0, 0.5)  # before training: see `precision`
-# columns: luminance, and two axes of colour, of unit length
-OPPONENT = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
+NOISE = (3.4, -3.0, 0.5)  # before training: see `gaussian.precision`
 
 
-class Few(NamedTuple):
+@dataclass(frozen=True)
+class Few(BrdfNetwork):
     """The network's size.
 
     Attributes:
@@ -41,8 +39,11 @@ class Few(NamedTuple):
 
     @property
     def own(self) -> tuple[str, ...]:
-        """What a material does not share with others."""
         return ("last",)
+
+    @property
+    def solves(self) -> str:
+        return "last"
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights, the same for all.
@@ -62,87 +63,70 @@ class Few(NamedTuple):
         theta["noise"] = torch.tensor(NOISE, device=rng.device)
         return {key: value.expand(count, *value.shape) for key, value in theta.items()}
 
+    def reflectance(self, theta: Params, where: Tensor) -> Tensor:
+        return gaussian.reflectance_of(theta, where)
 
-def features_of(theta: Params, where: Tensor) -> Tensor:
-    """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
-    x = inputs_of(where)
-    for layer in (1, 2):
-        x = silu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
-    x = torch.baddbmm(theta["b3"], theta["w3"], x)
-    return torch.cat([x, torch.ones_like(x[:, :1])], 1)
+    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """The ridge regression of all samples in logarithms."""
+        return gaussian.linear(theta, batch)
 
+    def folded(self, theta: Params) -> Folded:
+        theta = {key: value.detach().double() for key, value in theta.items()}
+        last = opponent(theta) @ theta["last"]
+        layers = [(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2)]
+        layers.append((last[:, :-1] @ theta["w3"], (last[:, :-1] @ theta["b3"]).flatten() + last[:, -1]))
+        return Folded(layers, "featured", darkest=DARKEST)
 
-def opponent(theta: Params) -> Tensor:
-    """The matrix [3, 3] from opponent axes to linear RGB; its transpose is its inverse."""
-    return theta["last"].new_tensor(OPPONENT)
+    def prepare(self, data: Params) -> Params:
+        """Put the samples that a fit sees in front, none twice, and say their `count`.
 
+        Of a table, which has more than MOST samples, a fit sees the first TABLE of them.
+        """
+        half = len(data["where"]) // 2
+        _, which = torch.unique(data["where"][:half], dim=0, return_inverse=True)
+        first = torch.full((int(which.max()) + 1,), half).scatter_reduce(0, which, torch.arange(half), "amin")
+        if len(first) > MOST:
+            return data | {"count": torch.tensor(float(TABLE))}
+        order = torch.arange(len(data["where"]))
+        order[: len(first)] = first.sort().values
+        return {key: value[order] for key, value in data.items()} | {"count": torch.tensor(float(len(first)))}
 
-def cosine_product(where: Tensor) -> Tensor:
-    """Cos theta_i cos theta_o, DARKEST at least, [T, 1, N] of [T, 7, N]."""
-    return (where[:, 6] * outgoing_cosine(where)).clamp_min(DARKEST)[:, None]
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """The samples that a fit sees, again and again, and how many different ones, `count` [T]."""
+        seen = tasks.data["count"][tasks.rows]
+        rows = torch.arange(count, device=rng.device) % seen[:, None].long()
+        return samples_at(tasks, rows) | {"count": seen}
 
+    def augment(self, data: Params, rng: Generator) -> Params:
+        """Few samples, `count` [T], among the first MOST.
 
-def reflectance_of(theta: Params, where: Tensor) -> Tensor:
-    """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1."""
-    logarithms = opponent(theta) @ torch.bmm(theta["last"], features_of(theta, where))
-    return (logarithms.clamp(max=LARGEST).exp() - DARKEST) / cosine_product(where)
+        In half of the materials with noise; in a third none beyond an angle; in half of them crowded around
+        theta_h = 0, as planned ones are.
+        """
+        where, target = data["where"].clone(), data["target"].clone()
+        count, half = len(where), where.shape[1] // 2
 
+        def uniform() -> Tensor:
+            return torch.rand(count, 1, generator=rng, device=rng.device)
 
-def slope_of(reflectance: Tensor, where: Tensor) -> Tensor:
-    """How log(1 + f cos theta_i) changes with the logarithm that the network adds up, [T, 3, N] of reflectance f."""
-    cos = where[:, 6:7]
-    return cos * (reflectance + DARKEST / cosine_product(where)) / (1 + reflectance * cos)
+        seen = within_reach(where[:, :half], rng)
+        # the density of theta_h where it is the power of what is uniform
+        crowded = where[:, :half, 2].clamp(-1, 1).arccos().clamp_min(1e-2) ** (1 / POLAR - 1)
+        wanted = torch.where(uniform() < 0.5, crowded, 1.0) * seen + 1e-9
+        chosen = torch.multinomial(wanted, MOST, generator=rng)[..., None]
+        level = torch.where(uniform() < NOISY, uniform(), 0.0)[..., None]
+        factor = factors(rng, (count, MOST), FEW_NOISE * level, 0.0)
+        where[:, :MOST] = where.gather(1, chosen.expand(-1, -1, 7))
+        target[:, :MOST] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
+        return {"where": where, "target": target, "count": (FEWEST * (SEEN / FEWEST) ** uniform()[:, 0]).round()}
 
-
-def precision(theta: Params, slope: Tensor) -> Tensor:
-    """How certain the logarithms of samples are, 1 over their variance, [T, N] of their slopes [T, 3, N].
-
-    As `noise` (a, b, c) says it: exp(a) (slope + exp(b))^c, since dark samples say less.
-    """
-    a, b, c = theta["noise"].unbind(1)
-    result: Tensor = torch.exp(a)[:, None] * (slope.mean(1) + torch.exp(b)[:, None]) ** c[:, None]
-    return result
-
-
-def linear(theta: Params, batch: Batch) -> Linear:
-    """The ridge regression of samples that are repeated to fill the batch, `count` [T] different ones."""
-    where, target = batch["where"], batch["target"]
-    cos = where[:, 6:7]
-    seen = torch.expm1(target) / cos.clamp_min(1e-4)
-    logarithms = (seen * cosine_product(where) + DARKEST).log()
-    features = features_of(theta, where)
-    residual = opponent(theta).T @ logarithms - torch.bmm(theta["last"], features)
-    slope = slope_of(seen, where)
-    weights = precision(theta, slope) * batch["count"][:, None]
-    losses = (slope * (opponent(theta) @ residual)).abs().mean((1, 2))
-    return Linear("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
-
-
-def condensed(data: Params) -> Params:
-    """Samples `where` [N, 7], `target` [N, 3] with those that a fit sees in front, none twice, and their `count`.
-
-    Of a table, which has more than MOST samples, a fit sees the first TABLE of them.
-    """
-    half = len(data["where"]) // 2
-    _, which = torch.unique(data["where"][:half], dim=0, return_inverse=True)
-    first = torch.full((int(which.max()) + 1,), half).scatter_reduce(0, which, torch.arange(half), "amin")
-    if len(first) > MOST:
-        return data | {"count": torch.tensor(float(TABLE))}
-    order = torch.arange(len(data["where"]))
-    order[: len(first)] = first.sort().values
-    return {key: value[order] for key, value in data.items()} | {"count": torch.tensor(float(len(first)))}
-
-
-def folded(theta: Params) -> list[tuple[Tensor, Tensor]]:
-    """One material's network as three plain layers, from `inputs_of` to logarithms of RGB, hidden ones with SiLU.
-
-    Args:
-        theta: parameters of one task, without a task axis.
-
-    Returns:
-        Weights [out, in] and biases [out], float64.
-    """
-    theta = {key: value.detach().double() for key, value in theta.items()}
-    last = opponent(theta) @ theta["last"]
-    layers = [(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2)]
-    return [*layers, (last[:, :-1] @ theta["w3"], (last[:, :-1] @ theta["b3"]).flatten() + last[:, -1])]
+    def expected_errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """The error that samples leave: `expected` over all directions, in highlights, at grazing angles."""
+        batch = self.sample(tasks, Generator(), MOST)
+        errors = []
+        for i, count in enumerate(batch["count"].tolist()):
+            one = {key: value[i : i + 1] for key, value in theta.items()}
+            where, target = (batch[key][i : i + 1, :, : int(count)] for key in ("where", "target"))
+            slope = slope_of(target.expm1() / where[:, 6:].clamp_min(1e-4), where)
+            errors.append(expected_errors(belief(one, where, slope)))
+        return {name: torch.tensor([one[name] for one in errors]) for name in errors[0]}

@@ -4,68 +4,69 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
+from metapp.apps.brdf.network import BrdfNetwork, Folded
 from metapp.learning.task import Batch, Params
 
 WIDTHS = (6, 21, 21, 3)
 ENCODER = 128
+KNOTS = 8  # of learned weights of samples, over theta_h
 
 
-def network(theta: Params, inputs: Tensor) -> Tensor:
-    """Reflectance before the clamp at 0.
+@dataclass(frozen=True)
+class Nbrdf(BrdfNetwork):
+    """Weights w1..w3 [T, out, in] and biases b1..b3 [T, out, 1], of one size, all a material's own."""
 
-    Args:
-        theta: weights w1..w3 [T, out, in] and biases b1..b3 [T, out, 1].
-        inputs: half and difference vectors [T, 6, N].
+    def init(self, rng: Generator, count: int) -> Params:
+        """Kaiming-normal weights and zero biases, [count, ...]."""
+        theta = {}
+        for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
+            noise = torch.randn(count, outputs, inputs, generator=rng, device=rng.device)
+            theta[f"w{layer}"] = noise * math.sqrt((2 if layer < 3 else 1) / inputs)
+            theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
+        return theta
 
-    Returns:
-        exp(out) - 1, [T, 3, N], linear RGB in 1/sr, above -1.
-    """
-    x = inputs
-    for layer in (1, 2):
-        x = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
-    return torch.expm1(torch.baddbmm(theta["b3"], theta["w3"], x))
+    def init_encoder(self, rng: Generator) -> Params:
+        """A set encoder to all 675 weights; before training it predicts a random network."""
+        encoder = set_encoder(rng, 10, ENCODER, sum(map(math.prod, self.shapes.values())))
+        network = self.init(rng, 1)
+        encoder["out.b"] = torch.cat([value.flatten() for value in network.values()])
+        return encoder
 
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        flat = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
+        parts = flat.split([math.prod(shape) for shape in self.shapes.values()], 1)
+        return {name: part.reshape(-1, *shape) for part, (name, shape) in zip(parts, self.shapes.items(), strict=True)}
 
-def init(rng: Generator, count: int) -> Params:
-    """Kaiming-normal weights and zero biases, [count, ...]."""
-    theta = {}
-    for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-        noise = torch.randn(count, outputs, inputs, generator=rng, device=rng.device)
-        theta[f"w{layer}"] = noise * math.sqrt((2 if layer < 3 else 1) / inputs)
-        theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
-    return theta
+    def reflectance(self, theta: Params, where: Tensor) -> Tensor:
+        x = where[:, :6]
+        for layer in (1, 2):
+            x = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
+        return torch.expm1(torch.baddbmm(theta["b3"], theta["w3"], x))
 
+    def loss_parameters(self, steps: int) -> Params:
+        """Smoothing and log weights of samples."""
+        return super().loss_parameters(steps) | {"weights": torch.zeros(steps, KNOTS)}
 
-def init_encoder(rng: Generator) -> Params:
-    """A set encoder to all 675 weights; before training it predicts a random network."""
-    weights = sum(rows * columns for rows, columns in shapes().values())
-    encoder = set_encoder(rng, 10, ENCODER, weights)
-    network = init(rng, 1)
-    encoder["out.b"] = torch.cat([value.flatten() for value in network.values()])
-    return encoder
-
-
-def encode(encoder: Params, condition: Batch) -> Params:
-    """Predict all weights from samples."""
-    flat = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
-    theta, at = {}, 0
-    for name, (rows, columns) in shapes().items():
-        theta[name] = flat[:, at : at + rows * columns].reshape(-1, rows, columns)
-        at += rows * columns
-    return theta
+    def folded(self, theta: Params) -> Folded:
+        theta = {key: value.detach().double() for key, value in theta.items()}
+        return Folded([(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2, 3)], "nbrdf")
 
 
-def shapes() -> dict[str, tuple[int, int]]:
-    """The shape of each parameter of one task."""
-    result: dict[str, tuple[int, int]] = {}
-    for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-        result |= {f"w{layer}": (outputs, inputs), f"b{layer}": (outputs, 1)}
-    return result
+NBRDF = Nbrdf()
+
+
+def sample_weights(where: Tensor, learned: Params) -> Tensor:
+    """Learned weights of samples, [T, N], between knots over theta_h."""
+    position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((KNOTS - 1) / (math.pi / 2))
+    knots = torch.arange(KNOTS, device=where.device, dtype=where.dtype)
+    hat = (1 - (position[:, None] - knots[:, None]).abs()).clamp_min(0)
+    return torch.exp((learned["weights"][:, None] @ hat)[:, 0])
 
 
 # The set encoder: a network on each sample, the mean and maximum over samples, a network on these

@@ -10,15 +10,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from metapp.apps.brdf import nbrdf
+from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.engine import LossInC, load
 from metapp.learning.task import Batch, Params
 
 
 def loss(theta: Params) -> LossInC | None:
     """The loss for parameters of this network; None for others, or without a compiler."""
-    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == nbrdf.shapes()
-    return LossInC(tuple(nbrdf.shapes()), gradient, product) if same and _library() is not None else None
+    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == NBRDF.shapes
+    return LossInC(tuple(NBRDF.shapes), gradient, product) if same and _library() is not None else None
 
 
 @functools.cache

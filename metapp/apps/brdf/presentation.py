@@ -14,6 +14,7 @@ from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.appearance.view import View
 from metapp.apps.brdf.app import CONDITION, Brdf
+from metapp.apps.brdf.networks import network_of
 from metapp.apps.brdf.viewing import view_of
 from metapp.learning.task import Params, Task
 
@@ -28,12 +29,12 @@ class BrdfPresentation(Presentation[Brdf]):
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """The sphere, on black with coverage."""
         scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
-        fit = shade_sphere(scene, functools.partial(self.app.reflectance, theta))
+        fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
         return {"reference": task.data["render"], "fit": fit}
 
     def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
         """The network, and the samples where there are some."""
-        return view_of(self.app, theta, task)
+        return view_of(theta, task)
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """SSIM of the sphere under the environment map, mean over the pixels that it touches.
@@ -45,7 +46,7 @@ class BrdfPresentation(Presentation[Brdf]):
         scene, measured = environment_scene(azimuths="phi_h" in task.data), {}
         reference = _display(task.data["environment"])
         for name, fit in fits.items():
-            picture = _display(shade_sphere(scene, functools.partial(self.app.reflectance, fit.theta)))
+            picture = _display(shade_sphere(scene, functools.partial(network_of(fit.theta).evaluate, fit.theta)))
             measured[name] = {"SSIM": float(ssim(picture, reference)[0][:, scene.mask].mean())}
         return measured
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few import MOST, Few
+from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
@@ -59,6 +60,7 @@ QUICK = Recipe(
         "ridge": RIDGE,
     },
     rule="meta-curvature",
+    setup=NBRDF,
 )
 
 # where paradigms need not fit the same network, the rule that is best on validation tasks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -12,9 +13,7 @@ from torch import Tensor
 from metapp.appearance.sphere import light_map, studio_lights
 from metapp.appearance.view import View
 from metapp.apps.brdf import anisotropic, anisotropic_residual
-from metapp.apps.brdf.app import Brdf, layers_of
-from metapp.apps.brdf.featured import TURN
-from metapp.apps.brdf.few import DARKEST
+from metapp.apps.brdf.networks import network_of
 from metapp.learning.task import Params, Task
 from metapp.rendering.bsdfs.lobes import fit_lobes
 
@@ -23,23 +22,23 @@ WIDENED = 4  # times that cells without samples look one cell farther
 PLOTTED = 8192  # samples of plots, at most
 
 
-def view_of(app: Brdf, theta: Params, task: Task) -> View:
+def view_of(theta: Params, task: Task) -> View:
     """The fit, its samples where the task has some, and a reference made of these."""
-    layers, turn = layers_of(theta), float(theta[TURN]) if TURN in theta else None
-    lobes = fit_lobes(functools.partial(app.reflectance, theta), turn)
-    kind = "anisotropic" if turn is not None else "featured" if "last" in theta else "nbrdf"
-    hidden, inputs = layers[0][0].shape
-    arrays = {"weights": packed(layers), "shares": torch.from_numpy(lobes.shares).float()}
+    network = network_of(theta)
+    folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
+    lobes = fit_lobes(evaluate, folded.turn)
+    hidden, inputs = folded.layers[0][0].shape
+    arrays = {"weights": packed(folded.layers), "shares": torch.from_numpy(lobes.shares).float()}
     if "angles" in task.data:
         columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
         arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:PLOTTED].half()
-        arrays["residual"] = _residual(app, theta, task)
+        arrays["residual"] = _residual(evaluate, folded.turn, task)
     facts = {
-        "network": kind,
+        "network": folded.inputs,
         "inputs": inputs,
         "hidden": hidden,
-        "turn": turn,
-        "darkest": DARKEST if "deviation" in theta else 0.0,
+        "turn": folded.turn,
+        "darkest": folded.darkest,
         "alphas": [list(alpha) for alpha in lobes.alphas],
     }
     return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": light_map()})
@@ -63,15 +62,15 @@ def _padded(weights: Tensor) -> Tensor:
     return torch.nn.functional.pad(weights.float(), (0, columns, 0, rows))
 
 
-def _residual(app: Brdf, theta: Params, task: Task) -> Tensor:
+def _residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Task) -> Tensor:
     """What log(1 + f) of the samples has beyond the fit, on a grid; on one with phi_h where either depends on it."""
-    columns, turn = task.data["angles"].float().split(1, 1), float(theta[TURN]) if TURN in theta else None
+    columns = task.data["angles"].float().split(1, 1)
     columns = (*columns[:2], columns[2] % math.pi)  # as the shader folds them, by reciprocity
     if azimuthal := "phi_h" in task.data or turn is not None:
         phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(columns[0])))
         columns = (*columns, phi_h.float()[:, None])
     angles = torch.cat(columns, 1)[: anisotropic_residual.MOST if azimuthal else None]
-    more = torch.log1p(task.data["reflectance"].float()[: len(angles)]) - torch.log1p(app.reflectance(theta, angles))
+    more = torch.log1p(task.data["reflectance"].float()[: len(angles)]) - torch.log1p(evaluate(angles))
     return anisotropic_residual.gridded(angles, more, turn or 0.0) if azimuthal else gridded(angles, more)
 
 

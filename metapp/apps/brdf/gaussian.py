@@ -1,0 +1,77 @@
+"""A linear Gaussian model of BRDFs, for fits of few samples: a mean, learned features, and how far materials vary.
+
+Logarithms of reflectance are what it adds up, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
+Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
+weights, so that one ridge regression gives its mean, and its covariance says what the samples leave open:
+`metapp.apps.brdf.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import silu
+
+from metapp.appearance.geometry import outgoing_cosine
+from metapp.apps.brdf.featured import inputs_of
+from metapp.learning.task import Batch, Linear, Params
+
+DARKEST = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
+LARGEST = 14.0  # logarithm of reflectance: 1.2e6 1/sr
+# columns: luminance, and two axes of colour, of unit length
+OPPONENT = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
+
+
+def features_of(theta: Params, where: Tensor) -> Tensor:
+    """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
+    x = inputs_of(where)
+    for layer in (1, 2):
+        x = silu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
+    x = torch.baddbmm(theta["b3"], theta["w3"], x)
+    return torch.cat([x, torch.ones_like(x[:, :1])], 1)
+
+
+def opponent(theta: Params) -> Tensor:
+    """The matrix [3, 3] from opponent axes to linear RGB; its transpose is its inverse."""
+    return theta["last"].new_tensor(OPPONENT)
+
+
+def cosine_product(where: Tensor) -> Tensor:
+    """Cos theta_i cos theta_o, DARKEST at least, [T, 1, N] of [T, 7, N]."""
+    return (where[:, 6] * outgoing_cosine(where)).clamp_min(DARKEST)[:, None]
+
+
+def reflectance_of(theta: Params, where: Tensor) -> Tensor:
+    """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1."""
+    logarithms = opponent(theta) @ torch.bmm(theta["last"], features_of(theta, where))
+    return (logarithms.clamp(max=LARGEST).exp() - DARKEST) / cosine_product(where)
+
+
+def slope_of(reflectance: Tensor, where: Tensor) -> Tensor:
+    """How log(1 + f cos theta_i) changes with the logarithm that the network adds up, [T, 3, N] of reflectance f."""
+    cos = where[:, 6:7]
+    return cos * (reflectance + DARKEST / cosine_product(where)) / (1 + reflectance * cos)
+
+
+def precision(theta: Params, slope: Tensor) -> Tensor:
+    """How certain the logarithms of samples are, 1 over their variance, [T, N] of their slopes [T, 3, N].
+
+    As `noise` (a, b, c) says it: exp(a) (slope + exp(b))^c, since dark samples say less.
+    """
+    a, b, c = theta["noise"].unbind(1)
+    result: Tensor = torch.exp(a)[:, None] * (slope.mean(1) + torch.exp(b)[:, None]) ** c[:, None]
+    return result
+
+
+def linear(theta: Params, batch: Batch) -> Linear:
+    """The ridge regression of samples that are repeated to fill the batch, `count` [T] different ones."""
+    where, target = batch["where"], batch["target"]
+    cos = where[:, 6:7]
+    seen = torch.expm1(target) / cos.clamp_min(1e-4)
+    logarithms = (seen * cosine_product(where) + DARKEST).log()
+    features = features_of(theta, where)
+    residual = opponent(theta).T @ logarithms - torch.bmm(theta["last"], features)
+    slope = slope_of(seen, where)
+    weights = precision(theta, slope) * batch["count"][:, None]
+    losses = (slope * (opponent(theta) @ residual)).abs().mean((1, 2))
+    return Linear("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))

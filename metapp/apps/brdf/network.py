@@ -1,0 +1,126 @@
+"""The protocol of the networks that BRDFs are fitted with: a recipe's setup, which knows its own parameters."""
+
+from __future__ import annotations
+
+import functools
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.geometry import half_difference_incident
+from metapp.learning.task import Batch, Linear, Params, Tasks
+
+
+class Folded(NamedTuple):
+    """One material's network as plain layers, all that materials share multiplied in.
+
+    Attributes:
+        layers: weights [out, in] and biases [out] of each of the three, float64.
+        inputs: "nbrdf": half and difference vector, with ReLU between the layers; "featured": `featured.inputs_of`,
+            "anisotropic": `anisotropic.inputs_of`, both with SiLU.
+        turn: azimuth of the material's axes in rad, of "anisotropic" alone.
+        darkest: the last layer ends at log(f cos theta_i cos theta_o + darkest), with that product at least this; 0: at
+            log(1 + f).
+    """
+
+    layers: list[tuple[Tensor, Tensor]]
+    inputs: str
+    turn: float | None = None
+    darkest: float = 0.0
+
+
+class BrdfNetwork(ABC):
+    """A network of BRDFs; an instance holds its size.
+
+    `where` [T, 7, N] is half vector, difference vector and cos theta_i; `target` [T, 3, N] is log(1 + f cos theta_i).
+    `reflectance`, `linear`, `evaluate` and `folded` take the sizes of the parameters: an instance of any will do.
+    """
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """The parameters that a material does not share with others after General's encoder; () for all."""
+        return ()
+
+    @property
+    def solves(self) -> str:
+        """The parameter that it is linear in; "" for none."""
+        return ""
+
+    @property
+    def anisotropic(self) -> bool:
+        """Whether it reads phi_h."""
+        return False
+
+    @functools.cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each parameter of one task; their names tell its parameters from another network's."""
+        return {name: tuple(value.shape[1:]) for name, value in self.init(Generator().manual_seed(0), 1).items()}
+
+    @abstractmethod
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` materials, [count, ...]."""
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """Random parameters of General's encoder; {} where there is none."""
+        return {}
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """Parameters [T, ...] from samples, one forward pass."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def reflectance(self, theta: Params, where: Tensor) -> Tensor:
+        """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, of places [T, 7, N]."""
+
+    def evaluate(self, theta: Params, angles: Tensor) -> Tensor:
+        """Evaluate one fitted material.
+
+        Args:
+            theta: parameters of one task, no task axis.
+            angles: (theta_h, theta_d, phi_d), and phi_h, which is 0 without, [..., 3 or 4] rad.
+
+        Returns:
+            Linear RGB in 1/sr, [..., 3], >= 0; of an isotropic network whatever phi_h is.
+        """
+        one = {key: value[None] for key, value in theta.items()}
+        flat = angles.reshape(-1, angles.shape[-1])
+        where = half_difference_incident(flat if self.anisotropic else flat[:, :3])
+        return self.reflectance(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+
+    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares near the loss, in the parameter `solves`."""
+        raise NotImplementedError
+
+    def loss_parameters(self, steps: int) -> Params:
+        """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
+        return {"smoothing": torch.full((steps,), math.log(0.05))}
+
+    @abstractmethod
+    def folded(self, theta: Params) -> Folded:
+        """One material as plain layers, of parameters without a task axis."""
+
+    def prepare(self, data: Params) -> Params:
+        """Prepare one task's `where` [N, 7] and `target` [N, 3], of which fits see the first half."""
+        return data
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`where` [T, 7, count] and `target` [T, 3, count] of random samples that fits may see."""
+        half = tasks.data["where"].shape[1] // 2
+        return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
+
+    def augment(self, data: Params, rng: Generator) -> Params:
+        """Change the samples `where` [T, N, 7] and `target` [T, N, 3] of materials for training."""
+        return data
+
+    def expected_errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """Errors [T] that a fit's own samples let expect, unscaled, by name; {} where it has no such measure."""
+        return {}
+
+
+def samples_at(tasks: Tasks, rows: Tensor) -> Batch:
+    """`where` [T, 7, count] and `target` [T, 3, count] of each task's samples of these indices, [T, count]."""
+    picked = (tasks.rows[:, None], rows)
+    return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
