@@ -317,21 +317,6 @@ def test_nothing_is_left_on_another_device() -> None:
     assert flash_position(image).shape == (2, 2)
 
 
-def test_gradients(rng: torch.Generator) -> None:
-    maps, place = rough(rng, 2, size=(3, 4)), grid(3, 4)
-    height = torch.rand(2, 1, 3, 4, generator=rng, dtype=torch.float64)
-    light, view = torch.stack([at(0.1, 0.2), at(-0.4, 0.3, 1.5)]), at(0.1, -0.1)
-    power = torch.tensor([0.5, 1.5], dtype=torch.float64)
-
-    def picture(*inputs: Tensor) -> Tensor:
-        diffuse, specular, roughness, height, light, view, place, power = inputs
-        normal = normal_from_height(height, 0.5)
-        return render(Maps(diffuse, specular, roughness, normal), place, light, view, intensity=power, falloff=power[0])
-
-    inputs = (*maps[:3], height, light, view, place, power[:, None])
-    assert torch.autograd.gradcheck(picture, tuple(each.clone().requires_grad_() for each in inputs))
-
-
 def test_gradients_with_respect_to_normals_and_of_flat_heights() -> None:
     height = torch.zeros(1, 4, 4, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(normal_from_height, (height,))

@@ -89,15 +89,6 @@ def test_gradients_are_finite_where_angles_are_undefined(dtype: torch.dtype) -> 
             assert gradient.isfinite().all()
 
 
-def test_direction_gradients(random_angles: RandomAngles) -> None:
-    angles = random_angles(12).requires_grad_()
-    assert torch.autograd.gradcheck(rusinkiewicz_to_directions, angles)
-    assert torch.autograd.gradcheck(half_difference, angles)
-    assert torch.autograd.gradcheck(cosines, angles)
-    wi, wo = (direction.detach().requires_grad_() for direction in rusinkiewicz_to_directions(angles))
-    assert torch.autograd.gradcheck(directions_to_rusinkiewicz, (wi, wo))
-
-
 def test_leading_axes_and_dtypes_pass_through(random_angles: RandomAngles) -> None:
     angles = random_angles()[:24].float().reshape(2, 3, 4, 3)
     wi, wo = rusinkiewicz_to_directions(angles)

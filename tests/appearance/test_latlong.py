@@ -271,15 +271,6 @@ def test_samples_within_a_texel_are_texels_of_a_finer_map(rng: torch.Generator) 
 # Gradients
 
 
-def test_gradients(rng: torch.Generator) -> None:
-    maps = draw_maps(rng, 4, 8).requires_grad_()
-    normals = draw_normals(rng, 3, facing=True).requires_grad_()
-    roughness = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda m: (resample(m, 3, 5), resample(m, 9, 17), mean_luminance(m)), maps)
-    assert torch.autograd.gradcheck(lambda n: cosine_transfer(n, 4, 8), normals)
-    assert torch.autograd.gradcheck(lambda n, r: glossy_transfer(n, r, 4, 8, samples=2), (normals, roughness))
-
-
 def test_types_are_kept() -> None:
     maps = torch.rand(3, 4, 8)
     normals, _ = sphere_normals(8)

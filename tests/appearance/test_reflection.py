@@ -70,14 +70,6 @@ def test_fresnel_is_the_same_from_both_sides_and_for_conductors_that_do_not_abso
     torch.testing.assert_close(fresnel_conductor(cos, 1.5, 0.0), reflectance)
 
 
-def test_fresnel_gradients() -> None:
-    cos = torch.linspace(0.05, 0.95, 7, dtype=torch.float64, requires_grad=True)
-    eta = torch.linspace(1.2, 2.2, 7, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(fresnel_dielectric, (cos, eta))
-    assert torch.autograd.gradcheck(fresnel_conductor, (cos, eta, (3 * cos).detach().requires_grad_()))
-    assert torch.autograd.gradcheck(fresnel_schlick, (cos, (cos / 2).detach().requires_grad_()))
-
-
 # Microfacets
 
 
@@ -141,19 +133,6 @@ def test_microfacets_are_reciprocal_and_finite_at_grazing_angles(
     assert (value >= 0).all()
     assert value[-1] == 0
     assert all(gradient.isfinite().all() for gradient in torch.autograd.grad(value.sum(), (wi, wo)))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_microfacet_gradients(kind: MicrofacetKind, rng: torch.Generator, random_angles: RandomAngles) -> None:
-    angles = random_angles(12)
-    wi, wo = (direction.requires_grad_() for direction in rusinkiewicz_to_directions(angles))
-    alpha = torch.linspace(0.2, 0.7, len(angles), dtype=torch.float64, requires_grad=True)
-    f0 = torch.rand(len(angles), 3, generator=rng, dtype=torch.float64, requires_grad=True)
-
-    def reflect(wi: Tensor, wo: Tensor, alpha: Tensor, f0: Tensor) -> Tensor:
-        return lobe(wi, wo, alpha, lambda cos: fresnel_schlick(cos, f0), kind)
-
-    assert torch.autograd.gradcheck(reflect, (wi, wo, alpha, f0))
 
 
 @pytest.mark.parametrize("kind", KINDS)

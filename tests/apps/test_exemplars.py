@@ -20,7 +20,7 @@ from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.exemplar import ExemplarApp, ExemplarSetup
-from metapp.networks.generators import Pyramid, UNet
+from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
 from metapp.paradigms import Job, paradigms
@@ -85,27 +85,6 @@ def test_what_is_compared(app: ExemplarApp, tasks: Tasks) -> None:
     for i, each in enumerate(maps):
         torch.testing.assert_close(tasks.data[f"gram{i}"][:1], gram(each))
     assert tasks.data["summary"].shape == (3, 2 * 5 * RANDOM) == (3, app.summary_size())
-
-
-@pytest.mark.parametrize(("name", "side", "outputs"), [("texture", 8, 3), ("svbrdf_stationary", 16, 6)])
-def test_gradients_of_the_loss(name: str, side: int, outputs: int) -> None:
-    """In float64, from the generator's parameters to the distance."""
-    network = UNet(2, levels=2, noise=1, code=2, outputs=outputs)
-    app, rng = class_of(name)(ExemplarSetup(side, side, network, "vgg16", TAPS[:2])), Generator().manual_seed(0)
-    assert isinstance(app, ExemplarApp)
-    theta = {key: value.double().requires_grad_() for key, value in app.init(rng, 2).items()}
-    data = app.describe(torch.rand(2, 3, side, side, generator=rng, dtype=torch.float64))
-    assert {value.dtype for value in data.values()} == {torch.float64}
-    batch = app.sample(Tasks(("a", "b"), data, torch.arange(2)), rng, 2)
-    batch["noise"] = batch["noise"].double()
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(dict(zip(theta, values, strict=True)), batch, {})
-
-    leaves = tuple(theta.values())
-    assert loss(*leaves).dtype == torch.float64
-    assert torch.autograd.gradcheck(loss, leaves, fast_mode=True)
-    assert all(grad.abs().max() > 0 for grad in torch.autograd.grad(loss(*leaves).sum(), leaves))
 
 
 def test_an_exemplar_is_at_no_distance_from_itself(app: ExemplarApp, tasks: Tasks) -> None:
@@ -184,16 +163,6 @@ def test_summaries_of_coarse_exemplars_are_as_long(app: ExemplarApp, tasks: Task
     assert torch.equal(finer, coarse[:, : 2 * 2 * RANDOM])
     torch.testing.assert_close(coarse, tasks.data["summary"][:, : 2 * 3 * RANDOM])
     assert app.octave(described) == 1
-
-
-@TEXTURE
-def test_a_few_steps_lower_the_error(app: ExemplarApp, tasks: Tasks) -> None:
-    recipe, errors = tiny("texture"), []
-    for steps in (1, 40):
-        job = Job(app, recipe, recipe.rule, steps)
-        theta = paradigms()["overfit"].fit(job, MetaParameters(), tasks, Generator().manual_seed(0))
-        errors.append(app.errors(theta, tasks)["error"].mean())
-    assert errors[1] < 0.6 * errors[0]
 
 
 @MATERIAL

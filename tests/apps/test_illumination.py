@@ -144,19 +144,6 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
     assert not torch.allclose(reference.loss(brighter, batch, {}), reference.loss(small, batch, {}))
 
 
-@pytest.mark.parametrize("protocol", ["reference", "photo"])
-def test_gradients(protocol: str, tasks: Tasks) -> None:
-    app = Illumination(RECIPE.setup, protocol)
-    theta = {key: value.double() for key, value in app.init(Generator().manual_seed(2), 4).items()}
-    batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
-    learned = {key: value[:1].double().expand(4) for key, value in app.loss_parameters(1).items()}
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(dict(zip(theta, values, strict=True)), batch, learned)
-
-    assert torch.autograd.gradcheck(loss, tuple(value.requires_grad_() for value in theta.values()), fast_mode=True)
-
-
 def test_photographs_alone_have_no_error(rng: Generator) -> None:
     app = Illumination(RECIPE.setup, "photo")
     task = task_of(lamps(0))
@@ -302,16 +289,6 @@ def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     assert relit.shape == (64, 96, 3)
     assert 0 <= relit.min() < relit.max() <= 1
     assert {name: picture.kind for name, picture in files.items()} == {"map": "radiance", "relit": "srgb"}
-
-
-@pytest.mark.slow
-def test_overfit_finds_the_map(rng: Generator) -> None:
-    from metapp.paradigms import Job, paradigms
-
-    app = Illumination(QUICK.setup, "reference")
-    tasks = stack(app, [task_of(lamps(seed), f"{seed}") for seed in range(2)])
-    theta = paradigms()["overfit"].fit(Job(app, QUICK, QUICK.rule), None, tasks, rng)  # type: ignore[arg-type]
-    assert app.errors(theta, tasks)["relative"].max() < 0.02
 
 
 def test_sizes_of_the_paper_recipe(rng: Generator) -> None:

@@ -97,22 +97,6 @@ def test_the_loss_is_the_mean_over_photos_whatever_their_order(app: SvbrdfNonsta
     torch.testing.assert_close(torch.stack(each).mean(0), losses[0])
 
 
-def test_gradients_of_maps_and_flashes_are_right() -> None:
-    app = SvbrdfNonstationary(MaterialSetup(field_of(6, hidden=4)._replace(code=2)), "photo")
-    tasks = stack(app, [several(0)])
-    batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
-    for key in ("photo", "others"):  # no texel near the corner of the loss, where a photo is as the maps have it
-        batch[key] = 0.9 * torch.rand(batch[key].shape, generator=Generator().manual_seed(1)).double()
-    theta = {key: value.double().requires_grad_() for key, value in started(app, tasks).items()}
-    moved = ("z", "flash")
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(theta | dict(zip(moved, values, strict=True)), batch, {})
-
-    assert theta["flash"].shape == (1, FLASH, COUNT)
-    assert torch.autograd.gradcheck(loss, tuple(theta[key] for key in moved))
-
-
 def test_true_maps_from_true_places_have_no_loss(
     app: SvbrdfNonstationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:

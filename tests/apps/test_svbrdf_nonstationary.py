@@ -195,24 +195,6 @@ def test_white_right_below_a_flash_is_as_bright_whatever_its_height() -> None:
         assert flash.place[0, 2] == pytest.approx(camera_distance() * math.exp(0.2 * higher))
 
 
-def test_gradients_of_the_flash_are_right() -> None:
-    maps = Maps(*(part.double() for part in unpack(material(0, 6)[None])))
-    flash = torch.tensor([[0.2, -0.1, 0.3, 0.1]], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda flash: photographed(maps, flash_of(flash)), (flash,))
-
-
-def test_gradients_of_the_maps_are_right() -> None:
-    field = field_of(6, hidden=4)._replace(code=2)
-    app = SvbrdfNonstationary(MaterialSetup(field), "photo")
-    theta = {key: value.double().requires_grad_() for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    photo = torch.rand(1, 3, 6, 6, generator=Generator().manual_seed(1)).double() * 0.9
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(dict(zip(theta, values, strict=True)), {"photo": photo}, {})
-
-    assert torch.autograd.gradcheck(loss, tuple(theta.values()))
-
-
 @pytest.mark.parametrize("kind", ["matte", "metal"])
 def test_a_flash_photo_of_maps_agrees_with_mitsuba(mitsuba: Any, photograph: Callable[..., Tensor], kind: str) -> None:
     """Where the flash is, which way normals point and how display values are encoded."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import pytest
 import torch
@@ -213,25 +212,6 @@ def test_the_loss_is_the_sum_of_what_is_reported(tasks: Tasks) -> None:
     found = app.errors(own, one)
     expected = found["error"] + svbrdf_stationary.SPECTRUM * found["spectrum"] + found["brightness"]
     torch.testing.assert_close(app.loss(own, batch, {}), expected)
-
-
-def test_gradients_of_maps_and_of_their_photograph() -> None:
-    """In float64, from all that the network makes: albedo, specular, roughness and height."""
-
-    def network(theta: Params, noise: Tensor) -> Tensor:
-        return noise
-
-    app = SvbrdfStationary(ExemplarSetup(16, 16, cast(UNet, network), "vgg16", ("relu1_1",)))
-    raw = torch.randn(1, 1, 6, 16, 16, generator=seeded(), dtype=torch.float64) / 2
-    light = torch.tensor([0.1, -0.2, 2.4], dtype=torch.float64)
-
-    def photograph(raw: Tensor) -> Tensor:
-        return app.photograph(app.maps({}, raw)[0], light, light)
-
-    picture = photograph(raw)
-    assert picture.dtype == torch.float64
-    assert picture.max() < 1  # where nothing clips
-    assert torch.autograd.gradcheck(photograph, (raw.requires_grad_(),), fast_mode=True)
 
 
 # The light

@@ -24,8 +24,6 @@ from metapp.networks.exemplar import JUDGED, ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
-from metapp.runs.shipped import shipped_path
-from metapp.storage.records import load_checkpoint
 
 SIZE, LEVELS = 32, 3
 TINY = replace(
@@ -234,47 +232,6 @@ def test_outputs_and_files(sources: list[Task], tasks: Tasks) -> None:
     assert TexturePresentation(app, (24, 40)).files(theta, sources[0])["texture"].pixels.shape == (24, 40, 3)
 
 
-def seams(made: Tensor) -> Tensor:
-    """How much more neighbours differ across the seams of pictures [B, 3, H, W] laid side by side than inside, [2].
-
-    Inside is at the other borders between cells of the coarsest grid, which are where seams are.
-    """
-    ratios = []
-    for axis in (-2, -1):
-        differences = (made - made.roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[:: 2 ** (LEVELS - 1)]
-        ratios.append(differences[0] / differences[1:].mean())
-    return torch.stack(ratios)
-
-
-@torch.no_grad()
-def large(app: Texture, theta: Params, count: int = 6) -> Tensor:
-    """Pictures [T, count, 3, H, W], four times as high and wide as in training."""
-    height, width = TILED * app.setup.height, TILED * app.setup.width
-    noise = torch.randn(len(theta["z"]), count, app.setup.network.noise, height, width, generator=seeded(1))
-    return app.generate(theta, noise)
-
-
-def test_seams_are_found_where_there_are_any() -> None:
-    """The measure itself: 1 for what tiles, more for a cut-out of the same."""
-    pictures = torch.stack([wavy(3, seed, 128) for seed in range(6)])
-    torch.testing.assert_close(seams(pictures), torch.ones(2), rtol=0, atol=0.25)
-    assert (seams(pictures[..., :100, :100]) > 2).all()
-
-
-@pytest.mark.long
-def test_textures_tile_at_four_times_the_size(sources: list[Task], tasks: Tasks) -> None:
-    app = tiny()
-    theta = overfit(app, tasks, 80)
-    assert app.errors(theta, tasks)["error"].mean() < 0.3  # there is structure that a seam would cut
-    ratios = torch.stack([seams(made) for made in large(app, theta)])
-    assert (ratios > 0.7).all()
-    assert (ratios < 1.4).all()
-    files = TexturePresentation(app).files  # what the user gets
-    one = [files({key: value[i] for key, value in theta.items()}, sources[i])["texture"].pixels for i in range(4)]
-    mean = torch.stack([seams(made.permute(2, 0, 1)[None]) for made in one]).mean()
-    assert 0.7 < mean < 1.4
-
-
 @pytest.mark.usefixtures("with_bfloat16")
 def test_only_what_is_descended_is_seen_in_bfloat16(sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     """Targets and errors are the same, bit by bit, wherever a fit ran."""
@@ -290,22 +247,6 @@ def test_only_what_is_descended_is_seen_in_bfloat16(sources: list[Task], monkeyp
     assert torch.equal(error, again)
     assert not torch.equal(short, long)
     torch.testing.assert_close(short, long, rtol=2**-8, atol=0)
-
-
-STARTS = sorted(path.stem for path in shipped_path("texture", "general").parent.glob("*.safetensors"))
-
-
-def test_what_starts_that_ship_make_tiles() -> None:
-    for name in STARTS:
-        start, _ = load_checkpoint(shipped_path("texture", name))
-        theta = start.theta
-        if start.encoder:
-            theta = {key[8:]: value for key, value in start.encoder.items() if key.startswith("decoder.")}
-            theta["z"] = start.encoder["mlp3.b"]
-        if theta:  # that of QuickFT has none of its own
-            ratio = seams(large(Texture(QUICK.setup), {key: value[None] for key, value in theta.items()}, 2)[0])
-            assert (ratio > 0.7).all(), name
-            assert (ratio < 1.4).all(), name
 
 
 @pytest.mark.long

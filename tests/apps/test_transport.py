@@ -19,9 +19,7 @@ from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.recipes import FULL, QUICK
 from metapp.learning.app import stack
-from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import Job, paradigms
 from metapp.rendering.paths.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
@@ -162,21 +160,6 @@ def test_the_density_is_the_jacobian_of_the_chain(directions: int) -> None:
         assert float(jacobian[2:, 2:].diagonal().log().sum()) == pytest.approx(float(towards), abs=1e-5)
 
 
-@pytest.mark.long
-def test_the_loss_has_the_gradient_of_differences() -> None:
-    theta = bent(FLOW, scale=0.2)
-    points = torch.rand(1, 4, 40, generator=rng(1), dtype=torch.float64)
-
-    def loss(*values: Tensor) -> Tensor:
-        film, directions = FLOW.log_density(dict(zip(theta, values, strict=True)), points)
-        return -(film + directions).mean()
-
-    leaves = tuple(value.clone().requires_grad_() for value in theta.values())
-    for key, gradient in zip(theta, torch.autograd.grad(loss(*leaves), leaves), strict=True):
-        assert float(gradient.abs().max()) > 0, key
-    assert torch.autograd.gradcheck(loss, leaves)
-
-
 def test_blobs_and_grids_are_linear_between_centres() -> None:
     x = torch.rand(1, 100, generator=rng(), dtype=torch.float64)
     torch.testing.assert_close(blobs(x, 6).sum(1), torch.ones(1, 100, dtype=torch.float64))
@@ -269,15 +252,6 @@ def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks)
     errors = app.errors(theta, tasks)
     torch.testing.assert_close(errors["error"], errors["film"] + errors["directions"])
     torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held"].mT}, {}))
-
-
-@pytest.mark.long
-def test_overfit_finds_the_lamp_and_where_it_is_from_each_place(app: Transport, tasks: Tasks) -> None:
-    job = Job(app, replace(RECIPE, overfit_steps=150, batch=1024), "")
-    theta = paradigms()["overfit"].fit(job, MetaParameters(), tasks, rng())
-    errors = app.errors(theta, tasks)
-    assert (errors["film"] < -0.5).all()
-    assert (errors["directions"] < -0.7).all()
 
 
 def test_an_untrained_encoder_says_what_the_picture_says(app: Transport, tasks: Tasks) -> None:

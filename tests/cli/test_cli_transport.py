@@ -188,26 +188,6 @@ def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest
     assert studio.sampling(scenes[0].data["samples"]) > 0
 
 
-@pytest.mark.long
-def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
-    """On five scenes, by a guide that is far from them: within 3 standard errors, from 12 pictures each."""
-    flow = Flow(code=3, hidden=8, bins=4)
-    generator = torch.Generator().manual_seed(0)
-    theta = {key: value[0] for key, value in flow.init(generator, 1).items()}
-    theta = {key: value + 0.3 * torch.randn(value.shape, generator=generator) for key, value in theta.items()}
-    theta["z"] = theta["z"] / flow.gain
-    theta |= {key: theta[key] / flow.film_gain for key in ("film.x", "film.y")}
-    table = table_of(flow, theta, places=8, cells=16)
-    for task in scenes[:5]:
-        studio = images.Studio(task.data["scene"].numpy().tobytes(), size=16)
-        guide = path_space.Guide(table.sample, table.density)
-        shots = [path_space.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
-        means, wanted = torch.stack(shots).double(), float(path_space.reference(studio.tracer, 16, 256).mean())
-        error = float(means.std() / len(means) ** 0.5)
-        assert abs(float(means.mean()) - wanted) < 3 * error + 0.003 * wanted, task.name  # the reference's own error
-        assert error < 0.05 * wanted
-
-
 def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     metapp: Callable, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

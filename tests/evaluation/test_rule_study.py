@@ -15,7 +15,6 @@ from rich.console import Console
 
 from metapp import door
 from metapp.apps import recipes_of
-from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies
@@ -34,8 +33,6 @@ from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres
-
-APP = Brdf()
 
 FEW = ("--train-steps", "2", "--steps", "2", "--steps", "3", "--seeds", "2")
 SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}],)
@@ -134,30 +131,6 @@ def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, da
     assert [axis.get_title() for axis in drawn.figure.axes] == ["2 steps", "3 steps"]
     shutil.rmtree(tmp_path / "runs" / "brdf" / "rules")
     assert draw("rules", subject) is None
-
-
-@pytest.mark.long
-def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
-    evaluate: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    unbroken = figures(evaluate("--json", "--quiet"))
-    errors, calls = Brdf.errors, [0]
-
-    def dying(*arguments: Any) -> Any:
-        calls[0] += 1
-        if calls[0] % 40 == 0:
-            raise KeyboardInterrupt
-        return errors(*arguments)
-
-    monkeypatch.setattr(Brdf, "errors", dying)
-    codes = []
-    while 0 not in codes and len(codes) < 40:
-        again = evaluate("--json", "--quiet", out="broken")
-        codes.append(again.code)
-    assert codes[-1] == 0
-    assert set(codes[:-1]) == {130}
-    assert len(codes) > 2
-    assert figures(again) == unbroken
 
 
 @pytest.mark.long

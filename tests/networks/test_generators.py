@@ -131,18 +131,6 @@ def test_the_code_changes_what_is_made(network: UNet | Pyramid, theta: Params, n
         assert (made - network(theta | {"z": z}, noise)).abs().mean() > 0.05 * made.std()
 
 
-def test_gradients(network: UNet | Pyramid, rng: Generator) -> None:
-    network = network._replace(width=2, levels=2, noise=1, code=2, outputs=1)
-    theta = double(network.init(rng, 2))
-    noise = torch.randn(2, 1, 1, 4, 4, generator=rng, dtype=torch.float64)
-
-    def made(noise: Tensor, *values: Tensor) -> Tensor:
-        return network(dict(zip(theta, values, strict=True)), noise)
-
-    inputs = tuple(value.clone().requires_grad_() for value in (noise, *theta.values()))
-    assert torch.autograd.gradcheck(made, inputs)
-
-
 @pytest.mark.parametrize("size", [(4, 8), (8, 8), (20, 12), (64, 32)])
 def test_sizes(size: tuple[int, int], rng: Generator) -> None:
     network = UNet(4, levels=3, noise=3, code=2, outputs=6)

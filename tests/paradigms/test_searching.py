@@ -176,14 +176,3 @@ def test_a_rule_is_tuned_as_quickft_is(
     if not outer:
         assert len(made.curve) >= 1
         assert made.validation == min(error for _, _, error in made.curve)
-
-
-def test_choices_of_the_search_are_settings_of_adam() -> None:
-    for line in tuning.SEARCHED:
-        for changes in line:
-            adam = replace(Adam(1.0), **changes)
-            assert adam.rate > 0
-            assert 0 <= adam.beta1 < 1
-            assert 0 < adam.beta2 < 1
-            assert 0 <= adam.final <= 1
-            assert adam.eps > 0

@@ -234,22 +234,6 @@ def test_it_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, neural: Neural) -
     np.testing.assert_allclose(np.array(both.eval(context, below, -light)), expected, 1e-5, 1e-7)
 
 
-@pytest.mark.slow
-def test_normal_maps_turn_it(mi: Any, neural: Neural) -> None:
-    def mapped(normal: list[float]) -> Any:
-        pixels = np.broadcast_to(np.float32(normal) / 2 + 0.5, (4, 4, 3))
-        texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.ascontiguousarray(pixels))}
-        return {"type": "normalmap", "normalmap": texture, "inner": neural("nbrdf")}
-
-    plain, flat, turned = (
-        np.array(mi.render(lit(mi, bsdf), spp=64))
-        for bsdf in (neural("nbrdf"), mapped([0, 0, 1]), mapped([0.6, 0, 0.8]))
-    )
-    np.testing.assert_allclose(flat[4:12, 4:12], plain[4:12, 4:12], atol=0.02)
-    assert np.isfinite(turned).all()
-    assert abs(turned - plain)[4:12, 4:12].max() > 0.01
-
-
 @pytest.mark.parametrize("network", BOTH)
 def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
     """Against finite differences of the plain layers in double precision."""
@@ -295,29 +279,6 @@ def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer
         if layer < 2:
             x = torch.nn.functional.silu(x) if network == "featured" else x.relu()
     return (torch.expm1(x).clamp_min(0) * torch.from_numpy(light[2])).sum()
-
-
-@pytest.mark.slow
-def test_gradients_of_a_picture(mi: Any, neural: Neural) -> None:
-    """By path replay, against finite differences of pictures with the same random numbers."""
-    import drjit as dr
-
-    scene = lit(mi, neural("nbrdf"), "prb", 8)
-    parameters = mi.traverse(scene)
-    key = next(key for key in parameters.keys() if key.endswith("bias2"))  # noqa: SIM118  (not a mapping)
-    before = mi.Float(parameters[key])
-    dr.enable_grad(parameters[key])
-    parameters.update()
-    picture = mi.render(scene, parameters, spp=256, seed=3)
-    dr.backward(dr.mean(picture, axis=None))
-    gradient = dr.grad(parameters[key]).numpy()
-
-    def mean(step: float) -> float:
-        parameters[key] = before + mi.Float(step, 0, 0)
-        parameters.update()
-        return float(np.array(mi.render(scene, spp=256, seed=3), dtype=np.float64).mean())
-
-    assert gradient[0] == pytest.approx((mean(0.01) - mean(-0.01)) / 0.02, rel=0.02)
 
 
 def test_xml_finds_files_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Path) -> None:

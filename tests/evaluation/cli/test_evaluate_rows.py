@@ -34,8 +34,6 @@ from tests.evaluation.cli.subjects import rows, subject_of
 
 APP = Brdf()
 
-APP = Brdf()
-
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
     subject = Subject(plan(Request("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
