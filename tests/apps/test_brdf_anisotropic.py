@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-import metapp as package
 from data_tools.readers import gonio, rgl
 from data_tools.readers.brdf_objects import from_object
 from data_tools.readers.brdf_task import as_measured, brdf_task, is_anisotropic
@@ -214,10 +213,3 @@ def test_isotropic_tasks_are_fitted_at_random_azimuths() -> None:
 def test_anisotropic_rgl_files_of_damaged_headers_say_nothing(tmp_path: Path) -> None:
     (tmp_path / "a.bsdf").write_bytes(b"tensor_file\0")
     assert not rgl.is_anisotropic(tmp_path)
-
-
-def test_a_callable_is_fitted_with_the_anisotropic_recipe() -> None:
-    fit = package.fit("brdf", lambda wi, wo: brushed_directions(torch.from_numpy(wi).double(), torch.from_numpy(wo)))
-    assert fit.settings["recipe"] == "anisotropic"
-    assert "turn" in fit.parameters
-    assert {value.shape[-1] for value in fit.pictures().values()} == {4}

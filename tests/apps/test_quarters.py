@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash import Maps
-from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary import quarters
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.quarters import drawn_quarters, quarter_of
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.field import LocalField
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.general import outer_problem
 from metapp.paradigms.validation import validation_error
-from metapp.storage.records import load_checkpoint
 from tests.apps.test_several_photos import several
 from tests.apps.test_svbrdf_nonstationary import RECIPE
 
@@ -145,31 +139,3 @@ def test_general_is_trained_on_quarters_and_validated_on_the_whole(
     monkeypatch.setattr(SvbrdfNonstationary, "outer_sample", None)
     assert validation_error(paradigms()["general"], job, phi, tasks) > 0
     assert set(seen) == {SIDE}
-
-
-@pytest.mark.long
-def test_the_command_trains_general_on_quarters(
-    tmp_path: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At the size that ships: the outer loss of each step is of quarters, the checkpoint is found and validated."""
-    monkeypatch.setattr(quarters, "LARGE", 128)
-    monkeypatch.chdir(tmp_path)
-    seen = []
-
-    def in_quarters(field: LocalField, theta: Params, batch: Batch) -> tuple[Maps, Params, Batch]:
-        made = original(field, theta, batch)
-        seen.append((tuple(batch["photo"].shape), tuple(made[0].diffuse.shape)))
-        return made
-
-    original = svbrdf_nonstationary.in_quarters
-    monkeypatch.setattr(svbrdf_nonstationary, "in_quarters", in_quarters)
-    name = "svbrdf_nonstationary"
-    assert metapp("data", "synth", name, "--count", "9", "--size", "64", "--out", "drawn").code == 0
-    told = ("--observe", "photo", "--recipe", "full", "--data", "drawn", "--json")
-    result = metapp("general", name, *told, "--train", "--train-steps", "1")
-    assert result.code == 0, result.err
-    assert seen == [((4, 3, 256, 256), (4, 3, 128, 128))]
-    kept = next(Path("runs", name, "checkpoints").glob("drawn-*-full-seed0/general-photo.safetensors"))
-    _, info = load_checkpoint(kept)
-    assert (info["training"]["steps"], info["curve"][-1][0]) == (1, 1)
-    assert result.document["tasks"][0]["counts"] == {"photos": 1}
