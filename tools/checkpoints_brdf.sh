@@ -11,11 +11,11 @@ common=(brdf --recipe quick --data "$runs/data/joint" --out "$runs")
 "$metapp" general "${common[@]}" --train --train-steps 30000
 "$metapp" quickft "${common[@]}" --train
 "$metapp" meta "${common[@]}" --rule meta-curvature --train --train-steps 30000
-for rule in meta-sgd meta-adam ridge; do
+for rule in meta-sgd ridge; do
   "$metapp" meta "${common[@]}" --rule "$rule" --train
 done
 folder=$(ls -td "$runs"/brdf/checkpoints/joint-*-quick-seed0 | head -1)
-cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/
+cp -v "$folder"/{general,quickft,meta-sgd,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/
 # ridge goes on with RGL networks, too: not those whose measurements judge it, nor every fifth of the others
 networks=() number=0
 for network in "$data"/nbrdf/rgl/*; do

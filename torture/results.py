@@ -19,7 +19,7 @@ from torture.mutate import mutate_bytes, mutate_json
 from torture.seeds import Files
 
 RECORDS, PACK = "record.jsonl", "fits.pack"
-FITS = (("general", ""), ("meta", "meta-adam"))
+FITS = (("general", ""), ("meta", "meta-curvature"))
 SOURCE = "int seven(void) { return 7; }\n"
 
 

@@ -30,6 +30,7 @@ COMPOSED = (
     "rates+loss",  # SGD with a rate per weight and step
     "adam",
     "adam+curvature",
+    "adam+loss",
     "adam+loss+eps",
     "adam+loss+average",
     "adam+loss+basis",

@@ -23,22 +23,17 @@ OFFERS = (
     Rule("tied", "shared+pace", short=True),
     # the paper's rule: one rate per weight, the same at every step, any sign
     Rule("meta-sgd", "sgd"),
-    # Adam with rates per weight and step, betas per step, and loss parameters
-    Rule("meta-adam", "adam+loss"),
-    # the same with one rate per weight for all steps, times one per parameter tensor and step: as small as meta-sgd's
-    Rule("meta-adam-tied", "tied+betas+loss"),
-    # the same with a learned eps, for recipes that start from General's encoder and train it through the steps
-    Rule("meta-encoder", "meta-adam-tied+eps"),
-    # the same with tail averaging, where samples are random, which lets the parameters scatter
-    Rule("meta-mean", "meta-encoder+average"),
-    # meta-encoder, and a convolutional network that adds to the steps of parameters on a grid
+    # Adam with rates and betas per step, loss parameters, and steps multiplied by learned matrices from both sides
+    Rule("meta-curvature", "adam+loss+curvature"),
+    # Adam with one rate per weight for all steps, times one per parameter tensor and step, and a learned eps, for
+    # recipes that start from General's encoder and train it through the steps
+    Rule("meta-encoder", "tied+betas+loss+eps"),
+    # the same, and a convolutional network that adds to the steps of parameters on a grid
     Rule("meta-lgd", "meta-encoder+network"),
-    # meta-mean, in the eigenbasis of the training tasks' gradients
-    Rule("meta-basis", "meta-mean+basis"),
-    # the same without the mean, for descents from coarse to fine, whose last iterates are of several sizes
+    # meta-encoder in the eigenbasis of the training tasks' gradients
     Rule("meta-axes", "meta-encoder+basis"),
-    # meta-adam, its step multiplied by learned matrices from both sides
-    Rule("meta-curvature", "meta-adam+curvature"),
+    # the same with tail averaging, where samples are random, which lets the parameters scatter
+    Rule("meta-basis", "meta-axes+average"),
     # ridge regression in the last layer, on learned features
     Rule("ridge", "solve+loss"),
 )

@@ -47,9 +47,7 @@ def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Ad
         general=general,
         meta={
             "meta-sgd": replace(learned, first=Adam(0.1)),
-            "meta-adam-tied": learned,
             "meta-encoder": replace(learned, initialisation="encoder", rates={"": rate, "alpha.": 3e-3}),
-            "meta-mean": tuned,
             "meta-basis": tuned,
         },
         rule="meta-basis",
@@ -74,14 +72,14 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0, la
         prior: as of `ExemplarSetup`.
         layout: whether the network reads a layout of the exemplar.
     """
-    tuned = replace(quick.meta["meta-mean"], first=searched)
+    tuned = replace(quick.meta["meta-basis"], first=searched)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
     network = Pyramid(16, outputs=quick.setup.network.outputs, layout=3 if layout else 0)
     return replace(
         quick,
         quickft=searched,
         general=pixels(2400, tasks, validate_every=400),
-        meta={"meta-encoder": quick.meta["meta-encoder"], "meta-mean": tuned, "meta-axes": tuned},
+        meta={"meta-encoder": quick.meta["meta-encoder"], "meta-axes": tuned},
         rule="meta-axes",
         setup=ExemplarSetup(
             256,

@@ -151,13 +151,13 @@ def written(name: str, changes: dict[str, Any]) -> Path:
 
 
 CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
-    ("meta-adam", {"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
-    ("meta-adam", {"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
-    ("meta-adam", {"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
-    ("meta-adam", {"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
-    ("meta-adam", {"theta": {"w1": None}}, "theta w1 is missing"),
-    ("meta-adam", {"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
-    ("meta-adam", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
+    ("meta-curvature", {"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
+    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
+    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
+    ("meta-curvature", {"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
+    ("meta-curvature", {"theta": {"w1": None}}, "theta w1 is missing"),
+    ("meta-curvature", {"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
+    ("meta-curvature", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
     ("meta-sgd", {"app": ["brdf"]}, ""),
     ("meta-sgd", {"app": {"a": 1}}, ""),
     ("meta-sgd", {"start": ["meta-sgd"]}, ""),

@@ -29,7 +29,7 @@ FILES = {
 def finished(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two networks, fitted by Meta's gradient rule; for tests to copy, not to write to."""
     folder = tmp_path_factory.mktemp("finished")
-    run_small("meta", "brdf", neural_fits(2), "--rule", "meta-adam", "--out", folder, "--quiet")
+    run_small("meta", "brdf", neural_fits(2), "--rule", "meta-curvature", "--out", folder, "--quiet")
     (record,) = folder.rglob("record.jsonl")
     return record.parent
 
@@ -51,7 +51,7 @@ def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
 
 
 def test_a_fit_is_written_in_several_forms_at_once(metapp: Callable, neural_fits: Callable[[int], Path]) -> None:
-    words = ("meta", "brdf", neural_fits(1) / "m0", "--rule", "meta-adam", "--json", "--quiet")
+    words = ("meta", "brdf", neural_fits(1) / "m0", "--rule", "meta-curvature", "--json", "--quiet")
     run = Path(metapp(*words, "--export", "nbrdf,bsdf", "--export", "bsdf").document["out"])
     assert (run / "nbrdf" / "m0" / "fc1.npy").is_file()
     assert (run / "bsdf" / "m0.bsdf").is_file()

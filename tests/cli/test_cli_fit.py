@@ -222,7 +222,7 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     misuse = metapp("meta", "brdfs").misuse
     assert "brdfs" in misuse
     assert "expected one of brdf" in misuse
-    misuse = metapp("meta", "illumination", "--rule", "meta-mean").misuse
+    misuse = metapp("meta", "illumination", "--rule", "meta-basis").misuse
     assert "its part average does not apply to illumination" in misuse
 
 

@@ -52,7 +52,7 @@ def fitted(kept: Callable[..., Path]) -> Callable[..., Path]:
     return fit
 
 
-@pytest.mark.parametrize("rule", ["ridge", long("meta-adam")])
+@pytest.mark.parametrize("rule", ["ridge", long("meta-curvature")])
 def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(metapp: Callable, fitted: Callable, rule: str) -> None:
     run = fitted("meta", "--rule", rule)
     result = metapp("pack", run, "--out", "a.pack", "--json")
@@ -89,7 +89,7 @@ def test_inputs_of_a_run_of_many_are_found(metapp: Callable, networks: Path, sta
 
 
 def test_an_unpacked_run_is_a_run(metapp: Callable, fitted: Callable) -> None:
-    run = fitted("meta", "--rule", "meta-adam")
+    run = fitted("meta", "--rule", "meta-curvature")
     packed = metapp("pack", run, "--out", "a.pack", "--bits", "16", "--json").document
     assert metapp("unpack", "a.pack", "--json").done["out"] == "a"
     for name in packed["tasks"]:
@@ -106,7 +106,7 @@ def test_mitsuba_reads_what_was_unpacked(metapp: Callable, fitted: Callable) -> 
     pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
     from metapp.mitsuba import read_material
 
-    for rule in ("ridge", "meta-adam"):
+    for rule in ("ridge", "meta-curvature"):
         metapp("pack", fitted("meta", "--rule", rule), "--out", f"{rule}.pack", "--bits", "12", "--quiet")
         assert metapp("unpack", f"{rule}.pack", "--quiet").code == 0
         assert read_material(Path(rule, "params", "m0.safetensors"))
@@ -161,7 +161,7 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
     Path("a.pack").write_bytes(b"hello")
     for words in (("unpack", "a.pack"), ("unpack", "b.pack"), ("pack", ".")):
         assert "expected" in metapp(*words).refusal
-    metapp("pack", fitted("meta", "--rule", "meta-adam"), "--out", "a.pack", "--bits", "8", "--quiet")
+    metapp("pack", fitted("meta", "--rule", "meta-curvature"), "--out", "a.pack", "--bits", "8", "--quiet")
     whole = read_pack(Path("a.pack"))
     first = next(iter(whole.tensors))
     huge = whole.tensors[first]._replace(step=1e300)

@@ -27,7 +27,7 @@ def networks(neural_fits: Callable[[int], Path]) -> Path:
 @pytest.fixture
 def run(metapp: Callable, networks: Path) -> Path:
     """A run of both by Meta's gradient rule."""
-    return Path(metapp("meta", "brdf", networks, "--rule", "meta-adam", "--json", "--quiet").document["out"])
+    return Path(metapp("meta", "brdf", networks, "--rule", "meta-curvature", "--json", "--quiet").document["out"])
 
 
 def change(run: Path, edit: Callable[[dict[str, Any]], None]) -> None:

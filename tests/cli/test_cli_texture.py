@@ -76,7 +76,7 @@ def data(app: str, metapp: Callable) -> str:
 
 
 def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: str, metapp: Callable, wall: Path) -> None:
-    common = ("--data", data, "--rule", "meta-adam-tied", "--json")
+    common = ("--data", data, "--rule", "meta-sgd", "--json")
     assert metapp("meta", app, *common, "--train").done
     document = metapp("meta", app, wall, *common, "--steps", "2", "--export", "asset").done
     assert [task["name"] for task in document["tasks"]] == ["wall"]
@@ -195,7 +195,7 @@ def test_all_paradigms_and_their_table(app: str, data: Path, metapp: Callable) -
 
 def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, metapp: Callable) -> None:
     common = (app, "--data", data)
-    assert metapp("meta", *common, "--rule", "meta-adam-tied", "--train", "--quiet").code == 0
+    assert metapp("meta", *common, "--rule", "meta-sgd", "--train", "--quiet").code == 0
     widths = [3, *(width for block in BLOCKS["vgg16"] for width in block)]
     weights = {}
     for i, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
@@ -203,6 +203,6 @@ def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, 
         weights[f"conv{i}.bias"] = np.zeros(outputs, np.float32)
     save_file(weights, weights_path("vgg16"))
     assert "its encoder reads random filters" in metapp("general", *common).refusal
-    meta = metapp("meta", *common, "--rule", "meta-adam-tied", "--quiet")
+    meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet")
     assert meta.code == 0
-    assert "warning: meta-adam-tied.safetensors was trained with random filters" in meta.err
+    assert "warning: meta-sgd.safetensors was trained with random filters" in meta.err

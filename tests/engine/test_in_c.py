@@ -29,7 +29,7 @@ from tests import forks
 APP = Brdf()
 
 TASKS, STEPS = 3, 5
-IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
+IN_C = ["meta-sgd", "adam+loss", "meta-encoder", "meta-curvature"]
 EPS = torch.finfo(torch.float32).eps
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
 
@@ -197,7 +197,9 @@ def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
 def test_what_is_not_in_c_is_left_to_torch() -> None:
     rng = Generator().manual_seed(5)
     theta, rule, loss = theta_of(rng), sgd({"rate": torch.ones(1)}), loss_of([])
-    mean, basis = (rule_of(name).rule(spread(moved(name, rng), TASKS, 1)) for name in ("meta-mean", "meta-axes"))
+    mean, basis = (
+        rule_of(name).rule(spread(moved(name, rng), TASKS, 1)) for name in ("meta-encoder+average", "meta-axes")
+    )
     ridge = app_of("brdf", RECIPES["quick"], rule="ridge")
     cases = {
         "mean": (mean, loss, theta),

@@ -204,7 +204,7 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
     assert training_for(recipe, "sgd+loss") is recipe.meta["meta-sgd"]
     assert training_for(recipe, "rates+loss").first == Adam(0.1)
     assert training_for(recipe, "adam+curvature") is recipe.meta["meta-curvature"]
-    assert training_for(recipe, "meta-adam") is recipe.meta["meta-adam"]
+    assert training_for(recipe, "adam+loss") is recipe.meta["meta-curvature"]
     no_sgd = recipes_of("illumination")["quick"]
     assert training_for(no_sgd, "meta-sgd") == replace(no_sgd.meta[no_sgd.rule], tuned=True)
     assert training_for(no_sgd, "adam") is no_sgd.meta[no_sgd.rule]

@@ -141,7 +141,7 @@ def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., T
     """Also where tasks are walked back in parts, by rules with and without products of betas."""
     phi, mean = brdf_case(rule, randn)
     expected = value_and_grads(mean(order, engine=None), phi)
-    for at_once in (None, 1, 2, TASKS) if rule in ("meta-sgd", "meta-adam-tied") else (None,):
+    for at_once in (None, 1, 2, TASKS) if rule in ("meta-sgd", "meta-encoder") else (None,):
         value, grads = value_and_grads(mean(order, Engine(at_once)), phi)
         assert_alike((value, grads), expected)
         for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own

@@ -194,7 +194,9 @@ def test_tasks_side_by_side_equal_each_alone(start: Params, tasks: Tasks) -> Non
         torch.testing.assert_close(together.theta["x"][i], alone.theta["x"][0], rtol=1e-12, atol=0)
 
 
-@pytest.mark.parametrize("rule", ["meta-sgd", "meta-adam", "meta-mean", "adam+curvature+average", "tied+betas"])
+@pytest.mark.parametrize(
+    "rule", ["meta-sgd", "meta-curvature", "tied+loss+betas+average", "adam+curvature+average", "tied+betas"]
+)
 @pytest.mark.parametrize("rate", [1e-3, 1e3])
 def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
     """Compositions and tail averaging, too: a good rate stays as it is, an absurd one ends below the initialisation."""

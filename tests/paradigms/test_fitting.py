@@ -188,11 +188,11 @@ def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
 @pytest.mark.parametrize("steps", [5, 30])
 def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, tasks: Tasks) -> None:
     """A rule that was prepared for fewer or more steps takes no other mean than one prepared for these."""
-    job = job._replace(rule="meta-mean")
+    job = job._replace(rule="meta-basis")
     single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
     fits = []
     for count in (15, steps):
-        alpha = rule_of("meta-mean").alpha(job.app, single, count, Adam(1e-3))
+        alpha = rule_of("meta-basis").alpha(job.app, single, count, Adam(1e-3))
         start = MetaParameters(single, alpha)
         fits.append(paradigms()["meta"].fit(job._replace(steps=steps), start, tasks.select([0]), rng()))
     for key, value in fits[0].items():

@@ -156,7 +156,7 @@ def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[...
 
 @pytest.mark.parametrize("app", ["texture"], indirect=True)
 @pytest.mark.parametrize("outer", [0, 2])
-@pytest.mark.parametrize("rule", ["meta-mean", "meta-basis"])
+@pytest.mark.parametrize("rule", ["meta-axes", "meta-basis"])
 def test_a_rule_is_tuned_as_quickft_is(
     rule: str, outer: int, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,7 +55,6 @@ QUICK = Recipe(
             initialisation="encoder",
             augment=False,
         ),
-        "meta-adam": replace(LEARNED, guard=replace(GUARD, fall=0.25)),
         "meta-curvature": replace(LEARNED, guard=GUARD),
         "ridge": RIDGE,
     },

@@ -51,8 +51,8 @@ def test_a_rule_has_one_step_whatever_its_hyperparameters() -> None:
 
 def test_every_name_names_its_own_rule() -> None:
     """And a composition that has a name goes by it."""
-    assert rule_of("loss+betas+rates").name == "meta-adam"
-    assert rule_of("meta-adam+curvature").name == "meta-curvature"
+    assert rule_of("eps+pace+loss+betas+shared").name == "meta-encoder"
+    assert rule_of("adam+loss+curvature").name == "meta-curvature"
     assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
     assert rule_of("sgd+curvature").name == "sgd+curvature"
     assert rule_of("solve+loss").name == "ridge"
@@ -99,7 +99,7 @@ def test_parts_that_do_not_go_together_are_refused(name: str, line: str) -> None
         ("brdf", "sgd+network", "network does not apply to brdf: no parameter lies on a grid"),
         ("brdf", "ridge", "solve does not apply to brdf: its network is not linear"),
         ("texture", "meta-lgd", "network does not apply to texture: no parameter lies on a grid"),
-        ("illumination", "meta-mean", "average does not apply to illumination: its fits see nothing random"),
+        ("illumination", "meta-basis", "average does not apply to illumination: its fits see nothing random"),
         (
             "svbrdf_nonstationary",
             "adam+average",

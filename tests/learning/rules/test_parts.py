@@ -198,20 +198,20 @@ def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, s
 def test_tied_rates_are_adam_s_where_its_rates_are_alike(start: Params, single: list[Params]) -> None:
     """With paces of 0 and the same rates at every step; a pace multiplies the rates of one tensor at one step."""
     rng = Generator().manual_seed(0)
-    tied = rule_of("meta-adam-tied").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
-    free = rule_of("meta-adam").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    tied = rule_of("tied+betas+loss").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    free = rule_of("adam+loss").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     for key in start:
         tied[f"rate.{key}"] = tied[f"rate.{key}"] + torch.randn(start[key].shape, generator=rng).double()
         free[f"rate.{key}"] = tied[f"rate.{key}"].repeat(STEPS, *[1] * start[key].ndim)
     assert set(tied) - set(free) == {f"pace.{key}" for key in start}
-    path = run(rule_of("meta-adam-tied").rule(tied), start, single)
-    assert_same(path, run(rule_of("meta-adam").rule(free), start, single))
+    path = run(rule_of("tied+betas+loss").rule(tied), start, single)
+    assert_same(path, run(rule_of("adam+loss").rule(free), start, single))
 
     tied["pace.w2"] = tied["pace.w2"].clone()
     tied["pace.w2"][3] = math.log(3)
     free["rate.w2"][3] += math.log(3)
-    paced = run(rule_of("meta-adam-tied").rule(tied), start, single)
-    assert_same(paced, run(rule_of("meta-adam").rule(free), start, single))
+    paced = run(rule_of("tied+betas+loss").rule(tied), start, single)
+    assert_same(paced, run(rule_of("adam+loss").rule(free), start, single))
     torch.testing.assert_close(paced[3]["w2"] - paced[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
 
 
@@ -220,9 +220,9 @@ def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params
     alpha = rule_of("meta-curvature").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     left, right = (torch.randn(21, 21, generator=rng).double() for _ in "lr")
     alpha |= {"left.w2": left[None], "right.w2": right[None]}
-    plain = rule_of("meta-adam").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
+    plain = rule_of("adam+loss").alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     bent = run(rule_of("meta-curvature").rule(alpha), start, single[:1])[0]
-    straight = run(rule_of("meta-adam").rule(plain), start, single[:1])[0]
+    straight = run(rule_of("adam+loss").rule(plain), start, single[:1])[0]
     torch.testing.assert_close(bent["w2"] - start["w2"], left @ (straight["w2"] - start["w2"]) @ right)
     for key in set(start) - {"w2"}:
         torch.testing.assert_close(bent[key], straight[key])
@@ -232,10 +232,11 @@ def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params
 def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, start: Params, rng: Generator) -> None:
     grads = [{key: torch.randn(v.shape, generator=rng).to(v) for key, v in start.items()} for _ in range(steps)]
     tied, mean = (
-        rule_of(rule).alpha(APP, start, steps, Adam(5e-3, eps=META_EPS)) for rule in ("meta-adam-tied", "meta-mean")
+        rule_of(rule).alpha(APP, start, steps, Adam(5e-3, eps=META_EPS))
+        for rule in ("tied+betas+loss", "meta-encoder+average")
     )
-    path = run(rule_of("meta-adam-tied").rule(tied), start, grads)
-    averaged = run(rule_of("meta-mean").rule(mean), start, grads)
+    path = run(rule_of("tied+betas+loss").rule(tied), start, grads)
+    averaged = run(rule_of("meta-encoder+average").rule(mean), start, grads)
     assert_same(averaged[:-1], path[:-1])
     last = path[-max(round(0.4 * steps), 1) :]
     for key in start:
