@@ -1,12 +1,16 @@
-"""An application that lies in two folders beside metapp: every command takes it, nothing else is edited."""
+"""An application in a package of its own: installed beside metapp, every command takes it; uninstalled, none does."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import shutil
+import site
 import subprocess
 import sys
+import venv
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,9 +19,6 @@ ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "seventh_application"
 LINES = """
 import json, sys
-import metapp.apps, data_tools.formats
-metapp.apps.__path__.append(sys.argv[1] + "/metapp/apps")
-data_tools.formats.__path__.append(sys.argv[1] + "/data_tools/formats")
 from metapp.cli.commands import app
 from metapp.cli.console import run
 from metapp.evaluation.figures import style
@@ -29,22 +30,54 @@ for line in sys.stdin:
 """
 
 
-def commands(*lines: list[str]) -> list[str]:
-    """What commands print, in a program that has the application."""
-    done = subprocess.run(
-        [sys.executable, "-c", LINES, EXAMPLE],
-        input="\n".join(json.dumps(list(map(str, line))) for line in lines),
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
-        env={**os.environ, "COLUMNS": "200", "OMP_NUM_THREADS": "1"},
-    )
-    assert "Traceback" not in done.stderr
-    parts = done.stdout.split("\n== ")
-    codes = [part.partition("\n")[0] for part in parts[1:]]
-    assert codes == ["0"] * len(lines), done.stderr
-    return [parts[0], *(part.partition("\n")[2] for part in parts[1:-1])]
+class Environment:
+    """A virtual environment that has what this one has, and the application's package."""
+
+    def __init__(self, folder: Path) -> None:
+        venv.create(folder, with_pip=False, symlinks=True)
+        self.python = folder / "bin" / "python"
+        places = [str(ROOT), *site.getsitepackages()]
+        (packages,) = folder.glob("lib/python*/site-packages")
+        (packages / "beside.pth").write_text("".join(f"import site; site.addsitedir({place!r})\n" for place in places))
+        source = folder / "source"
+        shutil.copytree(EXAMPLE, source, ignore=shutil.ignore_patterns("__pycache__", "build", "*.egg-info"))
+        self.pip("install", "--quiet", "--no-deps", "--no-build-isolation", str(source))
+
+    def pip(self, *words: str) -> None:
+        """Run pip on this environment."""
+        command = [sys.executable, "-m", "pip", "--python", self.python, "--disable-pip-version-check", *words]
+        subprocess.run(command, check=True, capture_output=True, text=True)
+
+    def run(self, lines: str, *words: object, given: str = "", **variables: str) -> subprocess.CompletedProcess[str]:
+        """Run a program of these lines."""
+        return subprocess.run(
+            [self.python, "-c", lines, *map(str, words)],
+            input=given,
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=self.python.parent,
+            env={**os.environ, "COLUMNS": "200", "OMP_NUM_THREADS": "1", **variables},
+        )
+
+    def commands(self, *lines: list[object]) -> list[str]:
+        """What commands print, each of which ends well."""
+        done = self.run(LINES, given="\n".join(json.dumps(list(map(str, line))) for line in lines))
+        assert "Traceback" not in done.stderr
+        parts = done.stdout.split("\n== ")
+        codes = [part.partition("\n")[0] for part in parts[1:]]
+        assert codes == ["0"] * len(lines), done.stderr
+        return [parts[0], *(part.partition("\n")[2] for part in parts[1:-1])]
+
+
+@pytest.fixture(scope="session")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    return Environment(tmp_path_factory.mktemp("environment") / "env")
+
+
+@pytest.fixture
+def commands(installed: Environment) -> Callable[..., list[str]]:
+    return installed.commands
 
 
 @pytest.fixture
@@ -58,31 +91,59 @@ def curves(tmp_path: Path) -> Path:
     return folder
 
 
-def test_it_is_converted_trained_and_fitted(curves: Path, tmp_path: Path) -> None:
+def test_it_is_converted_trained_and_fitted(commands: Callable, curves: Path, tmp_path: Path) -> None:
     data, runs = tmp_path / "set", tmp_path / "runs"
+    shared = ["--out", runs, "--quiet", "--json"]
     said = commands(
         ["meta", "curve", "--help"],
         ["data", "curve", curves, "--out", data, "--json", "--quiet"],
         ["data", "check", data],
-        ["general", "curve", "--data", data, "--out", runs, "--quiet", "--json", "--train", "--train-steps", "5"],
+        ["general", "curve", "--data", data, *shared, "--train", "--train-steps", "5", "--export", "csv"],
+        ["baseline", "curve", curves / "c00.curve", "--method", "line", *shared],
     )
     assert "What to fit: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
     assert json.loads(said[1])["app"] == "curve"
     assert "no problems" in said[2]
     assert math.isfinite(json.loads(said[3])["error"])
     assert list(runs.rglob("outputs/*/curve.png"))
+    assert len(list(runs.rglob("csv/*.csv"))) == 4
+    assert json.loads(said[4])["tasks"][0]["error"] < 1
+
+
+def test_help_completion_and_the_python_api_have_it(installed: Environment, curves: Path) -> None:
+    assert "curve" in installed.commands(["meta", "--help"])[0]
+    typed = {"_METAPP_COMPLETE": "complete_bash", "COMP_WORDS": "metapp baseline curve --method ", "COMP_CWORD": "4"}
+    assert installed.run("from metapp.cli import main; main()", **typed).stdout.split() == ["line"]
+    fit = "import sys, metapp; fit = metapp.fit('curve', sys.argv[1], paradigm='overfit'); print(fit.error)"
+    assert float(installed.run(fit, curves / "c00.curve").stdout) < 0.1
+
+
+def test_uninstalled_nothing_of_it_is_left(tmp_path: Path) -> None:
+    environment = Environment(tmp_path / "env")
+    names = "import metapp.apps; print('curve' in metapp.apps.app_names())"
+    assert environment.run(names).stdout == "True\n"
+    environment.pip("uninstall", "--quiet", "--yes", "metapp-curve")
+    assert environment.run(names).stdout == "False\n"
+    done = environment.run("from metapp.cli import main; main()", "meta", "curve")
+    assert done.returncode != 0
+
+
+def test_a_package_that_cannot_be_imported_is_left_out_and_said(tmp_path: Path) -> None:
+    environment = Environment(tmp_path / "env")
+    (packages,) = environment.python.parent.parent.glob("lib/python*/site-packages/metapp_curve/__init__.py")
+    packages.write_text("import nothing_of_this_name\n")
+    done = environment.run("import sys; from metapp.cli import main; sys.argv = ['metapp', 'doctor']; main()")
+    assert "extension curve of metapp-curve: ModuleNotFoundError" in done.stdout + done.stderr
 
 
 @pytest.mark.long
-def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
+def test_every_command_takes_it(commands: Callable, curves: Path, tmp_path: Path) -> None:
     data, runs = tmp_path / "set", tmp_path / "runs"
     shared = ["--data", data, "--out", runs, "--quiet"]
     train = [*shared, "--json", "--train", "--train-steps"]
     said = commands(
-        ["meta", "curve", "--help"],
         ["data", "--help"],
         ["data", "curve", curves, "--out", data, "--json", "--quiet"],
-        ["data", "check", data],
         ["general", "curve", *train, "200"],
         ["quickft", "curve", *train, "5"],
         ["meta", "curve", *train, "10"],
@@ -92,24 +153,20 @@ def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
         ["evaluate", "curve", *shared, "--which", "storage", "--format", "markdown"],
         ["evaluate", "curve", *shared, "--figures", tmp_path / "figures", "--report", tmp_path / "report"],
     )  # fmt: skip
-    assert "What to fit: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
-    assert "Convert curves, text files of 32 numbers." in said[1]
-    assert json.loads(said[2])["app"] == "curve"
-    assert "no problems" in said[3]
-    error = {name: json.loads(said[4 + i])["error"] for i, name in
+    assert "Convert curves, text files of 32 numbers." in said[0]
+    error = {name: json.loads(said[2 + i])["error"] for i, name in
              enumerate(("general", "quickft", "meta", "overfit", "finetune"))}  # fmt: skip
     assert max(error["overfit"], error["finetune"]) < error["general"]
-    rows = {row["paradigm"]: row for row in json.loads(said[9])["rows"]}
+    rows = {row["paradigm"]: row for row in json.loads(said[7])["rows"]}
     assert {name: rows[name]["error"] for name in error} == error
     assert {row["paper_error"] for row in rows.values()} == {None}
-    assert "| curve |" in said[10]
+    assert "| curve |" in said[8]
     assert list((tmp_path / "figures").glob("*.png"))
     assert "Curve" in (tmp_path / "report" / "index.html").read_text()
-    outputs = list(runs.rglob("outputs/*/curve.png"))
-    assert len(outputs) >= 4 * 5
+    assert len(list(runs.rglob("outputs/*/curve.png"))) >= 4 * 5
 
 
 def test_its_cost_is_as_documented() -> None:
     files = {path: len(path.read_text().splitlines()) for path in EXAMPLE.rglob("*.py")}
-    assert len(files) == 4
-    assert sum(files.values()) < 220
+    assert len(files) == 6
+    assert sum(files.values()) < 250

@@ -6,9 +6,11 @@ from typing import Annotated
 
 import typer
 
+from metapp import door
 from metapp.cli import data
 from metapp.cli.fit import FitCommand, make_command
 from metapp.cli.group import Group, add_commands
+from metapp.runs.reporter import say
 
 SUMMARIES = {
     "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
@@ -40,7 +42,9 @@ def options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="The version of metapp.")
     ] = False,
 ) -> None:
-    """Take the options that need no command."""
+    """Take the options that need no command; warn of extensions that cannot be used."""
+    for line in door.problems():
+        say(f"warning: {line}")
 
 
 for name, summary in SUMMARIES.items():

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sysconfig
 
+from metapp import door
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json
 from metapp.storage import Document
@@ -52,6 +53,7 @@ def examine() -> Document:
     shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}
     return {
         "versions": {name: _version(name) for name in PACKAGES},
+        "extensions": ", ".join(_extensions()),
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
         "compiler": _compiler(),
         "cache": str(cache_folder()),
@@ -60,6 +62,16 @@ def examine() -> Document:
         "VGG": {which: _vgg(which) for which in VGG},
         "libLLVM": _llvm(),
     }
+
+
+def _extensions() -> list[str]:
+    """Extensions by name, with the package of those that do not ship, and those that are left out."""
+    names = [
+        extension.name if extension.package == "metapp" else f"{extension.name} of {extension.package}"
+        for extension in door.extensions()
+        if not extension.problem
+    ]
+    return names + [f"{name} (left out by {door.WITHOUT})" for name in door.left_out()]
 
 
 def _compiler() -> str:

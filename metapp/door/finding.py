@@ -82,6 +82,12 @@ def switched_off(kind: type[Any], name: str) -> str:
     return ""
 
 
+def left_out() -> list[str]:
+    """The extensions that METAPP_WITHOUT leaves out."""
+    names = _left_out(os.environ.get(WITHOUT, ""))
+    return [extension.name for extension in (*_installed(), *_added) if extension.name in names]
+
+
 def problems() -> list[str]:
     """A line for each extension that cannot be used."""
     return [

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from metapp.apps.curve.app import SAMPLES, Curve
 from torch import Tensor
 
 from metapp.appearance.presentation import Picture, Presentation
 from metapp.learning.task import Params, Task
+from metapp_curve.app import SAMPLES, Curve
 
 
 class CurvePresentation(Presentation[Curve]):
@@ -35,6 +35,3 @@ def _plot(y: Tensor) -> Tensor:
     rows = ((1 - y.clamp(-1, 1)) / 2 * (SAMPLES - 1)).round().long()
     pixels[rows, torch.arange(SAMPLES)] = 0.0
     return pixels
-
-
-PRESENTATION = CurvePresentation

@@ -6,16 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_tools.formats import Command, Format
-
 if TYPE_CHECKING:
-    from metapp.learning.task import Task
+    from metapp.learning.task import Params, Task
+    from metapp_curve.app import Curve
 
-HELP = """Convert curves, text files of 32 numbers.
-
-Example:
-  metapp data curve curves --out set
-"""
 UNITS = {"y": "1"}
 
 
@@ -48,12 +42,13 @@ def read_task(path: Path) -> Task:
     return Task(path.stem, {"y": torch.tensor(values)})
 
 
-FORMATS = (
-    Format(
-        "curve",
-        "curve",
-        __name__,  # larger formats have a module of data_tools.readers
-        ".curve files of 32 numbers",
-        command=Command(HELP, "curve", "FILES...", ".curve files, and folders of them."),
-    ),
-)
+def export(app: Curve, theta: Params, path: Path) -> None:
+    """Write x and y of a fit, a line a sample, as <path>.csv."""
+    import torch
+
+    one = {key: value[None] for key, value in theta.items()}
+    x = torch.linspace(-1, 1, 32)
+    rows = zip(x.tolist(), app.value(one, x[None, None])[0, 0].tolist(), strict=True)
+    lines = ["x,y", *(f"{x:.6g},{y:.6g}" for x, y in rows)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".csv").write_text("\n".join(lines) + "\n")

@@ -18,4 +18,4 @@ QUICK = Recipe(
 )
 PAPER = as_published(QUICK, None)
 
-RECIPES = {"": {"paper": PAPER, "quick": QUICK}}
+RECIPES = {"paper": PAPER, "quick": QUICK}
