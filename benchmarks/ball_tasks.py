@@ -11,8 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Generator, Tensor
 
-from data_tools.balls.capture import Settings, capture, photo_of
-from data_tools.balls.photo import with_light
+from data_tools.balls.photo import photo_of, with_light
 from data_tools.balls.shots import Shot
 from data_tools.balls.view import Ball
 from data_tools.readers.latlong import find_maps, read_map, read_map_task
@@ -20,6 +19,7 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.latlong import directions, mean_luminance, resample, solid_angles
 from metapp.appearance.photograph import Camera, develop, exposures, mirror
 from metapp.apps.illumination.mirror import REFLECTANCE
+from metapp.extensions.capture.ball.capture import Settings, capture
 from metapp.learning.task import Task
 
 ACROSS = 400  # px of a mirror in a photograph

@@ -1,1 +1,1 @@
-"""Photographs of a mirror ball: the ball found, exposures merged, and the light around it as a lat-long map."""
+"""A photograph of a mirror ball: the ball found, and the light around it as a lat-long map."""

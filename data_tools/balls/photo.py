@@ -6,16 +6,21 @@ import math
 from pathlib import Path
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from data_tools.balls.capture import lens_of, photo_of
 from data_tools.balls.circle import score_of
-from data_tools.balls.exposures import merged
 from data_tools.balls.mirror import is_mirror
-from data_tools.balls.shots import FOUND, Shot, disc, gray_of, searched, shot_of
+from data_tools.balls.shots import FOUND, Shot, disc, gray_of, lens_of, searched, shot_of
 from data_tools.balls.unwrap import unwrapped
 from data_tools.balls.view import Ball, Lens, mirrored
 from data_tools.readers.image_files import Pixels, read_pixels
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.latlong import sphere_normals
+from metapp.apps.illumination.mirror import CLIPPED
 from metapp.learning.task import Task
+
+SIZE = 64  # px of the photograph of the ball alone
 
 _BETTER = 1.2  # of its score, that another ball must have
 _SAME = 0.03  # of the radius, by which a ball may miss the central square's circle and be taken for that
@@ -65,6 +70,24 @@ def with_light(task: Task, shot: Shot, rows: int) -> Task:
     size = min(800, 2 * math.ceil(shot.ball.radius))
     places = disc(size)
     light, there = shot.at(mirrored(places, shot.ball.angle))
-    found = merged([light], [there & (np.hypot(*places) < 1)], np.ones(1))
-    seen, certain = unwrapped(found.radiance, found.clipped, found.seen, rows, shot.ball.angle, shot.ball.radius)
+    on_ball = there & (np.hypot(*places) < 1)
+    clipped = (linear_to_srgb(torch.from_numpy(light)).numpy().max(0) >= CLIPPED) & on_ball
+    seen, certain = unwrapped(light, clipped, on_ball, rows, shot.ball.angle, shot.ball.radius)
     return task._replace(data=task.data | {"seen": seen, "certain": certain})
+
+
+def photo_of(shot: Shot, is_mirror: bool = True) -> Tensor:
+    """A ball alone as a camera far away sees it, display values uint8 [3, SIZE, SIZE], black outside.
+
+    Args:
+        shot: the photograph.
+        is_mirror: it is undone where the ball mirrors; else only its contour is made a circle.
+    """
+    many = max(1, math.ceil(2 * shot.ball.radius / SIZE))
+    places = disc(SIZE * many)
+    if is_mirror:
+        light, _ = shot.at(mirrored(places))
+    else:
+        light, _ = shot._replace(turn=(0.0, 0.0, 0.0)).at(mirrored(places, shot.ball.angle))
+    mean = torch.from_numpy(light.reshape(3, SIZE, many, SIZE, many).mean((2, 4)))
+    return (linear_to_srgb(mean) * sphere_normals(SIZE)[1] * 255).round().to(torch.uint8)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from data_tools.formats import AUTO
 from data_tools.readers import latlong
 from metapp.learning.task import Task
 
@@ -25,7 +23,7 @@ def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> T
 
     Returns:
         As `latlong.read_task`; of a ball that is surely a mirror also `seen` and `certain`, as of
-        `data_tools.balls.write.UNITS`.
+        `data_tools.balls.unwrap.unwrapped`, 1 where the photograph is white.
 
     Raises:
         ValueError: as `latlong.read_task`.
@@ -36,22 +34,3 @@ def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> T
     from data_tools.balls.photo import read_photo  # here: it imports scipy, which maps do not need
 
     return read_photo(path, task, size, fov_rad)
-
-
-def merge(paths: Sequence[Path], exposures: str, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
-    """Turn photographs of one mirror ball, of different exposures, into a task named by the first one's stem.
-
-    Args:
-        paths: the files.
-        exposures: times in their order, such as "1/20,1/60"; AUTO: as EXIF says, else as pixels tell.
-        size, fov_rad: as of `read_task`.
-
-    Raises:
-        ValueError: as `capture`; no exposure times.
-    """
-    from data_tools.balls.capture import Settings, capture
-    from data_tools.balls.exposures import parsed
-    from data_tools.balls.write import task_of
-
-    times = () if exposures == AUTO else tuple(parsed(exposures))
-    return task_of(paths[0].stem, capture(paths, Settings(times, fov_rad, rows=size)))

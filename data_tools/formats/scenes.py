@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from data_tools.formats.options import FOV_OF_FITS
-from metapp.door import Converter, Format, InMemory, Merge, Option
+from metapp.door import Converter, Format, InMemory, Option
 
 ROWS = Option("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
 
@@ -21,14 +21,6 @@ Examples:
 
 FOV = FOV_OF_FITS._replace(
     help="Camera field of view along the shorter side; default: from EXIF, else a distant camera."
-)
-EXPOSURES = Option(
-    "exposures",
-    "",
-    "Exposure times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
-    "T,T,...",
-    protocol="photo",
-    of_inputs=True,
 )
 ROOTS = Option(
     "scene_root",
@@ -57,7 +49,6 @@ OFFERS = (
         "Mitsuba scenes (.xml, .json) with a perspective camera",
         options=(ROOTS,),
     ),
-    Merge("illumination", EXPOSURES, "data_tools.balls.reading:merge"),
     InMemory("illumination", "data_tools.readers.picture_objects:light"),
     InMemory("transport", "data_tools.readers.mitsuba_scenes:from_object"),
 )

@@ -267,8 +267,12 @@ class Format(NamedTuple):
 
     def read(self, source: Path, arguments: Mapping[str, object]) -> Task:
         """Read one source, by those of the arguments of readers, by keyword, that the format takes."""
+        return self.files().read_task(source, **self.taken(arguments))
+
+    def taken(self, arguments: Mapping[str, object]) -> dict[str, Any]:
+        """Those of the arguments of readers, by keyword, that the format takes."""
         takes = {*self.takes, *(option.keyword for option in self.options)}
-        return self.files().read_task(source, **{key: arguments[key] for key in takes & arguments.keys()})
+        return {key: arguments[key] for key in takes & arguments.keys()}
 
     def conversion(self, paths: list[Path], split: str, options: Mapping[str, object]) -> Conversion:
         """How files become tasks by the command's options; ValueError for bad paths."""

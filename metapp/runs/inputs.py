@@ -237,7 +237,7 @@ def _merged(plan: Plan, merge: door.Merge, value: Any) -> Source:
     (form, *_) = (form for form in inputs_of(app.name) if form.recognises(places[0]))
 
     def read() -> Task:
-        task: Task = door.load(merge.merge)(places, value, **_arguments(plan, form))
+        task: Task = door.load(merge.merge)(places, value, **form.taken(_arguments(plan, form)))
         return task
 
     stamp = _stamps()

@@ -16,7 +16,7 @@ from metapp.cli.options import Json, field_of_view, takes
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
-    from data_tools.markers.rectified import Set
+    from metapp.extensions.capture.markers.rectified import Set
 
 
 class Paper(enum.StrEnum):
@@ -43,7 +43,7 @@ def markers(
     Example:
       metapp data markers sheet.pdf
     """
-    from data_tools.markers.sheet import write_sheet
+    from metapp.extensions.capture.markers.sheet import write_sheet
     from metapp.storage.files import suffixed
 
     path = suffixed(path, ".pdf")
@@ -93,8 +93,8 @@ def rectify(options: Rectify) -> None:
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
     flash = _flash(options.flash)
-    from data_tools.markers.rectified import FOUND, Settings, place, summary, write_set
     from data_tools.readers.photos import find_photos
+    from metapp.extensions.capture.markers.rectified import FOUND, Settings, place, summary, write_set
 
     folder, quiet = options.folder, options.quiet
     if folder.is_dir() and any(folder.iterdir()):

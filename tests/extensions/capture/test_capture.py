@@ -1,24 +1,22 @@
-"""From photographs to maps: unwrapping, registration, brackets."""
+"""From photographs of a ball by hand to a map: registration, brackets."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from data_tools.balls.capture import Settings, capture, lens_of, recovered
-from data_tools.balls.exposures import exif_exposure, merged, parsed
-from data_tools.balls.shots import Shot, aligned, changed, disc
-from data_tools.balls.unwrap import unwrapped
-from data_tools.balls.view import Ball, Lens, mirrored
-from data_tools.readers.image_files import Pixels
+from data_tools.balls.shots import Shot, disc
+from data_tools.balls.view import Ball, mirrored
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import directions
+from metapp.extensions.capture.ball.alignment import aligned, changed
+from metapp.extensions.capture.ball.capture import Settings, capture, recovered
+from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed
 from metapp.storage.images import write_png
-from tests.ball_photos import busy, detailed, light, photograph
+from tests.ball_photos import busy, detailed, photograph
 
 TIMES = (1 / 20, 1 / 60, 1 / 240)
 
@@ -27,35 +25,6 @@ def written(path: Path, linear: np.ndarray) -> Path:
     display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
     write_png(display, {"encoding": "sRGB"}, path)
     return path
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.1, 0.4])
-def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
-    places = disc(400)
-    seen, certain = unwrapped(
-        light(mirrored(places, angle)), np.zeros((400, 400), bool), np.ones((400, 400), bool), 64, angle, 200
-    )
-    true = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).float()
-    error = (seen - true).abs()
-    assert error[:, certain[0] > 0.99].max() < 0.01
-    assert error[:, certain[0] > 0].max() < 0.03
-    assert (certain[1] == 0).all()
-    hidden = directions(64, 128)[2] < -math.cos(max(0.0, angle - 0.05))
-    assert (certain[0][hidden] == 0).all()
-    assert (certain[0] > 0.99).float().mean() > 0.8
-
-
-def test_what_clips_is_said_and_a_small_ball_is_less_certain() -> None:
-    places = disc(200)
-    values = light(mirrored(places))
-    clipped = values.max(0) > 0.75
-    _, certain = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 100)
-    bright = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).max(0).values
-    assert (certain[1][bright > 0.78] > 0.9).all()
-    assert (certain[1][bright < 0.72] == 0).all()
-    assert (certain.sum(0) <= 1.00001).all()
-    _, small = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 20)
-    assert (small.sum(0) <= certain.sum(0) + 1e-6).all()
 
 
 def test_hand_held_photographs_are_aligned() -> None:
@@ -148,16 +117,6 @@ def test_exif_says_exposure(tmp_path: Path) -> None:
     assert exif_exposure(path) == pytest.approx(0.05 * 4 / 4)
     Image.new("RGB", (40, 40)).save(path)
     assert exif_exposure(path) == 0
-
-
-def test_a_cropped_photograph_has_no_lens() -> None:
-    whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, 26.0)
-    lens = lens_of(whole, 0.0)
-    assert lens is not None
-    assert lens.focal == pytest.approx(26 * 2500 / math.hypot(36, 24))
-    assert lens_of(whole._replace(values=whole.values[:, :1700]), 0.0) is None
-    given = lens_of(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
-    assert given == pytest.approx(Lens(750, 850, 750))
 
 
 def test_no_ball_is_one_line(tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.markers import opencv
-from data_tools.markers.sheet import Floats
-from data_tools.markers.sighting import Sighting
 from data_tools.readers.photos import FRAME_MM
+from metapp.extensions.capture.markers import opencv
+from metapp.extensions.capture.markers.sheet import Floats
+from metapp.extensions.capture.markers.sighting import Sighting
 
 _FOCALS_MM = (10.0, 150.0)  # where a lens is looked for
 _OFF = 1.1  # a focal length so much longer or shorter must fit visibly worse

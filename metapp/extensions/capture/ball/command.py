@@ -16,7 +16,7 @@ from metapp.cli.options import Json, field_of_view, takes
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
-    from data_tools.balls.capture import Capture
+    from metapp.extensions.capture.ball.capture import Capture
 
 
 class CameraCurve(enum.StrEnum):
@@ -66,8 +66,8 @@ def ball(options: BallOptions) -> None:
       metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
       metapp data ball IMG_1.jpg --fov 55 --size 256 --out garden
     """
-    from data_tools.balls.capture import Settings, capture
-    from data_tools.balls.write import FOUND, write_capture
+    from metapp.extensions.capture.ball.capture import Settings, capture
+    from metapp.extensions.capture.ball.write import FOUND, write_capture
 
     place = _place(options.ball)
     settings = Settings(
@@ -90,7 +90,7 @@ def ball(options: BallOptions) -> None:
 
 
 def _times(text: str) -> tuple[float, ...]:
-    from data_tools.balls.exposures import parsed
+    from metapp.extensions.capture.ball.exposures import parsed
 
     try:
         return tuple(parsed(text)) if text else ()

@@ -9,12 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.balls.capture import Capture
 from data_tools.balls.shots import Shot
 from data_tools.readers.image_files import read_pixels
 from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
-from metapp.learning.task import Task
+from metapp.extensions.capture.ball.capture import Capture, task_of
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.shards import ShardWriter
 
@@ -28,11 +27,6 @@ UNITS = {
 }
 
 _SHOWN_PX = 1200  # the longer side of pictures that show what was found
-
-
-def task_of(name: str, found: Capture) -> Task:
-    """What fits read."""
-    return Task(name, {"photos": found.photo[None], "seen": found.seen, "certain": found.certain})
 
 
 def write_capture(name: str, paths: Sequence[Path], found: Capture, folder: Path) -> None:

@@ -10,8 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_tools.markers.sheet import OPENINGS_CM, PAGES_CM, corners_cm, dictionary, draw_sheet, opening_of, write_sheet
-from tests.marker_photos import PX_PER_CM, cv2, page  # skips where there is no OpenCV
+from metapp.extensions.capture.markers.sheet import (
+    OPENINGS_CM,
+    PAGES_CM,
+    corners_cm,
+    dictionary,
+    draw_sheet,
+    opening_of,
+    write_sheet,
+)
+from tests.extensions.capture.marker_photos import PX_PER_CM, cv2, page  # skips where there is no OpenCV
 
 POINT = 72 / 2.54  # a centimetre in the unit of PDF
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.marker_photos import Camera, cv2, patch, photograph, take, tilted  # isort: skip
+from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograph, take, tilted  # isort: skip
 
-from data_tools.markers.pose import common_focal, focal_of, pose_of
-from data_tools.markers.rectified import Placed, Set, Settings, place, rectified, write_set
-from data_tools.markers.sighting import find_sheet
 from data_tools.readers import placed_photos
 from data_tools.readers.flash_places import read_places
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import field_of_view
+from metapp.extensions.capture.markers.pose import common_focal, focal_of, pose_of
+from metapp.extensions.capture.markers.rectified import Placed, Set, Settings, place, rectified, write_set
+from metapp.extensions.capture.markers.sighting import find_sheet
 from tests.pictures import STORED, noise, write
 
 LOOK = {"vignette": 0.3, "noise": 0.01}

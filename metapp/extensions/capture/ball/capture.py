@@ -12,23 +12,30 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.balls.exposures import Curve, Merged, exif_exposure, measured_steps, merged, recovered_curve
-from data_tools.balls.shots import FOUND, Shot, aligned, disc, gray_of, searched, shot_of
+from data_tools.balls.photo import photo_of
+from data_tools.balls.shots import FOUND, Shot, disc, gray_of, lens_of, searched, shot_of
 from data_tools.balls.unwrap import unwrapped
-from data_tools.balls.view import Ball, Floats, Lens, mirrored
+from data_tools.balls.view import Ball, Floats, mirrored
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import field_of_view
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.latlong import sphere_normals
 from metapp.apps.illumination.mirror import CLIPPED
+from metapp.extensions.capture.ball.alignment import aligned
+from metapp.extensions.capture.ball.exposures import (
+    Curve,
+    Merged,
+    exif_exposure,
+    measured_steps,
+    merged,
+    parsed,
+    recovered_curve,
+)
+from metapp.learning.task import Task
 
 ROWS = 64
-SIZE = 64  # px of the photograph of the ball alone
 
 _AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is
 _LARGEST = 800  # px of the merged picture of the ball
 _SHARED = 0.01  # of the ball, that may be white in the photograph that fits see
-_FORMATS, _WHOLE_PX = (4 / 3, 3 / 2, 16 / 9), 1000  # of photographs that were not cropped, and their longer side
 _BETTER = 0.9  # residuals of a recovered curve over those of sRGB's, for the former to be taken
 
 
@@ -64,7 +71,7 @@ class Capture(NamedTuple):
         light: radiance of the ball's picture.
         seen: radiance [3, rows, 2 * rows].
         certain: [2, rows, 2 * rows], as of `unwrapped`.
-        photo: uint8 [3, SIZE, SIZE], the ball as a camera far away sees it in the chosen photograph.
+        photo: uint8 [3, 64, 64], the ball as a camera far away sees it in the chosen photograph.
     """
 
     shots: list[Shot]
@@ -121,16 +128,6 @@ def _ball(pixels: Pixels, settings: Settings) -> Ball | None:
             )
         return Ball(x, y, radius, lens=lens)
     return searched(pixels, lens)
-
-
-def lens_of(pixels: Pixels, fov_rad: float) -> Lens | None:
-    """The camera by its field of view along the shorter side, or 0: by EXIF, if the photograph is not cropped."""
-    height, width = pixels.values.shape[:2]
-    shape = max(height, width) / min(height, width)
-    is_whole = max(height, width) >= _WHOLE_PX and any(abs(shape / known - 1) < 0.01 for known in _FORMATS)
-    if not fov_rad and pixels.focal_mm and is_whole:
-        fov_rad = field_of_view(pixels.focal_mm, height, width)
-    return Lens(min(height, width) / 2 / math.tan(fov_rad / 2), width / 2, height / 2) if fov_rad else None
 
 
 def _agreed(paths: Sequence[Path], balls: Sequence[Ball | None]) -> tuple[int, list[Ball]]:
@@ -210,18 +207,22 @@ def _chosen(lights: Sequence[Floats], seen: Sequence[np.ndarray], order: Sequenc
     return next((number for number in reversed(order) if white[number] <= _SHARED), order[0])
 
 
-def photo_of(shot: Shot, is_mirror: bool = True) -> Tensor:
-    """A ball alone as a camera far away sees it, display values uint8 [3, SIZE, SIZE], black outside.
+def merge(paths: Sequence[Path], exposures: str, size: int = ROWS, fov_rad: float = 0.0) -> Task:
+    """Turn photographs of one mirror ball, of different exposures, into a task named by the first one's stem.
 
     Args:
-        shot: the photograph.
-        is_mirror: it is undone where the ball mirrors; else only its contour is made a circle.
+        paths: the files.
+        exposures: times in their order, such as "1/20,1/60"; "auto": as EXIF says, else as pixels tell.
+        size: rows of the map.
+        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+
+    Raises:
+        ValueError: as `capture`; no exposure times.
     """
-    many = max(1, math.ceil(2 * shot.ball.radius / SIZE))
-    places = disc(SIZE * many)
-    if is_mirror:
-        light, _ = shot.at(mirrored(places))
-    else:
-        light, _ = shot._replace(turn=(0.0, 0.0, 0.0)).at(mirrored(places, shot.ball.angle))
-    mean = torch.from_numpy(light.reshape(3, SIZE, many, SIZE, many).mean((2, 4)))
-    return (linear_to_srgb(mean) * sphere_normals(SIZE)[1] * 255).round().to(torch.uint8)
+    times = () if exposures == "auto" else tuple(parsed(exposures))
+    return task_of(paths[0].stem, capture(paths, Settings(times, fov_rad, rows=size)))
+
+
+def task_of(name: str, found: Capture) -> Task:
+    """What fits read."""
+    return Task(name, {"photos": found.photo[None], "seen": found.seen, "certain": found.certain})

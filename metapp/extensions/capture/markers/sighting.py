@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.markers import opencv
-from data_tools.markers.sheet import CELLS, Floats, corners_cm, dictionary, opening_of
 from data_tools.readers.image_files import Array, Pixels, read_pixels
+from metapp.extensions.capture.markers import opencv
+from metapp.extensions.capture.markers.sheet import CELLS, Floats, corners_cm, dictionary, opening_of
 
 LIMIT = 1 / 256  # of the opening's side, that markers may be off on average: a texel of a fit
 FEWEST = 4  # markers

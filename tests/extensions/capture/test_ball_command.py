@@ -71,9 +71,11 @@ def bracket(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("exposures", ["1/40,1/20,1/10", "auto"])
-def test_fits_merge_photos_of_several_exposures(bracket: list[str], tmp_path: Path, exposures: str) -> None:
-    options = ["--observe", "photo", "--recipe", "quick", "--out", str(tmp_path / "runs"), "--json", "--quiet"]
+@pytest.mark.parametrize(("exposures", "recipe"), [("1/40,1/20,1/10", "quick"), ("auto", "full")])
+def test_fits_merge_photos_of_several_exposures(
+    bracket: list[str], tmp_path: Path, exposures: str, recipe: str
+) -> None:
+    options = ["--observe", "photo", "--recipe", recipe, "--out", str(tmp_path / "runs"), "--json", "--quiet"]
     done = CliRunner().invoke(app, ["general", "illumination", *bracket, "--exposures", exposures, *options])
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout.splitlines()[-1])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data_tools.readers.flash_places import read_places
-from tests.marker_photos import take, tilted
+from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write
 
 CAMERAS = {"a": tilted(20, 30), "b": tilted(1, distance=26), "c": tilted(35, 200, roll=90)}

@@ -15,14 +15,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from data_tools.markers import opencv
-from data_tools.markers.pose import Pose, common_focal, focal_of, pose_of
-from data_tools.markers.sheet import RULER_CM, Floats
-from data_tools.markers.sighting import Sighting, find_sheet
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
+from metapp.extensions.capture.markers import opencv
+from metapp.extensions.capture.markers.pose import Pose, common_focal, focal_of, pose_of
+from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
+from metapp.extensions.capture.markers.sighting import Sighting, find_sheet
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_tools.markers import opencv
+from metapp.extensions.capture.markers import opencv
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:

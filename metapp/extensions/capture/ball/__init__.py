@@ -1,0 +1,1 @@
+"""Light around a mirror ball, from photographs of several exposures."""

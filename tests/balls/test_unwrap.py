@@ -1,0 +1,55 @@
+"""From a photograph of a ball to a map."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.balls.shots import disc, lens_of
+from data_tools.balls.unwrap import unwrapped
+from data_tools.balls.view import Lens, mirrored
+from data_tools.readers.image_files import Pixels
+from metapp.appearance.latlong import directions
+from tests.ball_photos import light
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.4])
+def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
+    places = disc(400)
+    seen, certain = unwrapped(
+        light(mirrored(places, angle)), np.zeros((400, 400), bool), np.ones((400, 400), bool), 64, angle, 200
+    )
+    true = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).float()
+    error = (seen - true).abs()
+    assert error[:, certain[0] > 0.99].max() < 0.01
+    assert error[:, certain[0] > 0].max() < 0.03
+    assert (certain[1] == 0).all()
+    hidden = directions(64, 128)[2] < -math.cos(max(0.0, angle - 0.05))
+    assert (certain[0][hidden] == 0).all()
+    assert (certain[0] > 0.99).float().mean() > 0.8
+
+
+def test_what_clips_is_said_and_a_small_ball_is_less_certain() -> None:
+    places = disc(200)
+    values = light(mirrored(places))
+    clipped = values.max(0) > 0.75
+    _, certain = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 100)
+    bright = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).max(0).values
+    assert (certain[1][bright > 0.78] > 0.9).all()
+    assert (certain[1][bright < 0.72] == 0).all()
+    assert (certain.sum(0) <= 1.00001).all()
+    _, small = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 20)
+    assert (small.sum(0) <= certain.sum(0) + 1e-6).all()
+
+
+def test_a_cropped_photograph_has_no_lens() -> None:
+    whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, 26.0)
+    lens = lens_of(whole, 0.0)
+    assert lens is not None
+    assert lens.focal == pytest.approx(26 * 2500 / math.hypot(36, 24))
+    assert lens_of(whole._replace(values=whole.values[:, :1700]), 0.0) is None
+    given = lens_of(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
+    assert given == pytest.approx(Lens(750, 850, 750))
