@@ -65,6 +65,10 @@ def test_draws_are_the_same_on_every_machine(materials: list[Material]) -> None:
         assert materials[index].name == name
         found = materials[index].evaluate(angles)
         torch.testing.assert_close(found, torch.tensor(linear_rgb, dtype=torch.float64), rtol=1e-5, atol=0)
+    grazing = torch.stack([angles, torch.tensor([0.8, 0.3, 2.0], dtype=torch.float64)])
+    means = torch.stack([each.evaluate(grazing).log1p() for each in materials]).mean(0)
+    expected = torch.tensor([[0.5173, 0.4796, 0.4629], [0.0361, 0.0336, 0.0330]], dtype=torch.float64)
+    torch.testing.assert_close(means, expected, rtol=0, atol=6e-5)
 
 
 def test_reciprocal_non_negative_and_dark_below_the_horizon(
@@ -82,21 +86,6 @@ def test_reciprocal_non_negative_and_dark_below_the_horizon(
         assert (value[~above] == 0).all(), material.name
         torch.testing.assert_close(material.evaluate(swapped), value, rtol=1e-6, atol=1e-9, msg=material.name)
         torch.testing.assert_close(material.evaluate(other_half), value, rtol=1e-6, atol=1e-9, msg=material.name)
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_finite_with_finite_gradients_at_the_edges(materials: list[Material], dtype: torch.dtype) -> None:
-    edges = torch.tensor([0.0, 1e-4, math.pi / 4, math.pi / 2 - 1e-4, math.pi / 2], dtype=dtype)
-    azimuths = torch.tensor([0.0, math.pi / 2, math.pi - 1e-6], dtype=dtype)
-    angles = torch.cartesian_prod(edges, edges, azimuths).requires_grad_()
-    for material in materials:
-        value = material.evaluate(angles)
-        assert value.dtype == dtype
-        assert value.isfinite().all(), material.name
-        if "lambert" in material.name:  # a constant
-            continue
-        (gradient,) = torch.autograd.grad(value.sum(), angles)
-        assert gradient.isfinite().all(), material.name
 
 
 def test_no_material_reflects_more_than_it_receives(materials: list[Material]) -> None:
@@ -121,28 +110,12 @@ def test_no_material_reflects_more_than_it_receives(materials: list[Material]) -
     assert albedos[:, 2].mean(-1).quantile(0.9) - albedos[:, 2].mean(-1).quantile(0.1) > 0.3  # dark and bright ones
 
 
-def test_float32_is_good_enough(materials: list[Material], random_angles: RandomAngles) -> None:
-    angles = random_angles(1000)
-    angles = angles[cosines(angles).incident.minimum(cosines(angles).outgoing) > 0.01]
-    for material in materials:
-        torch.testing.assert_close(
-            material.evaluate(angles.float()).double(), material.evaluate(angles), rtol=2e-3, atol=1e-5
-        )
-
-
 @pytest.mark.parametrize("metal", SHIPPED)
 def test_metals_agree_with_mitsubas_presets(mitsuba_brdf: MitsubaBrdf, metal: str, random_angles: RandomAngles) -> None:
     angles = random_angles(200)
     preset = {"type": "roughconductor", "material": SHIPPED[metal], "alpha": 0.2, "distribution": "ggx"}
     value = conductor(*CONDUCTORS[metal], 0.2, "ggx")(cosines(angles))
     torch.testing.assert_close(value, mitsuba_brdf(preset, *rusinkiewicz_to_directions(angles)), rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize("metal", sorted(set(CONDUCTORS) - set(SHIPPED)))
-def test_metals_that_mitsuba_does_not_ship_look_like_metals(metal: str) -> None:
-    eta, k = (torch.tensor(part) for part in CONDUCTORS[metal])
-    normal_incidence = ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
-    assert ((normal_incidence > 0.35) & (normal_incidence < 0.95)).all()
 
 
 @pytest.mark.parametrize("kind", ["ggx", "beckmann"])

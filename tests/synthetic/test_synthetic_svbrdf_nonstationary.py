@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from data_tools.draws import stream
-from data_tools.synthetic.nonstationary.shapes import box, centred, disc, grid, star, text
-from data_tools.synthetic.nonstationary.surface import Surface, covers, distance, finish, lay, softened
 from data_tools.synthetic.svbrdf_nonstationary import FAMILIES, SIZE, held, synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
@@ -86,42 +83,6 @@ def test_most_flashes_are_held_beside_the_lens_or_near_it() -> None:
     assert across[~beside].std().item() == pytest.approx(0.24, rel=0.05)
     assert (height[~beside] / camera()[2]).log().std().item() == pytest.approx(0.08, rel=0.05)
     assert height.min() > 1
-
-
-def test_layers_have_bevelled_steps_and_blurs_end_at_the_border() -> None:
-    base = Surface(*(np.full((*channels, 64, 64), 0.5, np.float32) for channels in ((3,), (3,), (), ())))
-    inside = disc(centred(64), 0.5) * 32
-    found = lay(base, base._replace(roughness=base.roughness * 0.4), inside, thickness=2, bevel=4)
-    assert found.height[32, 32] == pytest.approx(2.5)
-    assert found.height[0, 0] == pytest.approx(0.5)
-    assert np.abs(np.diff(found.height[32])).max() < 0.9  # 2 texels over 4.5: no step in one
-    assert found.roughness[32, 32] == pytest.approx(0.2)
-    normal = unpack(finish(found)).normal
-    row = normal[0, 32]
-    assert row[:32].min() < -0.4  # up to the left rim, down from the right one
-    assert row[32:].max() > 0.4
-    assert normal[2, :4].min() > 0.999
-    field = np.zeros((64, 64), np.float32)
-    field[:, :8] = 1
-    assert np.abs(softened(field, 4)[:, 40:]).max() < 1e-3
-    assert softened(field, 4)[:, 0].min() > 0.8
-
-
-def test_shapes_measure_distances() -> None:
-    place = centred(128)
-    assert (disc(place, 0.5) > 0).mean() == pytest.approx(np.pi / 16, rel=0.01)
-    assert (box(place, 0.6, 0.3) > 0).mean() == pytest.approx(0.18, rel=0.03)
-    assert (star(place, 4, 0.8, 0.0) > 0).mean() == pytest.approx(0.32, rel=0.03)  # a square on its corner
-    for field in (disc(place, 0.5), box(place.moved(0.1, 0.2, 0.7), 0.6, 0.3, 0.1), star(place, 5, 0.9, 0.4)):
-        steep = np.hypot(*np.gradient(field)) * place.unit
-        assert np.quantile(steep, 0.95) < 1.05
-        near = np.abs(field) < 0.05
-        assert np.abs(distance(field)[near] - field[near] * place.unit).mean() < 0.3
-    cells = grid(place.moved(0.1, 0.1, 0.5), 0.5, 0.25, 0.5)
-    assert cells.inside.max() == pytest.approx(0.125, abs=0.02)
-    assert 0 <= cells.cell.min() <= cells.cell.max() < cells.total
-    ink = covers(text(stream(1), place, 0.9, 0.5, 3) * place.unit).mean()
-    assert 0.03 < ink < 0.4
 
 
 def test_sets_of_larger_maps_hold_even_materials_too() -> None:
