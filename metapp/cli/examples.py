@@ -23,7 +23,9 @@ FOLDER = Path("example-inputs")  # of the input files that commands name
 def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
     """The first commands of an application on input files in a folder, and what each makes."""
     place = shlex.quote(str(folder))
-    return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in application_of(app).examples[:most]]
+    of_outputs = [example for output in door.offers_of(door.Output, app) for example in output.examples]
+    examples = [*application_of(app).examples, *of_outputs][:most]
+    return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples]
 
 
 def command(

@@ -405,11 +405,13 @@ class Output(NamedTuple):
         app: the application.
         option: that asks for it.
         output: `output(presentation, task, theta, value) -> metapp.appearance.presentation.Rendered`.
+        examples: as of the application, after its own.
     """
 
     app: str
     option: Option
     output: str
+    examples: tuple[tuple[str, str], ...] = ()
 
 
 class Watcher(NamedTuple):
@@ -441,11 +443,16 @@ class Plugin(NamedTuple):
 
     Attributes:
         name: its type in scenes.
-        register: a function that registers it, after a variant was set.
+        register: a function that registers it, in the active variant and in all that will be.
+        row: the name by which an integrator, which takes `max_depth` as `path` does, is compared in tables of pictures
+            of transport; "" for none.
+        note: what their captions say of it.
     """
 
     name: str
     register: str
+    row: str = ""
+    note: str = ""
 
 
 class Synthetic(NamedTuple):

@@ -17,6 +17,7 @@ from metapp.apps.transport import presentation, spline
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
+from metapp.apps.transport.images import integrators
 from metapp.apps.transport.recipes import FULL, QUICK
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -55,9 +56,10 @@ def test_full_differs_in_the_pictures_alone() -> None:
     # the same checkpoints, and a training that was cut off goes on
     assert (FULL, repr(FULL)) == (QUICK, repr(QUICK))
     quick = presentation_of(Transport(QUICK.setup))
+    notes = "".join(f"{plugin.note}; " for plugin in integrators())
     assert quick.image_measure == (  # a part of the keys of records
         "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
-        "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
+        f"{notes}equal time is that of regular, in seconds of CPU, "
         "and counts the samples that a fit sees, the fit, its table and the picture"
     )
     shown = presentation_of(Transport(FULL.setup))

@@ -40,7 +40,7 @@ def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_every_application_has_five_commands() -> None:
-    assert {len({line for line, _ in application_of(name).examples}) for name in app_names()} == {5}
+    assert {len({line for line, _ in lines_of(name, FOLDER)}) for name in app_names()} == {5}
 
 
 def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     task, app = scenes[0], app_by("transport")
     shown, theta = TransportPresentation(app), uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
-    with_nee = [images.REGULAR_NEE, images.GUIDED_NEE]
+    with_nee = [images.REGULAR_NEE, *(plugin.row for plugin in images.integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
@@ -136,7 +136,8 @@ def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monke
     shown, theta = TransportPresentation(app), uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0)}, scenes[0])
     assert set(judged) == {((3, 24, 24), (3, 24, 24))}
-    assert set(found) == {"reference", "regular", images.REGULAR_NEE, images.GUIDED_NEE, "instant"}
+    of_integrators = {images.REGULAR_NEE, *(plugin.row for plugin in images.integrators())}
+    assert set(found) == {"reference", "regular", "instant"} | of_integrators
     assert shown.image_measure.startswith("pictures of 24 px of 1024 paths a pixel; ")
     assert shown.outputs(theta, scenes[0])["fit"].shape == (128, 256, 3)  # of any recipe
 
@@ -188,21 +189,6 @@ def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest
     assert studio.sampling(scenes[0].data["samples"]) > 0
 
 
-def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
-    metapp: Callable, data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("metapp.extensions.guided.rendering.SPP", 16)
-    result = metapp("overfit", "transport", "--data", data, "--render", "24")
-    assert result.code == 0, result.err
-    folders = list(Path("runs").rglob("outputs/box-5"))
-    made = [oiio.ImageBuf(str(folders[0] / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
-    assert {picture.shape for picture in made} == {(24, 24, 3)}
-    assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)
-    assert (folders[0] / "guided_path.png").is_file()
-    assert "guided_path: 16 samples a pixel in" in result.err
-    assert "regular_nee: " in result.err
-
-
 @pytest.mark.long
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**15)
@@ -221,8 +207,3 @@ def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatc
         oiio.ImageBuf(str(made / "outputs" / "bulb" / f"{name}.exr")).get_pixels() for name in ("guided", "regular")
     )
     assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)
-
-
-def test_only_scenes_are_rendered(metapp: Callable) -> None:
-    misuse = metapp("meta", "brdf", "--render", "24").misuse
-    assert "--render: brdf has no scenes, only transport; leave it out." in misuse

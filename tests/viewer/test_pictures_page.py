@@ -14,7 +14,6 @@ from PIL import Image
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape, ssim
 from metapp.appearance.presentation import Picture
@@ -24,17 +23,15 @@ from metapp.apps.texture.presentation import QUILTED, TexturePresentation
 from metapp.apps.transport import viewing
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE, Shot
+from metapp.apps.transport.images import Shot
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
-from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs import write_pictures
 from metapp.viewer.page import Group, Shown, document, write_page
 from tests.browser import Page, browsing
-from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
 WHOLE = TILED * SIZE
@@ -118,33 +115,6 @@ def test_transport_without_a_scene_shows_densities() -> None:
         "reference": (128, 256, 3),
         "fit": (128, 256, 3),
     }
-
-
-@pytest.mark.long
-@needs_mitsuba
-def test_a_scene_is_shown_in_equal_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewing, "GUIDED_SECONDS", 0.3)
-    monkeypatch.setattr(viewing, "REFERENCE_SECONDS", 0.1)
-    theta = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
-    task = Task("room", {"samples": torch.rand(500, 4), "scene": scene_bytes(random_scene(0))})
-    view = TransportPresentation(Transport(TransportSetup(FLOW, picture=16))).view(theta, task)
-    assert [each["title"] for each in view.facts["pictures"]] == [
-        "reference",
-        GUIDED_NEE,
-        REGULAR_NEE,
-        viewing.GUIDED_BY_FIT,
-        REGULAR,
-    ]
-    steps = len(view.facts["steps"]["titles"])
-    assert 1 <= steps <= viewing.MOST
-    assert [len(each["names"]) for each in view.facts["pictures"]] == [1, steps, steps, 1, 1]
-    assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
-    assert float(view.arrays["reference"].float().mean()) == pytest.approx(1, rel=1e-3)
-    lines = {line["title"]: line["points"] for line in view.facts["chart"]["lines"]}
-    assert len(lines[GUIDED_NEE]) == len(lines[REGULAR_NEE]) == steps
-    reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
-    made = view.arrays[f"{GUIDED_NEE} {steps - 1}"].float().permute(2, 0, 1)[None]
-    assert float(mape(made, reference)) == pytest.approx(lines[GUIDED_NEE][-1][1], rel=0.01)
 
 
 def test_a_picture_takes_the_time_of_another_though_the_machine_was_slow() -> None:

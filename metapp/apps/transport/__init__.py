@@ -16,7 +16,6 @@ OFFERS = (
                 "the light paths of a scene as a density, by one forward pass; renders by it",
             ),
             ("meta transport {}/box.xml", "the density fitted in a few learned steps"),
-            ("meta transport {}/box.xml --render 64", "the scene guided at all bounces, and unguided in the same time"),
             ("quickft transport {}/box.xml", "the density fitted by a tuned Adam of as many steps, to compare"),
             ("data cornell --count 2 --out {}/boxes", "two random Cornell boxes, traced, as a data set"),
         ),

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp import door
 from metapp.appearance.metrics import dssim, mape, smape
 from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
+from metapp.door import Plugin, load, offers
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_samples
@@ -24,7 +24,7 @@ SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 FIXED = "fixed time"
-REGULAR_NEE, GUIDED_NEE = "regular + NEE", "guided_path + NEE"  # Mitsuba's path; guided at all bounces
+REGULAR_NEE = "regular + NEE"  # Mitsuba's path
 REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
 WAVE = 2**22  # paths at a time
 
@@ -75,11 +75,10 @@ class Studio:
         total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
         return Shot(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
 
-    def guided_path(self, spp: int, seed: int = 0) -> Shot:
-        """The same, guided at all bounces by the cache that it learns while it renders."""
-        for plugin in door.offers(door.Plugin):
-            door.load(plugin.register)()
-        return self._by({"type": "metapp_guided_path"}, spp, seed)
+    def by(self, plugin: Plugin, spp: int, seed: int = 0) -> Shot:
+        """The same by an integrator of an extension."""
+        load(plugin.register)()
+        return self._by({"type": plugin.name}, spp, seed)
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
         from metapp.rendering.pictures import rendered, square_sensor  # imports Mitsuba
@@ -150,8 +149,13 @@ def _studio(scene: bytes, size: int, next_event: bool) -> Studio:
     return Studio(scene, size, next_event)
 
 
+def integrators() -> tuple[Plugin, ...]:
+    """Integrators of extensions, by whose pictures those that fits guide are judged."""
+    return tuple(plugin for plugin in offers(Plugin) if plugin.row)
+
+
 def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
-    """Measures of the pictures that fits guide, and of REGULAR, REGULAR_NEE and GUIDED_NEE, which have no fit.
+    """Measures of the pictures that fits guide, and of REGULAR, REGULAR_NEE and `integrators`, which have no fit.
 
     Args:
         flow: the network.
@@ -171,7 +175,9 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) 
         REFERENCE: {"MAPE": studio.reference_error},
         REGULAR: {**regular, "time": 1.0, FIXED: 0.0, EQUAL_TIME: regular["MAPE"]},
     }
-    for name, shoot in ((REGULAR_NEE, studio.path), (GUIDED_NEE, studio.guided_path)):
+    without_fit = {REGULAR_NEE: studio.path}
+    without_fit |= {plugin.row: functools.partial(studio.by, plugin) for plugin in integrators()}
+    for name, shoot in without_fit.items():
         shoot(min(SPP, 64), 0)  # the first call compiles
         errors[name] = _errors(studio, shoot)
     sampling = studio.sampling(task.data["samples"]) if fits else 0.0

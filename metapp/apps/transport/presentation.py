@@ -14,14 +14,14 @@ from metapp.appearance.view import View
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.apps.transport.images import image_errors, studio_of
+from metapp.apps.transport.images import image_errors, integrators, studio_of
 from metapp.apps.transport.viewing import view_of
 from metapp.learning.task import Params, Task
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 IMAGE_MEASURE = (
     "pictures of {size} px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
-    "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
+    "{notes}equal time is that of regular, in seconds of CPU, "
     "and counts the samples that a fit sees, the fit, its table and the picture"
 )
 SECONDS = 0.012  # of CPU for each pixel of `image_errors`, about
@@ -39,7 +39,8 @@ class TransportPresentation(Presentation[Transport]):
     def __init__(self, app: Transport, size: tuple[int, int] | None = None) -> None:
         super().__init__(app, size)
         side = app.setup.picture
-        self.image_measure = IMAGE_MEASURE.format(size=side)
+        notes = "".join(f"{plugin.note}; " for plugin in integrators())
+        self.image_measure = IMAGE_MEASURE.format(size=side, notes=notes)
         self.image_seconds = SECONDS * side**2
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
@@ -66,12 +67,12 @@ class TransportPresentation(Presentation[Transport]):
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
 
     def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """Pictures of the scene in equal time, and those that the fit guides; densities where there is no scene.
+        """Pictures of the scene in equal time, and those that the fit guides.
 
-        While a fit runs, densities.
+        Densities where there is no scene, while a fit runs, and without the extension of guided paths.
         """
-        if "scene" in task.data and not quick:
-            return view_of(self.app.flow, theta, task, self.app.setup.picture)
+        if "scene" in task.data and not quick and (plugins := integrators()):
+            return view_of(self.app.flow, theta, task, self.app.setup.picture, plugins[0])
         both = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(self.app.flow, theta)}
         return pictures_view(both)
 

@@ -11,7 +11,8 @@ from torch import Tensor
 from metapp.appearance.metrics import mape
 from metapp.appearance.view import View
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE, Shot, Studio, studio_of
+from metapp.apps.transport.images import REGULAR, REGULAR_NEE, Shot, Studio, studio_of
+from metapp.door import Plugin
 from metapp.learning.task import Params, Task
 
 LARGEST = 128  # px of a side
@@ -37,9 +38,9 @@ class EqualTime(NamedTuple):
     """Pictures of a scene, none of which has anything to do with a fit.
 
     Attributes:
-        guided: by `metapp_guided_path`, each with twice the samples of the one before.
+        guided: by an integrator of an extension, each with twice the samples of the one before.
         regular: by Mitsuba's `path`, each in the time of its guided one.
-        halves: of the reference: by `path`, and by `metapp_guided_path`.
+        halves: of the reference: by `path`, and by that integrator.
     """
 
     guided: list[Counted]
@@ -52,7 +53,7 @@ class EqualTime(NamedTuple):
         return torch.stack([half.shot.picture for half in self.halves]).mean(0)
 
 
-def view_of(flow: Flow, theta: Params, task: Task, size: int) -> View:
+def view_of(flow: Flow, theta: Params, task: Task, size: int, plugin: Plugin) -> View:
     """The scene of a task.
 
     Args:
@@ -60,14 +61,15 @@ def view_of(flow: Flow, theta: Params, task: Task, size: int) -> View:
         theta: the fit, no task axis.
         task: holds the `scene`.
         size: side of the pictures that fits are judged by, px.
+        plugin: the integrator that is compared with Mitsuba's `path`.
     """
     studio = studio_of(task, min(size, LARGEST))
-    made = equal_time(studio)
+    made = equal_time(studio, plugin)
     studio.regular(1)
     studio.guided(flow, theta, 1)  # the first calls compile
     by_fit = [Counted(studio.guided(flow, theta, SPP), SPP)]
     kinds = {
-        GUIDED_NEE: made.guided,
+        plugin.row: made.guided,
         REGULAR_NEE: made.regular,
         GUIDED_BY_FIT: by_fit,
         REGULAR: [Counted(studio.regular(SPP), SPP)],
@@ -90,23 +92,23 @@ def view_of(flow: Flow, theta: Params, task: Task, size: int) -> View:
             "label": "Seconds of CPU",
             "titles": [f"{each.shot.seconds:.2f} s" for each in made.guided],
         },
-        "compared": [GUIDED_NEE, REGULAR_NEE],
+        "compared": [plugin.row, REGULAR_NEE],
         "reference": REFERENCE,
-        "chart": _chart(made),
-        "notes": _notes(made, studio),
+        "chart": _chart(made, plugin),
+        "notes": _notes(made, studio, plugin),
     }
     return View("pictures", arrays, {}, facts)
 
 
 @functools.lru_cache(maxsize=16)
-def equal_time(studio: Studio) -> EqualTime:
+def equal_time(studio: Studio, plugin: Plugin) -> EqualTime:
     """Pictures in equal time, about 30 seconds of CPU in all; the same for all fits of a scene."""
-    for shoot in (studio.guided_path, studio.path):
+    for shoot in (functools.partial(studio.by, plugin), studio.path):
         shoot(FEWEST)  # the first call compiles
     rate = studio.path(FEWEST).seconds / FEWEST
     guided, regular, spp = [], [], FEWEST
     while True:
-        guided.append(Counted(studio.guided_path(spp, 1), spp))
+        guided.append(Counted(studio.by(plugin, spp, 1), spp))
         seconds = guided[-1].shot.seconds
         regular.append(_within(studio, seconds, rate, 1))
         rate = regular[-1].shot.seconds / regular[-1].spp
@@ -115,7 +117,7 @@ def equal_time(studio: Studio) -> EqualTime:
         spp *= 2
     last = guided[-1]
     spp = max(1, round(last.spp * REFERENCE_SECONDS / max(last.shot.seconds, 1e-9)))
-    halves = _within(studio, REFERENCE_SECONDS, rate, 2, tries=1), Counted(studio.guided_path(spp, 2), spp)
+    halves = _within(studio, REFERENCE_SECONDS, rate, 2, tries=1), Counted(studio.by(plugin, spp, 2), spp)
     return EqualTime(guided[-MOST:], regular[-MOST:], halves)
 
 
@@ -137,14 +139,14 @@ def _error(picture: Tensor, reference: Tensor) -> float:
     return float(mape(picture[None], reference[None]))
 
 
-def _chart(made: EqualTime) -> dict[str, Any]:
+def _chart(made: EqualTime, plugin: Plugin) -> dict[str, Any]:
     """MAPE over seconds, and the reference's own."""
     lines = [
         {
             "title": title,
             "points": [[each.shot.seconds, _error(each.shot.picture, made.reference)] for each in several],
         }
-        for title, several in ((GUIDED_NEE, made.guided), (REGULAR_NEE, made.regular))
+        for title, several in ((plugin.row, made.guided), (REGULAR_NEE, made.regular))
     ]
     own, ends = _own_error(made), [made.guided[0].shot.seconds, made.guided[-1].shot.seconds]
     lines.append({"title": "reference's own", "points": [[seconds, own] for seconds in ends]})
@@ -156,15 +158,15 @@ def _own_error(made: EqualTime) -> float:
     return _error(made.halves[0].shot.picture, made.reference)
 
 
-def _notes(made: EqualTime, studio: Studio) -> list[str]:
+def _notes(made: EqualTime, studio: Studio, plugin: Plugin) -> list[str]:
     by_path, by_guided = made.halves
     where = "from the second surface on" if studio.tracer.next_event else "at no surface"
     return [
-        f"{GUIDED_NEE}: metapp_guided_path, with next-event estimation. It guides all bounces by what it learns while "
-        f"it renders, and does not see the fit. {REGULAR_NEE}: Mitsuba's path, in the same seconds of CPU.",
+        f"{plugin.row}: {plugin.name}, with next-event estimation, which does not see the fit: {plugin.note}. "
+        f"{REGULAR_NEE}: Mitsuba's path, in the same seconds of CPU.",
         f"{GUIDED_BY_FIT}: the fit guides three of four paths, with next-event estimation {where}. {REGULAR}: as many "
         "paths, by the sampling of materials: equal paths, not equal time.",
-        f"{REFERENCE}: the mean of {by_path.spp} samples a pixel by path and {by_guided.spp} by metapp_guided_path; "
+        f"{REFERENCE}: the mean of {by_path.spp} samples a pixel by path and {by_guided.spp} by {plugin.name}; "
         f"its own MAPE is about {_own_error(made):.2g}.",
         "All show the central square of the scene, rendered when this page was made. spp: samples a pixel; s: seconds "
         "of CPU. Radiance is in units of the reference's mean.",

@@ -58,11 +58,6 @@ def check_plugin(kind: str) -> None:
             f"a participating medium, '{kind}', expected surfaces alone: paths do not scatter in fog here; leave it "
             "out of the shape or sensor that has it (as 'interior' or 'exterior'), or render by Mitsuba's 'volpath'."
         )
-    if kind == "guided_path":
-        raise Unsupported(
-            "an integrator 'guided_path', metapp's or that of Mueller et al. 2017 in public scenes, expected one of "
-            "Mitsuba's own: pictures choose theirs; leave it out."
-        )
     if kind in _MEMORY:
         raise ValueError(f"a plugin {kind[:60]!r}, expected one that reads files; leave it out.")
     if kind not in plugins():

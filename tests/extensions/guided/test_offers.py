@@ -1,0 +1,112 @@
+"""What the extension offers: the integrator, its row in tables of pictures, `--render`; and all without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Generator
+
+from data_tools.synthetic.cornell import random_scene
+from data_tools.synthetic.examples import write_example
+from metapp.appearance.metrics import mape
+from metapp.apps.transport import images, viewing
+from metapp.apps.transport.app import Transport, TransportSetup
+from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.images import REGULAR, REGULAR_NEE
+from metapp.apps.transport.presentation import TransportPresentation
+from metapp.apps.transport.recipes import RECIPES
+from metapp.extensions.guided import GUIDED_NEE
+from metapp.learning.task import Task
+from metapp.rendering.paths import path_space
+from metapp.rendering.scenes.rules import scene_bytes
+from tests.needs_mitsuba import needs_mitsuba
+
+FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
+THETA = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
+
+
+def task_of(seed: int) -> Task:
+    return Task("room", {"samples": torch.rand(500, 4), "scene": scene_bytes(random_scene(seed))})
+
+
+def test_the_captions_of_pictures_are_those_of_earlier_records() -> None:
+    """They are a part of the keys of records."""
+    assert TransportPresentation(Transport(RECIPES["quick"].setup)).image_measure == (
+        "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
+        "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
+        "and counts the samples that a fit sees, the fit, its table and the picture"
+    )
+
+
+@pytest.mark.long
+@needs_mitsuba
+def test_the_integrator_has_a_row_in_the_table_of_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(images, "SPP", 64)
+    monkeypatch.setattr(images, "REFERENCE_SPP", 64)
+    shown, task = TransportPresentation(Transport(TransportSetup(FLOW, picture=16))), task_of(0)
+    assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, GUIDED_NEE]
+    monkeypatch.setenv("METAPP_WITHOUT", "guided")
+    assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE]
+
+
+@needs_mitsuba
+def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
+    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(path_space, "BATCH", 2**16)
+    monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
+    monkeypatch.setattr("metapp.extensions.guided.rendering.SPP", 16)
+    (box,) = write_example("transport", Path())
+    result = metapp("overfit", "transport", box, "--steps", "2", "--render", "24")
+    assert result.code == 0, result.err
+    (folder,) = Path("runs").rglob("outputs/box")
+    made = [oiio.ImageBuf(str(folder / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
+    assert {picture.shape for picture in made} == {(24, 24, 3)}
+    assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)
+    assert (folder / "guided_path.png").is_file()
+    assert "guided_path: 16 samples a pixel in" in result.err
+    assert "regular_nee: " in result.err
+
+
+@pytest.mark.long
+@needs_mitsuba
+def test_a_scene_is_shown_in_equal_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewing, "GUIDED_SECONDS", 0.3)
+    monkeypatch.setattr(viewing, "REFERENCE_SECONDS", 0.1)
+    view = TransportPresentation(Transport(TransportSetup(FLOW, picture=16))).view(THETA, task_of(0))
+    assert [each["title"] for each in view.facts["pictures"]] == [
+        "reference",
+        GUIDED_NEE,
+        REGULAR_NEE,
+        viewing.GUIDED_BY_FIT,
+        REGULAR,
+    ]
+    steps = len(view.facts["steps"]["titles"])
+    assert 1 <= steps <= viewing.MOST
+    assert [len(each["names"]) for each in view.facts["pictures"]] == [1, steps, steps, 1, 1]
+    assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
+    assert float(view.arrays["reference"].float().mean()) == pytest.approx(1, rel=1e-3)
+    lines = {line["title"]: line["points"] for line in view.facts["chart"]["lines"]}
+    assert len(lines[GUIDED_NEE]) == len(lines[REGULAR_NEE]) == steps
+    reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
+    made = view.arrays[f"{GUIDED_NEE} {steps - 1}"].float().permute(2, 0, 1)[None]
+    assert float(mape(made, reference)) == pytest.approx(lines[GUIDED_NEE][-1][1], rel=0.01)
+
+
+def test_pages_and_captions_do_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("METAPP_WITHOUT", "guided")
+    shown = TransportPresentation(Transport(TransportSetup(FLOW)))
+    assert "guided_path" not in shown.image_measure
+    assert set(shown.view(THETA, task_of(0)).pictures) == {"reference", "fit"}
+
+
+def test_only_scenes_are_rendered(metapp: Callable) -> None:
+    misuse = metapp("meta", "brdf", "--render", "24").misuse
+    assert "--render: brdf has no such option, only transport; leave it out." in misuse
