@@ -58,7 +58,7 @@ def _lines() -> list[Line]:
     lines = [
         Line(Way("few, planned", "meta", "few", few), "plan"),
         Line(Way("few, random", "meta", "few", few, ":"), "random"),
-        Line(Way("ridge (measured), random", "meta", "measured", COLOURS["quickft"], ":"), "random"),
+        Line(Way("ridge, random", "meta", "full", COLOURS["quickft"], ":"), "random"),
         Line(Way("General's encoder, random", "general", "quick", COLOURS["general"], ":"), "random"),
         Line(Way("two GGX lobes, random", "ggx_2", "", MUTED, ":"), "random"),
     ]

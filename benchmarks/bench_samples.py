@@ -50,7 +50,6 @@ class Way(NamedTuple):
 
 WAYS = (
     Way("meta, ridge", "meta", "full", COLOURS["meta"]),
-    Way("meta, ridge (measured)", "meta", "measured", COLOURS["meta"], "--"),
     Way("pca_20", "pca_20", "", "#99c7e0"),
     Way("pca_66w", "pca_66w", "", COLOURS["finetune"]),
     Way("pca_150w", "pca_150w", "", COLOURS["overfit"]),
@@ -60,7 +59,7 @@ WAYS = (
     Way("two GGX lobes", "ggx_2", "", MUTED),
 )
 
-BESIDE = WAYS[1]
+BESIDE = WAYS[0]
 Errors = dict[str, float]  # by the task's name
 
 

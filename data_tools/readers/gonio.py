@@ -40,7 +40,7 @@ UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environme
 RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
 LEAST = 4  # pairs of directions
-FEW = 500  # up to so many none is held out, and a recipe of its own fits them
+FEW = 1000  # up to so many none is held out, and a recipe of its own fits them
 LARGEST = 1e9  # of a BRDF, in 1/sr
 LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover

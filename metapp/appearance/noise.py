@@ -1,4 +1,4 @@
-"""Measurement errors of reflectance: noise, outliers, missing samples at grazing angles."""
+"""Measurement errors of reflectance: noise and outliers."""
 
 from __future__ import annotations
 
@@ -26,9 +26,3 @@ def factors(rng: Generator, shape: tuple[int, ...], noise: Tensor | float, outli
     decades = low + (high - low) * uniform()
     decades = decades * (2 * torch.randint(2, (*shape, 1), generator=rng, device=rng.device) - 1)
     return factor * torch.where(uniform() < outliers, 10**decades, 1.0)
-
-
-def standing_in(rng: Generator, valid: Tensor) -> Tensor:
-    """Indices [T, N] that replace missing samples by random valid ones; `valid` is bool [T, N], one or more a row."""
-    others = torch.multinomial(valid.float(), valid.shape[1], replacement=True, generator=rng)
-    return torch.where(valid, torch.arange(valid.shape[1], device=valid.device), others)

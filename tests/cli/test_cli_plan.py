@@ -45,7 +45,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     again = metapp("plan", "brdf", "--samples", 12, "--out", file)
     assert "is there already, and may be filled in" in again.misuse
     fitted = metapp("meta", "brdf", file, "--json")
-    assert "recipe few, since every input has 500 samples or fewer" in fitted.err
+    assert "recipe few, since every input has 1,000 samples or fewer" in fitted.err
     assert "all 12 samples are fitted, none is held out" in fitted.err
     run = Path(fitted.document["out"])
     assert fitted.document["error"] < 0.5
@@ -81,9 +81,9 @@ def test_what_cannot_be_planned_is_refused(metapp: Callable, words: tuple[object
 def test_few_and_many_samples_are_not_fitted_alike(metapp: Callable, tmp_path: Path) -> None:
     few, many = tmp_path / "few.csv", tmp_path / "many.csv"
     head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
-    rows = [f"{10 + 0.1 * i:.1f},0,{70 - 0.1 * i:.1f},{i % 180},0.1,0.1,0.1" for i in range(600)]
+    rows = [f"{10 + 0.05 * i:.2f},0,{70 - 0.05 * i:.2f},{i % 180},0.1,0.1,0.1" for i in range(1200)]
     few.write_text("\n".join([head, *rows[:20]]))
     many.write_text("\n".join([head, *rows]))
     done = metapp("meta", "brdf", few, many)
-    assert "few.csv has 500 samples or fewer" in done.misuse
+    assert "few.csv has 1,000 samples or fewer" in done.misuse
     assert "many.csv has not" in done.misuse

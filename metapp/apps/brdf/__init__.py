@@ -25,7 +25,7 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
     ),
-    *recipes("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "measured"),
+    *recipes("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
     Recipe(
         "brdf",
         "anisotropic",
@@ -44,7 +44,7 @@ OFFERS = (
         f"{_HERE}.recipes:RECIPES.few",
         chosen=Chosen(
             ("gonio",),
-            has="500 samples or fewer",
+            has="1,000 samples or fewer",
             tells="has_few",
             paradigms=("meta",),
         ),

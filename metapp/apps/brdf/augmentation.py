@@ -1,4 +1,4 @@
-"""Data augmentation of BRDFs: mixtures of materials, and samples as measurements have them."""
+"""Data augmentation of BRDFs: mixtures of materials, and which of their samples an instrument sees."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import outgoing_cosine
-from metapp.appearance.noise import factors, standing_in
 from metapp.learning.task import Params, Tasks
 
 SAMPLES = 8192
-# shares of the materials that are noisy and that lack grazing samples; the most noise and outliers, as of
-# `appearance.noise.factors`; the least and greatest angle that is measured
-NOISY, CUT = 1 / 2, 1 / 3
-NOISE, OUTLIERS, MEASURED_RAD = 0.25, 0.02, (math.radians(60), math.radians(85))
+CUT = 1 / 3  # share of the materials that lack grazing samples
+MEASURED_RAD = (math.radians(60), math.radians(85))  # the least and greatest angle that is measured
 
 
 def mixed(tasks: Tasks, rng: Generator) -> Params:
@@ -36,22 +33,6 @@ def mixed(tasks: Tasks, rng: Generator) -> Params:
     gain = torch.exp(0.3 * torch.randn(count, 1, 3, generator=rng, device=device))
     gain = gain * torch.exp(0.3 * torch.randn(count, 1, 1, generator=rng, device=device))
     return {"where": where[tasks.rows[:, None], columns], "target": torch.log1p(mine.gather(2, channels) * gain)}
-
-
-def measured(data: Params, rng: Generator) -> Params:
-    """Materials [T, N, ...] of which the first half of the samples, which fits see, is as measurements are."""
-    where, target = data["where"], data["target"]
-    count, half = len(where), where.shape[1] // 2
-
-    def uniform() -> Tensor:
-        return torch.rand(count, 1, 1, generator=rng, device=rng.device)
-
-    level = torch.where(uniform() < NOISY, uniform(), 0.0)
-    factor = factors(rng, (count, half), NOISE * level, OUTLIERS * level)
-    rows = standing_in(rng, within_reach(where[:, :half], rng))[..., None]
-    visible = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
-    kept = {key: value.gather(1, rows.expand_as(value)) for key, value in visible.items()}
-    return {key: torch.cat([value, data[key][:, half:]], 1) for key, value in kept.items()}
 
 
 def within_reach(where: Tensor, rng: Generator) -> Tensor:

@@ -16,7 +16,6 @@ from torch.nn.functional import silu
 
 from metapp.appearance.geometry import outgoing_cosine
 from metapp.apps.brdf import anisotropic
-from metapp.apps.brdf.augmentation import measured
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
 from metapp.learning.task import Batch, Linear, Params
@@ -35,7 +34,6 @@ class Featured(BrdfNetwork):
         features: learned ones; a constant is one more.
         code: numbers of the code.
         encoder: width of the set encoder.
-        measured: whether it learns from samples as measurements have them, with noise and gaps.
         anisotropic: whether it reads phi_h, in axes that it finds in the samples (`metapp.apps.brdf.anisotropic`).
     """
 
@@ -43,7 +41,6 @@ class Featured(BrdfNetwork):
     features: int = 60
     code: int = 12
     encoder: int = 64
-    measured: bool = False
     anisotropic: bool = False
 
     @property
@@ -120,11 +117,11 @@ class Featured(BrdfNetwork):
         return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
 
     def augment(self, data: Params, rng: Generator) -> Params:
-        """Turn anisotropic materials about the normal; where it learns from measurements, make samples like these."""
-        if self.anisotropic:
-            turn = 2 * math.pi * torch.rand(len(data["where"]), 1, generator=rng, device=rng.device)
-            data = data | {"where": anisotropic.turned(data["where"], turn)}
-        return measured(data, rng) if self.measured else data
+        """Turn anisotropic materials about the normal."""
+        if not self.anisotropic:
+            return data
+        turn = 2 * math.pi * torch.rand(len(data["where"]), 1, generator=rng, device=rng.device)
+        return data | {"where": anisotropic.turned(data["where"], turn)}
 
     def folded(self, theta: Params) -> Folded:
         """The code and the features' own layer are multiplied out."""

@@ -10,17 +10,18 @@ from torch import Generator, Tensor
 
 from metapp.appearance.noise import factors
 from metapp.apps.brdf import gaussian
-from metapp.apps.brdf.augmentation import NOISY, within_reach
+from metapp.apps.brdf.augmentation import within_reach
 from metapp.apps.brdf.design import belief, expected_errors
 from metapp.apps.brdf.featured import INPUTS
 from metapp.apps.brdf.gaussian import DARKEST, opponent, slope_of
 from metapp.apps.brdf.network import BrdfNetwork, Folded, samples_at
 from metapp.learning.task import Batch, Linear, Params, Tasks
 
-MOST = 512  # samples of which a material has few at most
+MOST = 1024  # samples of which a material has few at most
 TABLE = 32  # samples of a table, which has more, that a fit sees: the first ones
-FEWEST, FEW_NOISE, POLAR = 4, 0.1, 3  # few samples: at least, their noise, and the power that crowds theta_h around 0
-SEEN = 256  # at most, in training
+FEWEST, SEEN = 4, 256  # samples in training, at least and at most
+NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy, and their most noise
+POLAR = 3  # the power that crowds theta_h around 0
 LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
 NOISE = (3.4, -3.0, 0.5)  # before training: see `gaussian.precision`
 
@@ -98,7 +99,7 @@ class Few(BrdfNetwork):
         return samples_at(tasks, rows) | {"count": seen}
 
     def augment(self, data: Params, rng: Generator) -> Params:
-        """Few samples, `count` [T], among the first MOST.
+        """Few samples, `count` [T], among the first SEEN.
 
         In half of the materials with noise; in a third none beyond an angle; in half of them crowded around
         theta_h = 0, as planned ones are.
@@ -113,11 +114,11 @@ class Few(BrdfNetwork):
         # the density of theta_h where it is the power of what is uniform
         crowded = where[:, :half, 2].clamp(-1, 1).arccos().clamp_min(1e-2) ** (1 / POLAR - 1)
         wanted = torch.where(uniform() < 0.5, crowded, 1.0) * seen + 1e-9
-        chosen = torch.multinomial(wanted, MOST, generator=rng)[..., None]
+        chosen = torch.multinomial(wanted, SEEN, generator=rng)[..., None]
         level = torch.where(uniform() < NOISY, uniform(), 0.0)[..., None]
-        factor = factors(rng, (count, MOST), FEW_NOISE * level, 0.0)
-        where[:, :MOST] = where.gather(1, chosen.expand(-1, -1, 7))
-        target[:, :MOST] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
+        factor = factors(rng, (count, SEEN), MOST_NOISE * level, 0.0)
+        where[:, :SEEN] = where.gather(1, chosen.expand(-1, -1, 7))
+        target[:, :SEEN] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
         return {"where": where, "target": target, "count": (FEWEST * (SEEN / FEWEST) ** uniform()[:, 0]).round()}
 
     def expected_errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

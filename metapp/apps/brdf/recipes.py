@@ -64,10 +64,7 @@ QUICK = Recipe(
 
 # where paradigms need not fit the same network, the rule that is best on validation tasks
 FULL = replace(QUICK, rule="ridge")
-# for samples that are noisy, or that lack grazing angles, as those of a gonioreflectometer
-MEASURED = replace(FULL, meta={"ridge": replace(RIDGE, setup=Featured(measured=True))})
-
-# for up to MOST samples: one solve of all of them
+# for up to MOST samples, which may be noisy or lack grazing angles: one solve of all of them
 FEW = replace(
     FULL,
     steps=1,
@@ -112,4 +109,4 @@ PAPER = replace(
     rule="meta-sgd",
 )
 
-RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "few": FEW, "anisotropic": ANISOTROPIC}
+RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "few": FEW, "anisotropic": ANISOTROPIC}
