@@ -149,7 +149,7 @@ def train(folder: Path, training: Tasks, validating: Tasks, data: str) -> dict[s
         if not file.exists():
             material = TrainingData(training, validating, Generator().manual_seed(0), encoder)
             prepared = prepared_by(name, paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), material))
-            info = {"app": APP.name, "start": name, "recipe": "quick", "data": data}
+            info = {"app": APP.name, "checkpoint": name, "recipe": "quick", "data": data}
             save_checkpoint(file, prepared.phi, info | {"validation_error": prepared.validation})
         phi, _ = load_checkpoint(file)
         encoder = encoder or phi

@@ -157,8 +157,6 @@ class Study:
         """
         plan, quickft = self.plan_of(case), case.rule == QUICKFT
         training = None if quickft else asdict(self.training(case.rule))
-        if training:  # as earlier records call it, so that these stay its own
-            training["start"] = training.pop("initialisation")
         return {
             "app": plan.app.name,
             **observe_of(plan.app),

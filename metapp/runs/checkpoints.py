@@ -25,7 +25,7 @@ from metapp.runs.shipped import QUICK, shipped_path, ships
 from metapp.storage import Document
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 
-FOLDERS = ("checkpoints", "starts")  # of what was trained for an application; the second one by earlier versions
+FOLDER = "checkpoints"  # of what was trained for an application
 
 
 def find_checkpoint(plan: Plan) -> Plan:
@@ -65,11 +65,10 @@ def find_checkpoint(plan: Plan) -> Plan:
 
 
 def trained_path(plan: Plan, name: str) -> Path:
-    """Where a checkpoint that is trained on this data is kept, or was by an earlier version if it is there alone."""
+    """Where a checkpoint that is trained on this data is kept."""
     label = data_label(data_folder(plan.app, plan.request.data, plan.request.quiet))
     run = f"{label}-{plan.request.recipe}-seed{plan.request.seed}"
-    paths = [_of_app(plan) / folder / run / f"{checkpoint_name(plan.app, name)}.safetensors" for folder in FOLDERS]
-    return paths[1] if paths[1].is_file() and not paths[0].is_file() else paths[0]
+    return _of_app(plan) / FOLDER / run / f"{checkpoint_name(plan.app, name)}.safetensors"
 
 
 def checkpoint_name(app: App, name: str) -> str:
@@ -142,7 +141,7 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
     request = plan.request
     if request.checkpoint:
         return request.checkpoint
-    trained_any = any((_of_app(plan) / folder).is_dir() for folder in FOLDERS)
+    trained_any = (_of_app(plan) / FOLDER).is_dir()
     if request.data or (trained_any and embedded_exists(plan.app.name)):
         path = trained_path(plan, name)
         if path.is_file():

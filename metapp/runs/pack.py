@@ -24,7 +24,7 @@ from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.packing import BITS, Pack, Steps, in_steps, opened_pack, write_pack
-from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta, renamed
+from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by
@@ -139,8 +139,6 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
     """
     with opened_pack(file) as packed:
         names, about = packed.tasks, packed.about
-        if isinstance(about.get("settings"), dict):
-            about["settings"] = renamed(about["settings"])
         if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
             raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
         settings, records = about["settings"], about["records"]

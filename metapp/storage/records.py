@@ -121,7 +121,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
             raise _Misnamed
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        info, prepared = renamed(info), MetaParameters.unflat(tensors)
+        prepared = MetaParameters.unflat(tensors)
         return (_with_general(path, prepared, info["general"], device) if "general" in info else prepared), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
@@ -151,16 +151,6 @@ def digest(document: Any) -> str:
     """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
     raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
-
-
-def renamed(settings: Document) -> Document:
-    """Settings or a header with today's names: earlier versions, and files that ship, say `start` for `checkpoint`."""
-    return {"checkpoint" if name == "start" else name: value for name, value in settings.items()}
-
-
-def key_of(settings: Document) -> str:
-    """The key of a run's records; `checkpoint` counts under its former name, so that earlier records stay its own."""
-    return digest({"start" if name == "checkpoint" else name: value for name, value in settings.items()})
 
 
 def tensor_digest(params: Params) -> str:
@@ -197,7 +187,7 @@ class RunFolder:
         self.path = path
         self.origin = {"origin": origin} if origin else {}
         self.settings = settings
-        self.key = key_of(settings)
+        self.key = digest(settings)
         self._form = form or {}
         self._read: tuple[Any, dict[str, Document]] = (None, {})
         self._live_bytes = 0  # of the lines that counted when replaced ones were last looked for
@@ -300,8 +290,6 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
         record = as_text(_parsed(line))
-        if isinstance(record, dict) and isinstance(record.get("settings"), dict):
-            record["settings"] = renamed(record["settings"])
         if holds(record, {"name": str, **(form or {})}):
             records.pop(record["name"], None)
             records[record["name"]] = record

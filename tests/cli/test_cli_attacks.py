@@ -160,8 +160,8 @@ CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
     ("meta-curvature", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
     ("meta-sgd", {"app": ["brdf"]}, ""),
     ("meta-sgd", {"app": {"a": 1}}, ""),
-    ("meta-sgd", {"start": ["meta-sgd"]}, ""),
-    ("meta-sgd", {"start": None}, ""),
+    ("meta-sgd", {"checkpoint": ["meta-sgd"]}, ""),
+    ("meta-sgd", {"checkpoint": None}, ""),
 ]
 
 

@@ -65,9 +65,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     missing = not subject.tasks or (baseline.learns and source is None) or (baseline.matches and meta.folder is None)
     folder = None
     if not missing:
-        settings = _settings(subject, baseline, source)
-        older, newer = (subject.folder(f"{kind}/{baseline.name}", settings, FORM) for kind in ("peers", "baselines"))
-        folder = older if older.file.is_file() else newer
+        folder = subject.folder(f"baselines/{baseline.name}", _settings(subject, baseline, source), FORM)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         errors = {record["name"]: record["error"] for record in meta.records()} if baseline.matches else {}

@@ -22,7 +22,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits import rng_of
 from metapp.runs.naming import observe_of
 from metapp.runs.plan import Plan
-from metapp.storage.records import NUMBER, OPTIONAL, Record, key_of
+from metapp.storage.records import NUMBER, OPTIONAL, Record, digest
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -43,7 +43,7 @@ def trace_cell(subject: Subject) -> Cell:
     fits = {name: subject.fits[name] for name in CURVES}
     folder = None
     if all(fit.checkpoint for fit in fits.values()):
-        keys = [key_of(fit.settings(subject.label)) for fit in fits.values()]
+        keys = [digest(fit.settings(subject.label)) for fit in fits.values()]
         known = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
         settings = known | {"further": FURTHER, "walked": WALKED}
         folder = subject.folder("trace", settings, FORM, of_fits=True)
