@@ -74,15 +74,6 @@ def origins(
     return result[:height, :width]
 
 
-def repeats(used: Origins) -> float:
-    """How many times a piece of the exemplar comes in a picture: its px over the distinct px of the exemplar in it.
-
-    Args:
-        used: as `origins` returns.
-    """
-    return used.size / np.unique(used).size
-
-
 def _pixels(exemplar: Picture) -> Picture:
     """All px of an exemplar [H, W, C] in a row, [H W, C]."""
     return exemplar.reshape(-1, exemplar.shape[2])

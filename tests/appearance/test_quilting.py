@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metapp.appearance.quilting import origins, quilted, repeats
+from metapp.appearance.quilting import origins, quilted
 
 
 def waves(size: int = 48, period: int = 8) -> np.ndarray:
@@ -66,14 +66,3 @@ def test_a_picture_is_the_pixels_that_it_comes_of() -> None:
     used = origins(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2)
     made = quilted(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2)
     assert np.array_equal(made, exemplar.reshape(-1, 3)[used])
-
-
-def test_how_often_pieces_repeat() -> None:
-    whole = np.arange(12 * 10).reshape(12, 10)
-    assert repeats(whole) == 1
-    assert repeats(np.tile(whole, (2, 3))) == 6
-    assert repeats(np.concatenate([whole, whole[:6]])) == pytest.approx(1.5)
-    exemplar = np.random.default_rng(1).random((32, 32, 3)).astype(np.float32)
-    used = origins(exemplar, (128, 128), np.random.default_rng(0), block=8, overlap=2)
-    assert repeats(used) >= 128 * 128 / (32 * 32)
-    assert repeats(origins(exemplar, (32, 32), np.random.default_rng(0), block=32, overlap=5)[:27, :27]) == 1
