@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from metapp.viewer import page as pages
+from metapp.extensions.viewer import page as pages
 from tests.browser import Page, browsing
 
 WIDTH, HEIGHT = 1280, 720

@@ -12,9 +12,9 @@ from data_tools.synthetic.brdf_anisotropic import turned
 from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf.anisotropic import axes_of
-from metapp.apps.brdf.anisotropic_residual import corners
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import ANISOTROPIC
+from metapp.extensions.viewer.pages.anisotropic_residual import corners
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task
 
@@ -58,6 +58,6 @@ def fitted() -> Params:
 
 
 def interpolated(grid: Tensor, angles: Tensor, turn: float) -> Tensor:
-    """What the page's shader finds at angles [N, 4] in rad in a grid of `metapp.apps.brdf.anisotropic_residual`."""
+    """The values that the page's shader finds at angles [N, 4] in rad in a grid of `anisotropic_residual`."""
     places = corners(angles, turn)
     return (grid.float().flatten(0, -2)[places.cells, :3] * places.shares[..., None]).sum(1)

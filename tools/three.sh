@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes metapp/viewer/three.min.js anew: the parts of three.js that pages use, of a pinned version. Needs npm.
+# Makes metapp/extensions/viewer/three.min.js anew: the parts of three.js that pages use, of a pinned version. Needs npm.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 three=0.187.0
@@ -20,6 +20,6 @@ JS
 (cd "$work" && node_modules/.bin/esbuild parts.js --bundle --minify --format=iife --global-name=THREE \
   --banner:js="/* three.js $three, MIT licence, Copyright 2010-2026 three.js authors: LICENSE.three */" --outfile=three.min.js)
 grep -qi '</script' "$work/three.min.js" && { echo "three.sh: the bundle ends a script element" >&2; exit 1; }
-cp "$work/three.min.js" metapp/viewer/three.min.js
-cp "$work/node_modules/three/LICENSE" metapp/viewer/LICENSE.three
-ls -l metapp/viewer/three.min.js
+cp "$work/three.min.js" metapp/extensions/viewer/three.min.js
+cp "$work/node_modules/three/LICENSE" metapp/extensions/viewer/LICENSE.three
+ls -l metapp/extensions/viewer/three.min.js

@@ -6,12 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_args, runtime_checkable
 
-import torch
 from torch import Tensor
 
-from metapp.appearance.colour import to_srgb
 from metapp.appearance.surface import Surface, linear_maps
-from metapp.appearance.view import View
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 
@@ -177,32 +174,3 @@ class DrawsAnswers(Protocol):
 
     def files_of(self, answer: Any, task: Task) -> dict[str, Picture]:
         """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""
-
-
-@runtime_checkable
-class Viewed(Protocol):
-    """A presentation with more for an interactive page than pictures."""
-
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """What the page shows of a fit (no task axis in theta).
-
-        Args:
-            theta: the fit.
-            task: what was fitted, without data where that is not at hand.
-            quick: whether what takes seconds is left out.
-
-        Raises:
-            KeyError: the fit alone is not enough.
-        """
-
-
-def view_of(shown: Presentation[Any], theta: Params, task: Task, *, quick: bool = False) -> View:
-    """What an interactive page shows of a fit, as `Viewed.view`: its pictures, unless there is more."""
-    if isinstance(shown, Viewed):
-        return shown.view(theta, task, quick=quick)
-    return pictures_view(shown.outputs(theta, task))
-
-
-def pictures_view(outputs: Mapping[str, Any]) -> View:
-    """A page's view of linear pictures, as of `Presentation.outputs`."""
-    return View("pictures", pictures={name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()})

@@ -16,7 +16,6 @@ from metapp import door
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or its record.jsonl.")]
 FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of standard output.")]
-OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 Options = TypeVar("Options")
 Result = TypeVar("Result")
 

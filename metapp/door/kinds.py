@@ -419,19 +419,33 @@ class Watcher(NamedTuple):
 
     Attributes:
         option: that asks for it.
-        watcher: `watcher(app, paradigm, folder) -> metapp.runs.fits.Watching`.
+        watcher: `watcher(app, paradigm) -> metapp.runs.fits.Watching`.
     """
 
     option: Option
     watcher: str
 
 
+class FitMethod(NamedTuple):
+    """A method of fits in the Python API.
+
+    Attributes:
+        name: of the method.
+        method: a function whose first argument is a `metapp.runs.api.Fit`.
+    """
+
+    name: str
+    method: str
+
+
 class Page(NamedTuple):
-    """An application's part of interactive pages.
+    """An application's part of interactive pages; without one they show its pictures.
 
     Attributes:
         app: the application.
-        view: `view(presentation, theta, task, *, quick) -> View`; KeyError where the fit alone is not enough.
+        view: `view(presentation, theta, task, *, quick) -> metapp.extensions.viewer.view.View`: of a fit, `theta`
+            without a task axis, of a task, without data where that is not at hand; `quick`: without what takes seconds.
+            KeyError where the fit alone is not enough.
     """
 
     app: str

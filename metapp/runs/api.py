@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -17,7 +17,7 @@ from torch import Tensor
 from data_tools.readers.brdf_objects import unit_vectors
 from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.appearance.presentation import maps_of
+from metapp.appearance.presentation import Presentation, maps_of
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
@@ -34,10 +34,7 @@ from metapp.runs.pictures import beside, image_of
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.runs.surroundings import threads, threads_of
-from metapp.runs.viewing import shown_of
 from metapp.storage.files import write_atomically
-from metapp.storage.records import file_name
-from metapp.viewer.page import Group, document, write_page
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -60,13 +57,16 @@ class Fit:
         steps: of gradient descent.
         guarded: whether the guard acted, as the learned rule failed.
         settings: what it was made by, as records have it.
+        page: an interactive page of the fit that was written, which notebooks link to; None where there is none.
+
+    Extensions add methods, such as `view` of the viewer.
     """
 
     def __init__(
         self, plan: Plan, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
     ) -> None:
         self.app, self.task, self.settings, self._plan = plan.app, task, settings, plan
-        self._page: Path | None = None
+        self.page: Path | None = None
         self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
         self.error: float | None = record["error"]
         self.seconds: float = record["seconds"]
@@ -76,10 +76,29 @@ class Fit:
         fields = ("name", "seconds", "threads", "counts", "note", "warning", "guarded", "steps")
         self.errors = {key: value for key, value in record.items() if key not in fields and value is not None}
 
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        """A method that an extension adds."""
+        for method in door.offers(door.FitMethod):
+            if method.name == name:
+                return functools.partial(door.load(method.method), self)
+        if extension := door.switched_off(door.FitMethod, name):
+            left_out = f"a method of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
+            raise AttributeError(f"fit.{name}: {left_out}")
+        raise AttributeError(f"'Fit' object has no attribute '{name}'")
+
+    def __dir__(self) -> list[str]:
+        """Its attributes, with the methods that extensions add."""
+        return [*super().__dir__(), *(method.name for method in door.offers(door.FitMethod))]
+
     @property
     def name(self) -> str:
         """What tables and files call the task."""
         return self.task.name
+
+    @property
+    def presentation(self) -> Presentation[Any]:
+        """The application's presentation, by the options of the fit."""
+        return self._plan.presentation
 
     def __repr__(self) -> str:
         error = "no reference" if self.error is None else f"error {self.error:.3f}"
@@ -90,7 +109,7 @@ class Fit:
         error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
         about = f"{title_of(self.app)}, {self.settings['paradigm']}"
         facts = f"{error}, {self.seconds:.3g} s, {self.steps} steps"
-        return card_of(self.name, about, self._images, facts, self.warning, self._page)
+        return card_of(self.name, about, self._images, facts, self.warning, self.page)
 
     def __call__(self, wi: Any, wo: Any) -> Any:
         """Evaluate a fitted BRDF.
@@ -125,12 +144,12 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        maps = maps_of(self._plan.presentation, self.parameters, self.task)
+        maps = maps_of(self.presentation, self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Any]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        return self._plan.presentation.outputs(self.parameters, self.task)
+        return self.presentation.outputs(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
@@ -138,7 +157,7 @@ class Fit:
         made = outputs_of(self.app.name, self._plan.options)
         with threads(threads_of(self.app)):
             files = [
-                door.load(output.output)(self._plan.presentation, self.task, self.parameters, value).files
+                door.load(output.output)(self.presentation, self.task, self.parameters, value).files
                 for output, value in made
             ]
         return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
@@ -152,24 +171,6 @@ class Fit:
     def picture(self) -> Image:
         """Return a picture of PIL, 8 bits of sRGB: the reference left, where there is one, and the fit right."""
         return beside([image for name, image in self._images.items() if name in ("reference", "fit")])
-
-    def view(self, path: str | PathLike[str] = "") -> Path:
-        """Write an interactive page of the fit, as `metapp view` does; what notebooks show links to it from then on.
-
-        Args:
-            path: the HTML file; "" for one of the task's name in the current folder.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        file = Path(path or f"{file_name(self.name)}.html")
-        record = {"error": self.error, "seconds": self.seconds}
-        with threads(threads_of(self.app)), torch.no_grad():
-            shown = self._plan.presentation
-            fit = shown_of(shown, self.settings["paradigm"], record, self.parameters, self.task)
-        page = document(f"metapp: {title_of(self.app)}", [Group(self.name, title_of(self.app), [fit])])
-        self._page = write_page(page, file)
-        return file
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write the parameters as safetensors, whole or not at all.
@@ -188,7 +189,7 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        export_fit(self._plan.presentation, self.task, self.parameters, Path(path), form, self.settings)
+        export_fit(self.presentation, self.task, self.parameters, Path(path), form, self.settings)
 
 
 class Fits(list[Fit]):

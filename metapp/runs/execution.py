@@ -177,8 +177,8 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
         known = {}  # a finished run is run anew, one that was cut off is completed
     if not request.quiet:
         _announce(plan, folder, len(sources), len(mine), len(known) if request.resumes else 0)
-        for line in loop.lines:
-            say(line)
+    for line in loop.lines:
+        say(line)
     begin = time.perf_counter()
     with progress(plan.paradigm.name, len(mine), done=len(known), quiet=request.quiet) as bar:
         for done in loop.fit([source for source in mine if source.place not in known]):
@@ -239,7 +239,7 @@ class _Loop:
         plan = fitter.plan
         self.fitter, self.folder, self.presentation = fitter, folder, plan.presentation
         watchers = [door.load(watcher.watcher) for watcher in watchers_of(plan.options)]
-        fitter.watching = [watch(plan.app, plan.paradigm.name, folder.path, plan.request.quiet) for watch in watchers]
+        fitter.watching = [watch(plan.app, plan.paradigm.name) for watch in watchers]
         self.lines = [line for watching in fitter.watching for line in watching.lines]
         self.outputs = outputs_of(plan.app.name, plan.options)
         self.size = BatchSize(check_batch(plan.request.batch or "1"), plan.device)

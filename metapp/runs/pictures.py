@@ -48,10 +48,8 @@ class Column(NamedTuple):
     error: str = ""
 
 
-def write_sheet(tasks: list[Column], title: str, path: Path, side: int = SIDE) -> Path:
+def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
     """Draw columns of pictures, COLUMNS beside each other; what a task does not have stays blank.
-
-    A square picture has `side` px.
 
     Returns:
         The file, a PNG.
@@ -60,7 +58,7 @@ def write_sheet(tasks: list[Column], title: str, path: Path, side: int = SIDE) -
 
     small, large = (ImageFont.load_default(size) for size in (SMALL, LARGE))
     rows = _rows(tasks)
-    height, width = _cell(tasks, side)
+    height, width = _cell(tasks)
     step = height + SMALL + GAP  # an error may stand below each picture
     left = 2 * GAP + max(round(small.getlength(row)) for row in rows)
     columns = min(COLUMNS, len(tasks))
@@ -94,12 +92,12 @@ def _rows(tasks: list[Column]) -> list[str]:
     return sorted(found, key=lambda name: name != "reference")
 
 
-def _cell(tasks: list[Column], side: int) -> tuple[int, int]:
+def _cell(tasks: list[Column]) -> tuple[int, int]:
     """Height and width of all pictures; wide ones hold several: they get more room."""
     rows, across = next(iter(tasks[0].pictures.values())).shape[:2]
     aspect = max(1.0, across / rows)
-    width = side * aspect**0.6
-    return round(width * rows / across if rows <= across else side), round(width)
+    width = SIDE * aspect**0.6
+    return round(width * rows / across if rows <= across else SIDE), round(width)
 
 
 def _shrunk(picture: np.ndarray, height: int, width: int) -> Image:

@@ -12,10 +12,8 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.metrics import ssim
 from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
-from metapp.appearance.view import View
 from metapp.apps.brdf.app import CONDITION, Brdf
 from metapp.apps.brdf.networks import network_of
-from metapp.apps.brdf.viewing import view_of
 from metapp.learning.task import Params, Task
 
 
@@ -31,10 +29,6 @@ class BrdfPresentation(Presentation[Brdf]):
         scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
         fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
         return {"reference": task.data["render"], "fit": fit}
-
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """The network, and the samples where there are some."""
-        return view_of(theta, task)
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """SSIM of the sphere under the environment map, mean over the pixels that it touches.

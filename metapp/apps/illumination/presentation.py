@@ -10,12 +10,10 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.presentation import Picture, Visible
-from metapp.appearance.view import View
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES
 from metapp.apps.illumination.surfaces import relight
-from metapp.apps.illumination.viewing import view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
 
@@ -64,7 +62,7 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
         one = {key: value[None] for key, value in theta.items()}
         files = self.files_of(_answer(self.app, one, task), task)
         if self.size:
-            files["map"] = self._map(one, task)
+            files["map"] = self.map_of(one, task)
         if self.app.protocol == "photo":
             spread = self.app.spread(one, {key: value[None] for key, value in self.app.prepare(task).items()})
             light = files["map"].pixels.permute(2, 0, 1)
@@ -86,14 +84,8 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
             "relit": Picture(tone_map(relight(maps))[0].permute(1, 2, 0), "srgb"),
         }
 
-    @torch.no_grad()
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """The map to look around in, spheres lit by it, and of a photograph the ball."""
-        light = self._map({key: value[None] for key, value in theta.items()}, task)
-        return view_of(self.app, theta, task, light.pixels)
-
-    def _map(self, theta: Params, task: Task) -> Picture:
-        """The map of `files`, of parameters of one task."""
+    def map_of(self, theta: Params, task: Task) -> Picture:
+        """The map of `files`, of parameters [1, ...] of one task."""
         return _radiance(_answer(self.app.sized(*self.size) if self.size else self.app, theta, task), task)
 
     def visible(self, task: Task) -> Visible:

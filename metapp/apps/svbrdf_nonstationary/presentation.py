@@ -13,8 +13,6 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render, unpack
 from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
-from metapp.appearance.surface_view import Lit, surface_view
-from metapp.appearance.view import View
 from metapp.apps.svbrdf_nonstationary.app import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.confidence import deviations
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -90,19 +88,6 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
         """The maps as `files` writes them."""
         maps = self._whole(theta, task)
         return Surface(maps.diffuse[0], False, Maps(*(part[0] for part in maps)))
-
-    @torch.no_grad()
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """The maps as `files` writes them, the photographs, and the true maps where the task has them."""
-        flashes = placed(self.app, theta, task)
-        photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
-        taken = self.app.protocol == "photo"  # else the photo was rendered from the maps
-        photographed = [
-            Lit(flash.place, flash.eye, float(flash.gain), linear(photo) if taken else None)
-            for flash, photo in zip(flashes, photos, strict=True)
-        ]
-        reference = unpack(task.data["maps"].float()) if "maps" in task.data else None
-        return surface_view(self.surface(theta, task), photographed, reference=reference)
 
     def _whole(self, theta: Params, task: Task) -> Maps:
         """The maps [1, ...] of the size of files."""

@@ -8,13 +8,11 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
-from metapp.appearance.flash import GAMMA, Maps, relightings
+from metapp.appearance.flash import Maps, relightings
 from metapp.appearance.presentation import Picture
 from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
-from metapp.appearance.surface_view import Lit, surface_view
-from metapp.appearance.view import View
-from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import ExemplarPresentation
 
@@ -51,15 +49,6 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         """The maps as `files` writes them."""
         maps, height = self._whole(theta, task)
         return Surface(maps.diffuse, True, maps, height)
-
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """The maps as `files` writes them, and the photograph where it is at hand."""
-        photographed = []
-        if "image" in task.data:
-            photo = self.app.exemplar(task.data["image"][None].float() / 255)
-            light, part = self.app.light_of(photo)[0], self.app.setup.width / self.whole()[1]
-            photographed = [Lit(light, light, photo=photo[0] ** GAMMA, part=part)]
-        return surface_view(self.surface(theta, task), photographed, falloff=FALLOFF)
 
     def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         return self.kept(theta, task, lambda: self._maps(theta, self.whole()))

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,15 +13,12 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import load_features, sliced_wasserstein
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.appearance.presentation import Fitted, Picture
-from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
-from metapp.appearance.view import View
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import ExemplarPresentation
 
 JUDGING = ("relu2_2", "relu3_3", "relu4_3")  # beside those that fits are compared by
-QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
 
 
 class TexturePresentation(ExemplarPresentation[Texture]):
@@ -43,24 +39,6 @@ class TexturePresentation(ExemplarPresentation[Texture]):
             "reference": srgb_to_linear(exemplar).permute(1, 2, 0),
             "fit": srgb_to_linear(texture).permute(1, 2, 0),
         }
-
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """The texture as `files` writes it, the exemplar where it is at hand, and one quilted of that, at one scale.
-
-        While a fit runs the texture is of the exemplar's size, and nothing is quilted.
-        """
-        fit = self.generated(theta, self.app.generate, self.once())[0, 0] if quick else self._whole(theta, task)
-        pictures, tiles = (
-            {"fit": fit.permute(1, 2, 0)},
-            {"exemplar": "seams", "fit": "whole", "image quilting": "seams"},
-        )
-        if "image" in task.data:
-            exemplar = self.app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
-            pictures["exemplar"] = exemplar
-            if not quick:
-                pictures["image quilting"] = _quilted(exemplar)
-        shown = [{"title": name, "names": [name], "tiles": how} for name, how in tiles.items() if name in pictures]
-        return View("pictures", pictures=pictures, facts={"pictures": shown, "compared": [shown[0]["title"], "fit"]})
 
     @torch.no_grad()
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
@@ -94,10 +72,3 @@ class TexturePresentation(ExemplarPresentation[Texture]):
         """The texture of the size of files, [3, H, W]."""
         textures: Tensor = self.kept(theta, task, lambda: self.generated(theta, self.app.generate, self.whole()))
         return textures[0, 0]
-
-
-def _quilted(exemplar: Tensor) -> Tensor:
-    """A picture [2 H, 2 W, 3] of blocks of an exemplar [H, W, 3]; the same each time."""
-    block, overlap = block_of(exemplar.numpy())
-    size = QUILTED * exemplar.shape[0], QUILTED * exemplar.shape[1]
-    return torch.from_numpy(quilted(exemplar.numpy(), size, np.random.default_rng(0), block=block, overlap=overlap))

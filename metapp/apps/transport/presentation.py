@@ -9,13 +9,11 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
-from metapp.appearance.presentation import Fitted, Picture, Presentation, Visible, pictures_view
-from metapp.appearance.view import View
+from metapp.appearance.presentation import Fitted, Picture, Presentation, Visible
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.images import image_errors, integrators, studio_of
-from metapp.apps.transport.viewing import view_of
 from metapp.learning.task import Params, Task
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
@@ -65,16 +63,6 @@ class TransportPresentation(Presentation[Transport]):
         studio = studio_of(task)
         shots = {"guided": studio.guided(self.app.flow, theta, SHOWN), "regular": studio.regular(SHOWN)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
-
-    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
-        """Pictures of the scene in equal time, and those that the fit guides.
-
-        Densities where there is no scene, while a fit runs, and without the extension of guided paths.
-        """
-        if "scene" in task.data and not quick and (plugins := integrators()):
-            return view_of(self.app.flow, theta, task, self.app.setup.picture, plugins[0])
-        both = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(self.app.flow, theta)}
-        return pictures_view(both)
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""

@@ -7,7 +7,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -26,12 +26,11 @@ from metapp.evaluation.report.html import (
     sortable_html,
     table_html,
 )
-from metapp.evaluation.report.views import fits_of, write_view
 from metapp.evaluation.rows import Row, paired_of, paper, values_of
 from metapp.evaluation.subject import Subject, evenly
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.results import result_row
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.reporter import number
 from metapp.runs.statistics import apart
@@ -54,7 +53,7 @@ HEADINGS = {
 
 
 def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> Path:
-    """Write `index.html`, of what has been measured so far, and an interactive page of each application beside it.
+    """Write `index.html`, of what has been measured so far.
 
     Args:
         subjects: of which applications.
@@ -66,7 +65,7 @@ def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str
     """
     make_folder(folder)
     pictures = Pictures()
-    sections = [section(subject, pictures, tables, write_view(subject, folder)) for subject in subjects]
+    sections = [section(subject, pictures, tables) for subject in subjects]
     links = [f'<a href="#{anchor(subject)}">{escape(subject.title)}</a>' for subject in subjects]
     records = json.dumps({anchor(subject): records_of(subject) for subject in subjects}, allow_nan=False)
     parts = {
@@ -87,15 +86,14 @@ def _text(name: str) -> str:
     return (resources.files("metapp.evaluation.report") / name).read_text(encoding="utf-8")
 
 
-def section(subject: Subject, pictures: Pictures, tables: Sequence[str], view: str) -> str:
-    """All there is of one application, these of its tables, and a link to its interactive page, if it has one."""
+def section(subject: Subject, pictures: Pictures, tables: Sequence[str]) -> str:
+    """All there is of one application, and these of its tables."""
     name = anchor(subject)
     figures = {kind: draw(kind, subject) for kind in FIGURES if kind != "plane"}
     drawn = {kind: drawn_html(d, f"{name}-{kind}", pictures, _kind(kind)) for kind, d in figures.items() if d}
     strips = drawn.pop("strips", "")
     gallery = gallery_html(subject, pictures)
     hint = "The reference beside five results; a click shows the record behind one."
-    hint += f' <a href="{view}">Some of these to turn, light and zoom</a>.' if view else ""
     return "\n".join(
         [
             f'<section id="{name}"><h2>{escape(subject.title)}</h2>',
@@ -257,6 +255,15 @@ def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
         )
     row = f'<div class="row">{"".join(shown)}</div>'
     return f'<div class="task"><h4>{escape(task.name)}</h4>{row}</div>' if shown else ""
+
+
+def fits_of(subject: Subject, task: Task) -> Iterator[tuple[str, Record, Params]]:
+    """The fits of a task that there are: the paradigm, the record, the parameters."""
+    for name in TITLES:
+        cell = subject.cell(name)
+        record = next((record for record in cell.records() if record["name"] == task.name), None)
+        if record is not None and cell.folder is not None:
+            yield name, record, cell.folder.theta(task.name)
 
 
 def records_of(subject: Subject) -> Record:

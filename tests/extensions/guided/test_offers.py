@@ -14,7 +14,9 @@ from torch import Generator
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.metrics import mape
-from metapp.apps.transport import images, viewing
+from metapp.apps.transport import images
+from metapp.extensions.viewer.pages import transport as pages
+from metapp.extensions.viewer.view import view_of
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
@@ -78,18 +80,18 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
 @pytest.mark.long
 @needs_mitsuba
 def test_a_scene_is_shown_in_equal_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewing, "GUIDED_SECONDS", 0.3)
-    monkeypatch.setattr(viewing, "REFERENCE_SECONDS", 0.1)
-    view = TransportPresentation(Transport(TransportSetup(FLOW, picture=16))).view(THETA, task_of(0))
+    monkeypatch.setattr(pages, "GUIDED_SECONDS", 0.3)
+    monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.1)
+    view = view_of(TransportPresentation(Transport(TransportSetup(FLOW, picture=16))), THETA, task_of(0))
     assert [each["title"] for each in view.facts["pictures"]] == [
         "reference",
         GUIDED_NEE,
         REGULAR_NEE,
-        viewing.GUIDED_BY_FIT,
+        pages.GUIDED_BY_FIT,
         REGULAR,
     ]
     steps = len(view.facts["steps"]["titles"])
-    assert 1 <= steps <= viewing.MOST
+    assert 1 <= steps <= pages.MOST
     assert [len(each["names"]) for each in view.facts["pictures"]] == [1, steps, steps, 1, 1]
     assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
     assert float(view.arrays["reference"].float().mean()) == pytest.approx(1, rel=1e-3)
@@ -104,7 +106,7 @@ def test_pages_and_captions_do_without(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_WITHOUT", "guided")
     shown = TransportPresentation(Transport(TransportSetup(FLOW)))
     assert "guided_path" not in shown.image_measure
-    assert set(shown.view(THETA, task_of(0)).pictures) == {"reference", "fit"}
+    assert set(view_of(shown, THETA, task_of(0)).pictures) == {"reference", "fit"}
 
 
 def test_only_scenes_are_rendered(metapp: Callable) -> None:

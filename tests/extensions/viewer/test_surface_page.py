@@ -19,18 +19,18 @@ from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
 from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface, fitted_planes
-from metapp.appearance.surface_view import Lit, surface_view
-from metapp.appearance.view import View
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import QUICK
+from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.surface import Lit, surface_view
+from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
-from metapp.viewer.page import Group, Shown, document, write_page
 from tests.assets.surfaces import rock
 from tests.browser import Page, browsing
 
@@ -106,7 +106,7 @@ def like(found: np.ndarray, wanted: np.ndarray) -> bool:
 def test_a_view_holds_the_maps_that_are_written() -> None:
     """Photographs are there where the task is at hand: the part of the maps that one covers, and its flash."""
     shown, theta, task = stationary()
-    surface, view = shown.surface(theta, task), shown.view(theta, task)
+    surface, view = shown.surface(theta, task), view_of(shown, theta, task)
     assert surface.maps is not None
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
@@ -116,14 +116,14 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
     assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
     photo = task.data["image"].movedim(0, -1) / 255
     torch.testing.assert_close(view.pictures["photo_1"], photo, atol=STEP / 2, rtol=0)
-    alone = shown.view(theta, Task("cloth", {}))
+    alone = view_of(shown, theta, Task("cloth", {}))
     assert list(alone.facts["lit"]) == list(relightings())
     assert "photo_1" not in alone.pictures
 
 
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
-    view, files = shown.view(theta, task), shown.files(theta, task)
+    view, files = view_of(shown, theta, task), shown.files(theta, task)
     truth = rock(64, tiles=False).maps
     assert truth is not None
     assert_same(maps_in(view, "reference"), truth)
@@ -140,7 +140,7 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
     )
     assert not view.facts["tiles"]
     with pytest.raises(KeyError):
-        shown.view(theta, Task("rock", {}))
+        view_of(shown, theta, Task("rock", {}))
 
 
 def test_heights_of_normals_do_not_drift_over_a_map() -> None:
@@ -160,7 +160,7 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
 
 def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
     """To means of texels; heights stay as they are in widths of the texture."""
-    monkeypatch.setattr("metapp.appearance.surface_view.LARGEST", 64)
+    monkeypatch.setattr("metapp.extensions.viewer.surface.LARGEST", 64)
     large = rock(128)
     view = surface_view(large, [])
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
@@ -182,7 +182,7 @@ def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_screen_shows_metapps_pictures(which: Any, browser: Any, tmp_path: Path) -> None:
     shown, theta, task = which()
     files = shown.files(theta, task)
-    page = open_page(browser, tmp_path, shown.view(theta, task))
+    page = open_page(browser, tmp_path, view_of(shown, theta, task))
     page.sized(*[len(files["normal"].pixels)] * 2)
     page.set(view="picture")
     for name in ("left", "aside"):

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from data_tools.synthetic.examples import EXAMPLES, write_example
+from metapp.extensions.viewer.viewing import Wanted, view_page
 from metapp.runs.execution import Run, execute
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
-from metapp.runs.viewing import Wanted, view_page
 from metapp.storage import Document
 
 INPUTS, PAGE = "inputs", "try.html"

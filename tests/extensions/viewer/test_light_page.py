@@ -17,14 +17,16 @@ from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import mirror
-from metapp.apps.illumination import viewing
+from metapp.appearance.presentation import Picture
 from metapp.apps.illumination.app import SMALL, Illumination, IlluminationSetup
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
+from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.pages import illumination as pages
+from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
-from metapp.viewer.page import Group, Shown, document, write_page
 from tests.browser import Page, browsing
 
 ROWS = 64
@@ -67,30 +69,31 @@ def shown(protocol: str) -> tuple[IlluminationPresentation, Params]:
 
 def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> None:
     presentation, theta = shown("reference")
-    view = presentation.view(theta, task_of(lamps(2)))
+    view = view_of(presentation, theta, task_of(lamps(2)))
     scale, light = view.facts["scale"], fitted.permute(1, 2, 0)
     kept = view.arrays["map"].float() * scale
     torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
     reference = view.arrays["reference"].float() * scale
     torch.testing.assert_close(reference, lamps(2).permute(1, 2, 0) / light.mean(), rtol=1e-3, atol=1e-6)
     assert (view.kind, dict(view.pictures)) == ("light", {})
-    assert set(presentation.view(theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
+    assert set(view_of(presentation, theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
 
 
-def test_suns_beyond_half_floats_are_kept() -> None:
+def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     presentation, theta = shown("reference")
     pixels = torch.full((256, 512, 3), 0.01)
     pixels[100, 200, 0] = 1e5
-    view = viewing.view_of(presentation.app, theta, Task("sun", {}), pixels)
+    monkeypatch.setattr(presentation, "map_of", lambda theta, task: Picture(pixels, "radiance"))
+    view = view_of(presentation, theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
 
 
 def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewing, "MOST", (16, 32))
+    monkeypatch.setattr(pages, "MOST", (16, 32))
     presentation, theta = shown("reference")
-    view = presentation.view(theta, task_of(lamps(2)))
+    view = view_of(presentation, theta, task_of(lamps(2)))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
     torch.testing.assert_close(small, resample(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (
@@ -101,11 +104,11 @@ def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatc
 
 def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted: Tensor) -> None:
     presentation, theta = shown("photo")
-    view = presentation.view(theta, task_of(fitted))
+    view = view_of(presentation, theta, task_of(fitted))
     inside = sphere_normals(64)[0][2] > 0.5
     assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
     with pytest.raises(KeyError, match="photos"):
-        presentation.view(theta, Task("lamps", {}))
+        view_of(presentation, theta, Task("lamps", {}))
 
 
 def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor) -> None:
@@ -113,7 +116,7 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor
     task = task_of(fitted)
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
-    ball = presentation.view(theta, task).pictures["ball"].permute(2, 0, 1)
+    ball = view_of(presentation, theta, task).pictures["ball"].permute(2, 0, 1)
     target = presentation.app.ball({key: each[None] for key, each in theta.items()}, fitted[None], SMALL)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // SMALL)[0] > 0.999
     assert (avg_pool2d(ball, 64 // SMALL) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
@@ -121,7 +124,7 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor
 
 def test_what_a_gloss_reflects_at_normal_incidence() -> None:
     """1 - ln 2 where alpha is 1, the integral of Smith's masking."""
-    assert float(viewing.lobe_albedos(1.0, 64)[-1]) == pytest.approx(1 - math.log(2), abs=0.005)
+    assert float(pages.lobe_albedos(1.0, 64)[-1]) == pytest.approx(1 - math.log(2), abs=0.005)
 
 
 # In a browser
@@ -137,7 +140,7 @@ def open_page(
     browser: Any, folder: Path, protocol: str, reference: Tensor
 ) -> tuple[Page, IlluminationPresentation, Params]:
     presentation, theta = shown(protocol)
-    group = Group("lamps", "Illumination", [Shown("meta", "", presentation.view(theta, task_of(reference)))])
+    group = Group("lamps", "Illumination", [Shown("meta", "", view_of(presentation, theta, task_of(reference)))])
     page = Page(browser, write_page(document("metapp", [group]), folder / "view.html"))
     page.set(paper="white")
     return page, presentation, theta

@@ -9,10 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import above_horizon
-from metapp.apps.brdf.anisotropic_residual import CELLS, _interpolation, corners, gridded, reached, solved
+from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.viewing import view_of
+from metapp.extensions.viewer.pages.anisotropic_residual import CELLS, _interpolation, corners, gridded, reached, solved
+from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Task
 from tests import anisotropic
 from tests.anisotropic import APP, TURN, brushed, fitted, interpolated
@@ -118,7 +119,7 @@ def test_a_wrong_fit_and_its_residual_are_the_material(wrong: str) -> None:
         theta["turn"] = theta["turn"] + 1.0
     else:
         theta["last"] = theta["last"][[2, 0, 1]] * 0.5 + 0.02
-    grid = view_of(APP, theta, anisotropic.task(65_536)).arrays["residual"]
+    grid = view_of(presentation_of(APP), theta, anisotropic.task(65_536)).arrays["residual"]
     angles = angles_above(20_000, 8).float()
     truth, fit = torch.log1p(brushed(angles)), torch.log1p(APP.reflectance(theta, angles))
     reference = (fit + interpolated(grid, angles, float(theta["turn"]))).clamp_min(0)
@@ -131,7 +132,7 @@ def test_a_fit_without_azimuths_and_its_residual_are_the_material() -> None:
     app = Brdf(Featured(width=12, features=7, code=3))
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
     theta["last"] = 0.2 * torch.randn(theta["last"].shape, generator=Generator().manual_seed(2))
-    grid = view_of(app, theta, anisotropic.task(65_536)).arrays["residual"]
+    grid = view_of(presentation_of(app), theta, anisotropic.task(65_536)).arrays["residual"]
     angles = angles_above(20_000, 10).float()
     angles[:, 2] %= math.pi
     truth, fit = torch.log1p(brushed(angles)), torch.log1p(app.reflectance(theta, angles))
@@ -145,7 +146,7 @@ def test_an_isotropic_material_has_a_reference_by_any_fit() -> None:
     angles = task.data["angles"]
     shine = torch.exp(-((angles[:, :1] / 0.3) ** 2)).expand(-1, 3)
     still = Task("still", {"angles": angles, "reflectance": 0.1 + shine})
-    grid = view_of(APP, fitted(), still).arrays["residual"]
+    grid = view_of(presentation_of(APP), fitted(), still).arrays["residual"]
     angles = angles_above(20_000, 11).float()
     truth = torch.log1p(0.1 + torch.exp(-((angles[:, :1] / 0.3) ** 2)).expand(-1, 3))
     fit = torch.log1p(APP.reflectance(fitted(), angles))
@@ -154,7 +155,7 @@ def test_an_isotropic_material_has_a_reference_by_any_fit() -> None:
 
 
 def test_a_residual_does_not_make_a_good_fit_worse() -> None:
-    grid = view_of(APP, fitted(), anisotropic.task(65_536)).arrays["residual"]
+    grid = view_of(presentation_of(APP), fitted(), anisotropic.task(65_536)).arrays["residual"]
     angles = angles_above(20_000, 9).float()
     truth, fit = torch.log1p(brushed(angles)), torch.log1p(APP.reflectance(fitted(), angles))
     reference = (fit + interpolated(grid, angles, float(fitted()["turn"]))).clamp_min(0)

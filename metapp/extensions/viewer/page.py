@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.appearance.view import View
+from metapp.extensions.viewer.view import View
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.images import in_8_bits, png_address, png_bytes
@@ -135,4 +135,4 @@ def write_page(data: Document, path: Path) -> Path:
 
 
 def _text(name: str) -> str:
-    return (resources.files("metapp.viewer") / name).read_text(encoding="utf-8")
+    return (resources.files("metapp.extensions.viewer") / name).read_text(encoding="utf-8")

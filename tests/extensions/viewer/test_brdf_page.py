@@ -25,13 +25,14 @@ from metapp.appearance.geometry import (
 from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
 from metapp.apps import presentation_of
-from metapp.apps.brdf.anisotropic_residual import CELLS as AZIMUTHAL
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few import Few
-from metapp.apps.brdf.viewing import CELLS, packed
+from metapp.extensions.viewer.page import Group, Shown, array, document, write_page
+from metapp.extensions.viewer.pages.anisotropic_residual import CELLS as AZIMUTHAL
+from metapp.extensions.viewer.pages.brdf import CELLS, packed
+from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
-from metapp.viewer.page import Group, Shown, array, document, write_page
 from tests import anisotropic
 from tests.browser import Page, browsing
 
@@ -71,7 +72,7 @@ def theta_of(name: str) -> Params:
 def views(*names: str, task: Task | None = None) -> list[Shown]:
     shown = []
     for name in names:
-        view = presentation_of(APPS[name]).view(theta_of(name), task or Task("lobe", {}))
+        view = view_of(presentation_of(APPS[name]), theta_of(name), task or Task("lobe", {}))
         shown.append(Shown(name, "", view))
     return shown
 
@@ -252,7 +253,7 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(browser: Any, tmp_path: Pa
     task = brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
     theta = {key: torch.zeros_like(value) for key, value in theta_of("nbrdf").items()}
     theta["b3"] = torch.full_like(theta["b3"], math.log1p(0.3 / math.pi))
-    view = presentation_of(APPS["nbrdf"]).view(theta, task)
+    view = view_of(presentation_of(APPS["nbrdf"]), theta, task)
     white = view._replace(shared=dict(view.shared) | {"light": torch.ones(8, 16, 3).half()})
     page = open_page(browser, tmp_path, [Shown("meta", "", white)])
     page.sized(64, 64)

@@ -1,4 +1,4 @@
-"""What the interactive page needs of a BRDF: its network as a texture, lobes to sample it by, its samples."""
+"""The page of a BRDF: its network as a texture, lobes to sample it by, its samples."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.sphere import light_map, studio_lights
-from metapp.appearance.view import View
-from metapp.apps.brdf import anisotropic, anisotropic_residual
+from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.extensions.viewer.pages import anisotropic_residual
+from metapp.extensions.viewer.view import View
 from metapp.learning.task import Params, Task
 from metapp.rendering.bsdfs.lobes import fit_lobes
 
@@ -22,7 +24,7 @@ WIDENED = 4  # times that cells without samples look one cell farther
 PLOTTED = 8192  # samples of plots, at most
 
 
-def view_of(theta: Params, task: Task) -> View:
+def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bool) -> View:
     """The fit, its samples where the task has some, and a reference made of these."""
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)

@@ -1,9 +1,10 @@
-"""`metapp try`: one fit of each application, and the page of all."""
+"""`metapp view`, an interactive page of runs, and `metapp try`, one of a fit of each application."""
 
 from __future__ import annotations
 
 import time
 import webbrowser
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,11 +12,56 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, OpenPage
+from metapp.cli.options import FittedData, Json, takes
 from metapp.runs.reporter import number, say
 
+OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 
-def command(
+
+@dataclass(frozen=True)
+class Options:
+    """Of `metapp view`."""
+
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Run folders or files of their params/; several are shown side by side."),
+    ]
+    inputs: Annotated[
+        list[Path] | None,
+        typer.Option("--input", metavar="INPUT", help="Original input, if it has moved."),
+    ] = None
+    task: Annotated[str, typer.Option(metavar="NAME", help="Show this task alone; default: all.")] = ""
+    most: Annotated[int, typer.Option(min=1, help="Maximum number of tasks.")] = 20
+    data: FittedData = None
+    out: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Output file; default: view.html in the first RUN.")
+    ] = None
+    open_page: OpenPage = True
+    json: Json = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
+
+
+@takes(Options)
+def view(options: Options) -> None:
+    """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
+
+    RUN is the folder that a fit prints.
+
+    Example: metapp view RUN OTHER_RUN
+    """
+    from metapp.extensions.viewer.viewing import Wanted, view_page
+
+    wanted = Wanted(options.runs, options.inputs or [], options.data, options.task, options.most)
+    page = view_page(wanted, options.out, quiet=options.quiet)
+    if options.open_page:
+        webbrowser.open(page.resolve().as_uri())
+    if options.json:
+        print_json({"page": str(page), "bytes": page.stat().st_size})
+    else:
+        say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB")
+
+
+def try_all(
     apps: Annotated[
         list[str] | None,
         typer.Argument(metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all."),
@@ -34,9 +80,9 @@ def command(
     """
     begin = time.perf_counter()
     from metapp.apps import app_names
+    from metapp.extensions.viewer.trying import try_app, try_page
     from metapp.runs import BadOption
     from metapp.runs.checks import check_name
-    from metapp.runs.trying import try_app, try_page
 
     tried = []
     for app in apps or ():

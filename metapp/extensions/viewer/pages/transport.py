@@ -1,4 +1,4 @@
-"""What the interactive page shows of a scene: pictures in equal time, for several times, and those that fits guide."""
+"""The page of a scene: pictures in equal time, for several times, and those that fits guide; densities without one."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.metrics import mape
-from metapp.appearance.view import View
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import REGULAR, REGULAR_NEE, Shot, Studio, studio_of
+from metapp.apps.transport.images import REGULAR, REGULAR_NEE, Shot, Studio, integrators, studio_of
+from metapp.apps.transport.presentation import TransportPresentation, picture_of_flow, picture_of_samples
 from metapp.door import Plugin
+from metapp.extensions.viewer.view import View, pictures_view
 from metapp.learning.task import Params, Task
 
 LARGEST = 128  # px of a side
@@ -53,7 +54,20 @@ class EqualTime(NamedTuple):
         return torch.stack([half.shot.picture for half in self.halves]).mean(0)
 
 
-def view_of(flow: Flow, theta: Params, task: Task, size: int, plugin: Plugin) -> View:
+def view(presentation: TransportPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+    """Pictures of the scene in equal time, and those that the fit guides.
+
+    Densities where there is no scene, while a fit runs, and without the extension of guided paths.
+    """
+    app = presentation.app
+    if "scene" in task.data and not quick and (plugins := integrators()):
+        return scene_view(app.flow, theta, task, app.setup.picture, plugins[0])
+    return pictures_view(
+        {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.flow, theta)}
+    )
+
+
+def scene_view(flow: Flow, theta: Params, task: Task, size: int, plugin: Plugin) -> View:
     """The scene of a task.
 
     Args:

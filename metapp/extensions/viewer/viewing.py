@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
-from metapp.appearance.presentation import Presentation, view_of
+from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
+from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import factor_of, title_of
@@ -19,13 +22,15 @@ from metapp.runs.reporter import number, progress, say
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.records import file_name, read_theta
-from metapp.viewer.page import Group, Shown, document, write_page
+
+if TYPE_CHECKING:
+    from metapp.runs.api import Fit
 
 MOST = 20  # tasks of a page, unless it says otherwise
 PAGE = "view.html"
 
 
-class Fitted(NamedTuple):
+class FitOfRun(NamedTuple):
     """A fit that is to be shown: of which run, its record, what was fitted (without data where that is not at hand)."""
 
     app: App
@@ -66,7 +71,7 @@ def view_page(wanted: Wanted, out: Path | None, *, quiet: bool) -> Path:
     """
     runs = [_read(path, wanted.task) for path in wanted.runs]
     fits = [fit for run in runs for fit in _fits(run, wanted)]
-    by_task: dict[tuple[str, str], list[Fitted]] = {}
+    by_task: dict[tuple[str, str], list[FitOfRun]] = {}
     for fit in fits:
         by_task.setdefault((fit.app.name, fit.record["name"]), []).append(fit)
     shown = list(by_task.values())[: wanted.most]
@@ -104,14 +109,14 @@ def _read(path: Path, task: str) -> Recorded:
     return Recorded(run.folder, records)
 
 
-def _fits(run: Recorded, wanted: Wanted) -> list[Fitted]:
+def _fits(run: Recorded, wanted: Wanted) -> list[FitOfRun]:
     app = app_as(run.records[-1]["settings"])
     tasks = tasks_as(run.records, app, wanted.inputs, wanted.data)
     if missing := sum(record["name"] not in tasks for record in run.records):
         what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"
         say(f"view: {what}; give them by --input or --data to see references.")
     return [
-        Fitted(app, run.folder, record, tasks.get(record["name"], Task(record["name"], {}))) for record in run.records
+        FitOfRun(app, run.folder, record, tasks.get(record["name"], Task(record["name"], {}))) for record in run.records
     ]
 
 
@@ -135,7 +140,7 @@ def _apart(settings: dict[Path, Document]) -> dict[Path, str]:
 
 
 @torch.no_grad()
-def group_of(fits: Sequence[Fitted], labels: dict[Path, str], lacking: list[str]) -> Group:
+def group_of(fits: Sequence[FitOfRun], labels: dict[Path, str], lacking: list[str]) -> Group:
     """Fits of one task, side by side; `lacking` gets a line for each that needs what was fitted and has not got it."""
     shown = []
     for fit in fits:
@@ -163,3 +168,22 @@ def shown_of(
         ) from None
     error = "" if record["error"] is None else f"error{factor_of(shown.app)} {number(record['error'], '.3f')}, "
     return Shown(label, f"{error}{number(record['seconds'], '.3g')} s", view)
+
+
+@torch.no_grad()
+def view_fit(fit: Fit, path: str | PathLike[str] = "") -> Path:
+    """Write an interactive page of a fit, as `metapp view` does; what notebooks show links to it from then on.
+
+    Args:
+        fit: of the Python API, where this is its method `view`.
+        path: the HTML file; "" for one of the task's name in the current folder.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    title, record = title_of(fit.app), {"error": fit.error, "seconds": fit.seconds}
+    with threads(threads_of(fit.app)):
+        shown = shown_of(fit.presentation, fit.settings["paradigm"], record, fit.parameters, fit.task)
+    page = document(f"metapp: {title}", [Group(fit.name, title, [shown])])
+    fit.page = write_page(page, Path(path or f"{file_name(fit.name)}.html"))
+    return fit.page

@@ -11,12 +11,13 @@ from typing import Any
 
 import pytest
 
-from metapp.appearance.view import View
 from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.extensions.viewer.pages import brdf
+from metapp.extensions.viewer.trying import Tried, try_app
+from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.viewing import PAGE
 from metapp.learning.task import Params, Task
 from metapp.runs.inputs import Source
-from metapp.runs.trying import Tried, try_app
-from metapp.runs.viewing import PAGE
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 2
@@ -187,7 +188,7 @@ def test_what_cannot_be_fitted_is_left_out_of_all(
             raise ValueError(f"{app} needs weights")
         return try_app(app, out, recipe)
 
-    monkeypatch.setattr("metapp.runs.trying.try_app", without)
+    monkeypatch.setattr("metapp.extensions.viewer.trying.try_app", without)
     told = metapp("try")
     assert told.code == 0
     assert "warning: texture is left out: texture needs weights" in told.err
@@ -199,14 +200,14 @@ def test_fits_that_cannot_be_shown_are_left_out(
     metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, lacking = fitted("meta"), {"m0"}
-    view = BrdfPresentation.view
+    view = brdf.view
 
-    def some(self: BrdfPresentation, theta: Params, task: Task, **more: bool) -> View:
+    def some(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bool) -> View:
         if task.name in lacking:
             raise ValueError(f"{task.name}: no photo, expected one; give it by --input.")
-        return view(self, theta, task, **more)
+        return view(presentation, theta, task, quick=quick)
 
-    monkeypatch.setattr(BrdfPresentation, "view", some)
+    monkeypatch.setattr(brdf, "view", some)
     result = metapp("view", run, "--no-open", "--out", "some.html")
     assert (result.code, [group["title"] for group in groups_of(Path("some.html"))]) == (0, ["m1"])
     assert "warning: left out: meta of m0: no photo, expected one; give it by --input." in result.err

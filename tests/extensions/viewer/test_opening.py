@@ -13,9 +13,9 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.appearance.view import View
-from metapp.viewer.live import Live
-from metapp.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.live import Live
+from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.view import View
 from tests.browser import Page, browsing
 
 pytestmark = pytest.mark.long

@@ -1,4 +1,4 @@
-"""What the interactive page needs of a map: radiance, the reference, the photographed ball, where a fit is not sure."""
+"""The page of a light map: radiance, the reference, the photographed ball, and where a fit is not sure."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from metapp.appearance.geometry import Cosines
 from metapp.appearance.latlong import directions, luminance, resample, solid_angles
 from metapp.appearance.photograph import mirror
 from metapp.appearance.reflection import microfacet_lobe
-from metapp.appearance.view import View
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import doubt
 from metapp.apps.illumination.mirror import CLIPPED, DARK, is_mirror
+from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
+from metapp.extensions.viewer.view import View
 from metapp.learning.task import Batch, Params, Task
 
 MOST = (512, 1024)  # texels of a map on a page
@@ -24,18 +25,15 @@ HALF = 65504.0  # the greatest of float16
 NODES = 32  # cosines that the albedos of lobes are known at
 
 
-def view_of(app: Illumination, theta: Params, task: Task, pixels: Tensor) -> View:
-    """The fit; of a photograph also the ball.
-
-    Args:
-        app: the application.
-        theta: parameters, without a task axis.
-        task: what was fitted, without data where that is not at hand.
-        pixels: the map [H, W, 3] as `files` has it.
+@torch.no_grad()
+def view(presentation: IlluminationPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+    """The map as `files` has it, to look around in, and spheres lit by it; of a photograph also the ball.
 
     Raises:
         KeyError: a fit of a photograph without it.
     """
+    app, one = presentation.app, {key: value[None] for key, value in theta.items()}
+    pixels = presentation.map_of(one, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     maps = {"map": _limited(pixels.permute(2, 0, 1) / unit)}
     if "map" in task.data:
@@ -53,7 +51,6 @@ def view_of(app: Illumination, theta: Params, task: Task, pixels: Tensor) -> Vie
     }
     pictures = {}
     if app.protocol == "photo":
-        one = {key: value[None] for key, value in theta.items()}
         data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirrored(task)}.items()}
         pictures = {"photo": data["photo"][0].permute(1, 2, 0) / 255, "ball": _ball(app, one, data).permute(1, 2, 0)}
         arrays["doubt"] = doubt(app.spread(one, data))[0].half()

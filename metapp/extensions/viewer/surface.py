@@ -1,4 +1,4 @@
-"""What the interactive page needs of a flat surface: its maps, and the lights and photographs of metapp's pictures."""
+"""The part of pages that shows a flat surface: its maps, and the lights and photographs of metapp's pictures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from metapp.appearance.colour import stretched
 from metapp.appearance.flash import GAMMA, Maps, expose, pack, relightings, unpack
 from metapp.appearance.sphere import light_map
 from metapp.appearance.surface import Surface, fitted_planes
-from metapp.appearance.view import View
+from metapp.extensions.viewer.view import View
 
 LARGEST = 1024  # texels a side on a page
 LARGEST_PHOTO = 512  # px a side

@@ -17,20 +17,21 @@ from torch.nn.functional import interpolate
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape, ssim
 from metapp.appearance.presentation import Picture
-from metapp.appearance.view import View
 from metapp.apps.texture.app import Texture
-from metapp.apps.texture.presentation import QUILTED, TexturePresentation
-from metapp.apps.transport import viewing
+from metapp.apps.texture.presentation import TexturePresentation
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import Shot
 from metapp.apps.transport.presentation import TransportPresentation
+from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.pages import transport as pages
+from metapp.extensions.viewer.pages.texture import QUILTED
+from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.runs.outputs import write_pictures
-from metapp.viewer.page import Group, Shown, document, write_page
 from tests.browser import Page, browsing
 
 SIZE = 32
@@ -82,7 +83,7 @@ def lit() -> View:
 
 def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     theta, task = theta_of(), exemplar_of()
-    view = SHOWN.view(theta, task)
+    view = view_of(SHOWN, theta, task)
     assert [(each["title"], each["tiles"]) for each in view.facts["pictures"]] == [
         ("exemplar", "seams"),
         ("fit", "whole"),
@@ -98,9 +99,9 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
 
 
 def test_a_texture_is_shown_without_its_exemplar_and_while_its_fit_runs() -> None:
-    alone = SHOWN.view(theta_of(), Task("bark", {}))
+    alone = view_of(SHOWN, theta_of(), Task("bark", {}))
     assert [each["title"] for each in alone.facts["pictures"]] == ["fit"]
-    quick = SHOWN.view(theta_of(), exemplar_of(), quick=True)
+    quick = view_of(SHOWN, theta_of(), exemplar_of(), quick=True)
     assert {name: tuple(each.shape) for name, each in quick.pictures.items()} == {
         "exemplar": (SIZE, SIZE, 3),
         "fit": (SIZE, SIZE, 3),
@@ -110,7 +111,7 @@ def test_a_texture_is_shown_without_its_exemplar_and_while_its_fit_runs() -> Non
 def test_transport_without_a_scene_shows_densities() -> None:
     shown = TransportPresentation(Transport(TransportSetup(FLOW)))
     theta = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
-    view = shown.view(theta, Task("room", {"samples": torch.rand(500, 4)}))
+    view = view_of(shown, theta, Task("room", {"samples": torch.rand(500, 4)}))
     assert {name: tuple(each.shape) for name, each in view.pictures.items()} == {
         "reference": (128, 256, 3),
         "fit": (128, 256, 3),
@@ -123,10 +124,10 @@ def test_a_picture_takes_the_time_of_another_though_the_machine_was_slow() -> No
     def studio(rate: float) -> Any:
         return SimpleNamespace(path=lambda spp, seed: Shot(torch.zeros(3, 1, 1), rate * spp))
 
-    assert viewing._within(studio(0.01), 1.0, rate=0.1, seed=0).spp == 100
-    assert viewing._within(studio(0.01), 1.0, rate=0.0101, seed=0).spp == 99
-    assert viewing._within(studio(0.01), 1.0, rate=0.1, seed=0, tries=1).spp == 10
-    assert viewing._within(studio(5.0), 1.0, rate=0.1, seed=0).spp == 1
+    assert pages._within(studio(0.01), 1.0, rate=0.1, seed=0).spp == 100
+    assert pages._within(studio(0.01), 1.0, rate=0.0101, seed=0).spp == 99
+    assert pages._within(studio(0.01), 1.0, rate=0.1, seed=0, tries=1).spp == 10
+    assert pages._within(studio(5.0), 1.0, rate=0.1, seed=0).spp == 1
 
 
 # What the page shows of them
@@ -135,7 +136,7 @@ def test_a_picture_takes_the_time_of_another_though_the_machine_was_slow() -> No
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
-    textures = [Shown(f"seed {seed}", "error 0.1", SHOWN.view(theta_of(seed), exemplar_of())) for seed in (0, 1)]
+    textures = [Shown(f"seed {seed}", "error 0.1", view_of(SHOWN, theta_of(seed), exemplar_of())) for seed in (0, 1)]
     groups = [
         Group("bark", "Texture", textures[:1]),
         Group("bark twice", "Texture", textures),
@@ -193,7 +194,7 @@ def test_radiance_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
 @pytest.mark.long
 def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
     settings = {"show": "one", "tiles": 2, "zoom": 0}
-    fit = pixels_of(SHOWN.view(theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(view_of(SHOWN, theta_of(), exemplar_of()).pictures["fit"])
     tiled = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="fit", **settings)
     assert np.array_equal(np.round(255 * tiled), np.round(255 * np.tile(fit, (2, 2, 1))))
     exemplar = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="exemplar", **settings)
@@ -205,7 +206,7 @@ def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
 
 @pytest.mark.long
 def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
-    pictures = {name: pixels_of(each) for name, each in SHOWN.view(theta_of(), exemplar_of()).pictures.items()}
+    pictures = {name: pixels_of(each) for name, each in view_of(SHOWN, theta_of(), exemplar_of()).pictures.items()}
     fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (TILED, TILED, 1))
     pair = {"left": "fit", "right": "exemplar", "zoom": 0}
     screen = seen(page, 0, (WHOLE, WHOLE), show="wipe", wipe=0.25, **pair)
@@ -218,7 +219,7 @@ def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
 
 @pytest.mark.long
 def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
-    fit = pixels_of(SHOWN.view(theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(view_of(SHOWN, theta_of(), exemplar_of()).pictures["fit"])
     screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=2, x=10, y=-7)
     middle = WHOLE // 2
     rows, columns = (slice(middle + shift - WHOLE // 8, middle + shift + WHOLE // 8) for shift in (-7, 10))
@@ -272,7 +273,7 @@ def test_a_page_follows_a_fit(page: Page) -> None:
     before = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=0)
     page.page.evaluate("metapp.viewer.update({...DATA.groups[1], fits: DATA.groups[1].fits.slice(1)})")
     page.settle()
-    fit = pixels_of(SHOWN.view(theta_of(1), exemplar_of()).pictures["fit"])
+    fit = pixels_of(view_of(SHOWN, theta_of(1), exemplar_of()).pictures["fit"])
     after = page.screenshot()
     assert not np.array_equal(before, after)
     assert np.abs(after - fit).max() < 0.5 / 255

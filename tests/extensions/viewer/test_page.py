@@ -15,8 +15,8 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.appearance.view import View
-from metapp.viewer.page import KINDS, Group, Shown, array, document, html, picture, write_page
+from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture, write_page
+from metapp.extensions.viewer.view import View
 
 LARGEST = 3_000_000  # bytes of a page beside the run's own data
 

@@ -10,8 +10,8 @@ import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import parse_qs
 
+from metapp.extensions.viewer.page import html
 from metapp.storage import Document
-from metapp.viewer.page import html
 
 HOST = "127.0.0.1"
 NEWS = "news"
@@ -51,7 +51,7 @@ class Live:
         """Give pages something new.
 
         Args:
-            document: as of `metapp.viewer.page.document`, with one group.
+            document: as of `metapp.extensions.viewer.page.document`, with one group.
             text: where the fit is.
             curve: steps and the visible loss before each.
             done: whether it is the last.

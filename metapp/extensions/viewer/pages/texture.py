@@ -1,0 +1,41 @@
+"""The page of a texture: the fit, the exemplar and one quilted of it, at one scale."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from metapp.appearance.quilting import block_of, quilted
+from metapp.apps.texture.presentation import TexturePresentation
+from metapp.extensions.viewer.view import View
+from metapp.learning.task import Params, Task
+
+QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
+
+
+def view(presentation: TexturePresentation, theta: Params, task: Task, *, quick: bool) -> View:
+    """The texture as `files` writes it, the exemplar where it is at hand, and one quilted of that, at one scale.
+
+    While a fit runs the texture is of the exemplar's size, and nothing is quilted.
+    """
+    app = presentation.app
+    if quick:
+        fit = presentation.generated(theta, app.generate, presentation.once())[0, 0].permute(1, 2, 0)
+    else:
+        fit = presentation.files(theta, task)["texture"].pixels
+    pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
+    if "image" in task.data:
+        exemplar = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
+        pictures["exemplar"] = exemplar
+        if not quick:
+            pictures["image quilting"] = _quilted(exemplar)
+    shown = [{"title": name, "names": [name], "tiles": how} for name, how in tiles.items() if name in pictures]
+    return View("pictures", pictures=pictures, facts={"pictures": shown, "compared": [shown[0]["title"], "fit"]})
+
+
+def _quilted(exemplar: Tensor) -> Tensor:
+    """A picture [2 H, 2 W, 3] of blocks of an exemplar [H, W, 3]; the same each time."""
+    block, overlap = block_of(exemplar.numpy())
+    size = QUILTED * exemplar.shape[0], QUILTED * exemplar.shape[1]
+    return torch.from_numpy(quilted(exemplar.numpy(), size, np.random.default_rng(0), block=block, overlap=overlap))

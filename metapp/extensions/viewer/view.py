@@ -1,0 +1,58 @@
+"""The content of a page for one fit: numbers and pictures, and which of the page's viewers shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp import door
+from metapp.appearance.colour import to_srgb
+from metapp.appearance.presentation import Presentation
+from metapp.learning.task import Params, Task
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+class View(NamedTuple):
+    """One fit, as a viewer of the page reads it.
+
+    Attributes:
+        kind: the viewer, one of `page.KINDS`; the text at the head of its script says what it reads.
+        arrays: numbers of float16, float32 or uint8, by name.
+        pictures: display values [H, W, 1, 3 or 4] in [0, 1], by name, kept as PNG of 8 bits; the fourth is coverage.
+        facts: what JSON holds.
+        shared: arrays that are the same for all fits of a page that name them.
+    """
+
+    kind: str
+    arrays: Mapping[str, Tensor] = NOTHING
+    pictures: Mapping[str, Tensor] = NOTHING
+    facts: Mapping[str, Any] = NOTHING
+    shared: Mapping[str, Tensor] = NOTHING
+
+
+def view_of(presentation: Presentation[Any], theta: Params, task: Task, *, quick: bool = False) -> View:
+    """The view of a fit as its application's `Page` makes it: its pictures, where no extension offers one.
+
+    Args:
+        presentation: of the application.
+        theta: the fit, without a task axis.
+        task: what was fitted, without data where that is not at hand.
+        quick: whether what takes seconds is left out.
+
+    Raises:
+        KeyError: the fit alone is not enough.
+    """
+    for page in door.offers_of(door.Page, presentation.app.name):
+        view: View = door.load(page.view)(presentation, theta, task, quick=quick)
+        return view
+    return pictures_view(presentation.outputs(theta, task))
+
+
+def pictures_view(outputs: Mapping[str, Any]) -> View:
+    """The view of linear pictures, as of `Presentation.outputs`."""
+    return View("pictures", pictures={name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()})
