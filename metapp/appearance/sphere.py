@@ -12,7 +12,6 @@ from torch import Tensor
 
 from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_rusinkiewicz, gauss_legendre
-from metapp.appearance.latlong import directions as latlong_directions
 from metapp.storage.tensors import kept
 
 _FOUR = "-phi_h"  # of names of scenes with phi_h
@@ -116,11 +115,6 @@ def environment(directions: Tensor) -> Tensor:
         axis = torch.nn.functional.normalize(colour(towards), dim=0)
         radiance = radiance + torch.exp(sharpness * ((directions * axis).sum(-1, keepdim=True) - 1)) * colour(power)
     return radiance
-
-
-def light_map() -> Tensor:
-    """`environment` as the light map of interactive pages, [64, 128, 3], float16."""
-    return environment(latlong_directions(64, 128).permute(1, 2, 0)).half()
 
 
 def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:

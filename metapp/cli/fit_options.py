@@ -106,7 +106,7 @@ IGNORED: dict[str, dict[str, str]] = {
     "quickft": NO_RULE,
 }
 # what help leaves out as well: General has no steps to take, Overfit nothing to train
-POINTLESS = {"general": ("budget", "watch"), "overfit": ("train", "train_steps")}
+POINTLESS = {"general": ("budget",), "overfit": ("train", "train_steps")}
 
 
 def exports() -> str:
@@ -139,7 +139,8 @@ def own_help(name: str) -> dict[str, str]:
 
 def unused(paradigm: str, app: str) -> set[str]:
     """Options that help of a paradigm leaves out, of one application or, for "", of all."""
-    general = {watcher.option.name for watcher in door.offers(door.Watcher)}
-    varying = {"observe", "export", *all_options()} - general
+    watching = {watcher.option.name for watcher in door.offers(door.Watcher)}
+    varying = {"observe", "export", *all_options()} - watching
     by_app = {"app"} | (varying - own_help(app).keys()) if app else varying
-    return by_app | IGNORED.get(paradigm, {}).keys() | set(POINTLESS.get(paradigm, ()))
+    pointless = {*POINTLESS.get(paradigm, ()), *(watching if paradigm == "general" else ())}
+    return by_app | IGNORED.get(paradigm, {}).keys() | pointless

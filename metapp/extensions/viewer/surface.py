@@ -11,12 +11,18 @@ from torch.nn.functional import adaptive_avg_pool2d, normalize
 
 from metapp.appearance.colour import stretched
 from metapp.appearance.flash import GAMMA, Maps, expose, pack, relightings, unpack
-from metapp.appearance.sphere import light_map
+from metapp.appearance.latlong import directions
+from metapp.appearance.sphere import environment
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.extensions.viewer.view import View
 
 LARGEST = 1024  # texels a side on a page
 LARGEST_PHOTO = 512  # px a side
+
+
+def light_map() -> Tensor:
+    """The environment of the reference sphere as a page's light map, [64, 128, 3], float16."""
+    return environment(directions(64, 128).permute(1, 2, 0)).half()
 
 
 class Lit(NamedTuple):

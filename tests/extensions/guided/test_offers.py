@@ -15,14 +15,14 @@ from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.metrics import mape
 from metapp.apps.transport import images
-from metapp.extensions.viewer.pages import transport as pages
-from metapp.extensions.viewer.view import view_of
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.guided import GUIDED_NEE
+from metapp.extensions.viewer.pages import transport as pages
+from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Task
 from metapp.rendering.paths import path_space
 from metapp.rendering.scenes.rules import scene_bytes

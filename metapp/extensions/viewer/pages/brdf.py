@@ -10,11 +10,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from metapp.appearance.sphere import light_map, studio_lights
+from metapp.appearance.sphere import studio_lights
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.networks import network_of
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.extensions.viewer.pages import anisotropic_residual
+from metapp.extensions.viewer.surface import light_map
 from metapp.extensions.viewer.view import View
 from metapp.learning.task import Params, Task
 from metapp.rendering.bsdfs.lobes import fit_lobes
