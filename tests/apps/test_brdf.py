@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf import KNOTS
-from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks
 
@@ -110,11 +108,6 @@ def test_smoothing_by_hand(theta: Params, batch: Batch) -> None:
     assert (smooth < APP.loss(theta, batch, {})).all()
 
 
-def test_no_smoothing_and_no_weights_give_the_plain_loss(theta: Params, batch: Batch) -> None:
-    learned = {"smoothing": torch.full((4,), math.log(1e-9)), "weights": torch.zeros(4, KNOTS)}
-    torch.testing.assert_close(APP.loss(theta, batch, learned), APP.loss(theta, batch, {}))
-
-
 def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
     knots = torch.randn(4, KNOTS, generator=rng)
     weighted = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
@@ -132,14 +125,6 @@ def test_initial_loss_parameters_are_gentle() -> None:
     assert not learned["weights"].any()
 
 
-def test_a_network_that_is_too_dark_has_a_gradient(batch: Batch) -> None:
-    theta = APP.init(Generator().manual_seed(0), 4)
-    theta["b3"] = torch.full_like(theta["b3"], -20.0).requires_grad_()
-    (grad,) = torch.autograd.grad(APP.loss(theta, batch, {}).sum(), theta["b3"])
-    assert torch.isfinite(grad).all()
-    assert torch.isfinite(APP.loss(theta, batch, {})).all()
-
-
 def test_same_as_the_published_network(theta: Params, materials: list[Task], tasks: Tasks, tmp_path: Path) -> None:
     """Through an export to files and back: the formula of Sztrajman et al., and the same errors."""
     angles, errors = materials[0].data["angles"], APP.errors(theta, tasks)["error"]
@@ -152,16 +137,6 @@ def test_same_as_the_published_network(theta: Params, materials: list[Task], tas
         cosine, truth = cosines(angles).incident[held_out, None], material.data["reflectance"][held_out]
         error = (torch.log1p(published[held_out] * cosine) - torch.log1p(truth * cosine)).abs().mean()
         torch.testing.assert_close(error, errors[task], rtol=1e-4, atol=1e-7)
-
-
-def test_reflectance_takes_any_leading_axes(theta: Params) -> None:
-    # float64: shapes decide the order of sums, and float32 shows it
-    angles = torch.rand(2, 5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    one = {key: value[0].double() for key, value in theta.items()}
-    value = APP.reflectance(one, angles)
-    assert value.shape == (2, 5, 3)
-    assert (value >= 0).all()
-    torch.testing.assert_close(value[1, 2], APP.reflectance(one, angles[1, 2]))
 
 
 # Samples
@@ -205,13 +180,6 @@ def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator
         torch.testing.assert_close(same[key], value, rtol=1e-4, atol=1e-5)
     other = APP.encode(encoder, shuffled)  # other targets for the same places are another material
     assert not torch.allclose(other["w2"], theta["w2"], rtol=1e-4, atol=1e-5)
-
-
-def test_encoder_predicts_networks(tasks: Tasks, rng: Generator) -> None:
-    theta = APP.encode(APP.init_encoder(rng), APP.condition(tasks, rng))
-    template = APP.init(rng, 4)
-    errors = APP.errors(theta, tasks)["error"]
-    assert (errors < 3 * APP.errors(template, tasks)["error"].max()).all()
 
 
 # Made-up materials
@@ -280,20 +248,3 @@ def test_only_the_given_materials_are_mixed(tasks: Tasks, rng: Generator) -> Non
     view = Tasks(tasks.names, {**tasks.data, "target": target}, tasks.rows).select([0, 1, 2])
     for _ in range(30):
         assert torch.isfinite(APP.augment(view, rng).data["target"]).all()
-
-
-def test_outputs(theta: Params, materials: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[Callable[[Tensor], Tensor]] = []
-
-    def shade(scene: str, reflectance: Callable[[Tensor], Tensor]) -> str:
-        seen.append(reflectance)
-        return "picture"
-
-    monkeypatch.setattr("metapp.apps.brdf.presentation.reference_scene", lambda: "scene")
-    monkeypatch.setattr("metapp.apps.brdf.presentation.shade_sphere", shade)
-    one = {key: value[0] for key, value in theta.items()}
-    pictures = BrdfPresentation(APP).outputs(one, materials[0])
-    assert pictures["fit"] == "picture"
-    assert pictures["reference"] is materials[0].data["render"]
-    angles = torch.rand(5, 3)
-    torch.testing.assert_close(seen[0](angles), APP.reflectance(one, angles))

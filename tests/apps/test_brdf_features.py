@@ -66,10 +66,6 @@ def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tens
     torch.testing.assert_close(2 * logs[0], logs[1], rtol=1e-4, atol=1e-5)
 
 
-def test_the_code_changes_features(theta: Params, where: torch.Tensor) -> None:
-    assert not torch.allclose(SIZE.features_of(theta, where), SIZE.features_of(theta | {"z": -theta["z"]}, where))
-
-
 def test_the_encoder_predicts_what_a_task_has_of_its_own(theta: Params) -> None:
     tasks = tasks_of(theta)
     encoder = APP.init_encoder(Generator().manual_seed(3))

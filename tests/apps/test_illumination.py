@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from metapp.appearance.latlong import cosine_transfer, directions, mean_luminance
 from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, IlluminationSetup, body_of
-from metapp.apps.illumination.encoder import Encoder, unwrapped
+from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import LOST
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.recipes import QUICK, RECIPES
@@ -77,19 +77,6 @@ def test_a_ball_is_unwrapped_to_the_map_that_it_mirrors_and_to_where_it_faces() 
     seen = unwrapped(0.5 * normals[None] + 0.5, 16, 32)[0, 3:6] * 2
     front = towards[2] > 0.1
     assert (seen - towards)[:2, front].abs().max() < 0.05
-
-
-def test_the_encoder_makes_a_code_of_each_photo(app: Illumination, tasks: Tasks, rng: Generator) -> None:
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
-    assert not torch.equal(theta["z"][0], theta["z"][1])
-    assert torch.equal(theta["layer0.kernel"][0], theta["layer0.kernel"][1])
-
-
-def test_an_encoder_of_another_size_has_another_code(rng: Generator) -> None:
-    encoder = Encoder(8, 16, code=3, body=BODY)
-    code, body = encoder(encoder.init(rng), torch.rand(2, 3, 64, 64, generator=rng))
-    assert code.shape == (2, 3, 4, 8)
-    assert body.shape == (2, BODY)
 
 
 # Losses and protocols

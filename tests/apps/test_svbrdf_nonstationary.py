@@ -113,12 +113,6 @@ def test_a_field_fitted_at_one_resolution_works_at_others(app: SvbrdfNonstationa
         assert (torch.nn.functional.avg_pool2d(one, 4) - other).abs().mean() < 0.02
 
 
-def test_the_encoder_makes_a_code_of_each_photo(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
-    assert not torch.equal(theta["z"][0], theta["z"][1])
-    assert torch.equal(theta["layer0.kernel"][0], theta["layer0.kernel"][1])
-
-
 def test_the_encoder_knows_the_whole_picture(rng: Generator) -> None:
     encoder = Encoder(INPUTS, 4, code=3, flash=FLASH)
     weights = encoder.init(rng)
@@ -377,18 +371,6 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     for found, wanted in zip(fine_maps(field, theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
-
-
-def test_outputs_stand_beside_each_other(app: SvbrdfNonstationary) -> None:
-    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    task = svbrdf_task("wall", material(0))
-    outputs = SvbrdfNonstationaryPresentation(app).outputs
-    both = outputs(theta, task)
-    assert {name: tuple(each.shape) for name, each in both.items()} == {
-        "reference": (64, 128, 3),
-        "fit": (64, 128, 3),
-    }
-    assert set(outputs(theta, Task("wall", {"photo": task.data["photo"]}))) == {"fit"}
 
 
 def test_pooled_normals_have_unit_length() -> None:

@@ -37,14 +37,13 @@ from metapp.apps.svbrdf_stationary.app import (
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR, QUICK
 from metapp.learning.app import stack
-from metapp.learning.learn import MetaParameters, learn, task_loss
+from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
-from metapp.paradigms import Job, paradigms
 
 SIZE = 32
 TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), "vgg16", ("relu1_1",)))
@@ -275,32 +274,6 @@ def test_normals_are_those_of_the_height() -> None:
 
 
 # Fitting
-
-
-def about(picture: Tensor) -> tuple[float, float]:
-    """Means of a picture [.., H, W] near its centre and near its border."""
-    squared = positions(*picture.shape[-2:]).square().sum(0)
-    return float(picture[..., squared < 0.25].mean()), float(picture[..., squared > 0.8].mean())
-
-
-@pytest.mark.long
-def test_a_highlight_stays_out_of_the_maps(sources: list[Task], tasks: Tasks) -> None:
-    """The light explains what is bright in the middle; the generator cannot, since it does not know the place."""
-    app, first = tiny(), tasks.select([0])
-    before = app.errors(app.init(seeded(), 1), first)["error"]
-    theta = paradigms()["overfit"].fit(Job(app, TINY, TINY.rule, 150), MetaParameters(), first, seeded())
-    assert app.errors(theta, first)["error"] < 0.4 * before
-    with torch.no_grad():
-        maps, _ = app.maps(theta, app.noise(seeded(1), 1, 16))
-        made = app.photograph(maps, first.data["light"][:1, None], first.data["light"][:1, None])
-    (middle, border), (fit_middle, fit_border) = about(sources[0].data["image"] / 255), about(made)
-    assert middle > 1.8 * border  # there is a highlight in the photo,
-    assert fit_middle > 1.8 * fit_border  # and in the fit under its light,
-    for name, each in maps._asdict().items():
-        one, other = about(each[:, :, 2:] if name == "normal" else each)
-        assert one == pytest.approx(other, rel=0.05), name  # but in no map
-    assert 0.15 < maps.specular.mean() < 0.6  # it is shiny, as the material is, of 0.3
-    assert 0.25 < maps.roughness.mean() < 0.45  # of 0.35
 
 
 # What a fit makes

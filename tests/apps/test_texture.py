@@ -249,22 +249,6 @@ def test_only_what_is_descended_is_seen_in_bfloat16(sources: list[Task], monkeyp
     torch.testing.assert_close(short, long, rtol=2**-8, atol=0)
 
 
-@pytest.mark.long
-def test_another_measure_of_the_same_pictures(
-    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Lower for a fit than for what nobody fitted, and 0 for the exemplar itself."""
-    app = tiny()
-    shown = TexturePresentation(app)
-    thetas = {name: overfit(app, tasks, steps) for name, steps in (("a", 1), ("b", 60))}
-    fits = {name: Fitted({key: value[0] for key, value in theta.items()}, 0.0) for name, theta in thetas.items()}
-    measured = {name: each["sliced Wasserstein"] for name, each in shown.image_errors(fits, sources[0]).items()}
-    assert measured["b"] < 0.7 * measured["a"]
-    exemplar = app.exemplar(sources[0].data["image"][None] / 255)
-    monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0: exemplar[None])
-    assert shown.image_errors(fits, sources[0])["b"]["sliced Wasserstein"] < 1e-5
-
-
 def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
     app = Texture(replace(TINY.setup, height=64, width=64))

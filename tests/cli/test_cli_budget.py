@@ -67,14 +67,6 @@ def test_no_more_steps_than_asked_for(fit: Callable, steps: list[float]) -> None
     assert [task["steps"] for task in fit("2min", "--steps", "3").document["tasks"]] == [3, 3]
 
 
-def test_a_fit_whose_steps_slow_down_stops_before_its_plan(fit: Callable, steps: list[float]) -> None:
-    unmeasured = 3 + 8 * 4  # steps that warm up, and those that measure a pace for 0.3 s
-    steps += [STEP] * unmeasured + [0.03] * 40
-    document = fit("102ms").document
-    assert document["tasks"][0]["steps"] < 9
-    assert all(task["seconds"] <= 0.102 for task in document["tasks"][1:])
-
-
 def test_without_time_for_a_step_the_initialisation_comes_back_and_it_is_said(
     fit: Callable, steps: list[float]
 ) -> None:
@@ -82,14 +74,6 @@ def test_without_time_for_a_step_the_initialisation_comes_back_and_it_is_said(
     assert result.code == 0, result.err
     assert [task["steps"] for task in result.document["tasks"]] == [0, 0]
     assert "budget: on 2 of 2 tasks even the initialisation took longer than 1ms, up to 2ms" in result.err
-
-
-def test_a_run_without_a_budget_says_nothing_of_it(metapp: Callable, ten_materials: Path) -> None:
-    words = ("--recipe", "quick", "--data", ten_materials, "--json", "--steps", "2")
-    document = metapp("overfit", "brdf", *words).document
-    assert "budget" not in document
-    assert sorted(document["tasks"][0]) == ["error", "name", "seconds"]
-    assert "budget" not in read_records(Path(document["out"], "record.jsonl"))[0]["settings"]
 
 
 def test_times_are_read_with_their_unit(fit: Callable) -> None:

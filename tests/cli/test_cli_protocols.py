@@ -222,10 +222,3 @@ def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
         assert "--exposure is about INPUT photos where fits see them alone" in misuse
     misuse = metapp("overfit", "texture", shot, "--exposure", "1").misuse
     assert "--exposure: texture takes photos as they are" in misuse
-
-
-def test_the_second_scene_is_built_once(metapp: Callable, scene: Path) -> None:
-    document = metapp("data", "scene", "--json").document
-    assert document["there_already"]
-    assert Path(document["path"]).parent == scene
-    assert document["bytes"] > 4e7

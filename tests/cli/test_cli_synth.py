@@ -100,13 +100,6 @@ def test_a_cache_that_cannot_be_written(metapp: Callable, monkeypatch: pytest.Mo
     assert expected in metapp("data", "synth", "brdf", "--count", "2").refusal
 
 
-def test_an_unknown_application_is_an_error() -> None:
-    with pytest.raises(ValueError, match="glass: no embedded data set, expected one of brdf"):
-        embedded_data("glass")
-    with pytest.raises(ValueError, match="brdf: 0 tasks, expected 1 or more"):
-        embedded_data("brdf", count=0)
-
-
 def test_help_tells_how_many_tasks_a_set_has() -> None:
     shown = " ".join(CliRunner().invoke(cli, ["data", "synth", "--help"], env={"COLUMNS": "200"}).stdout.split())
     for app in embedded_apps():

@@ -148,26 +148,6 @@ def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., T
             assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
 
 
-@pytest.mark.parametrize("rule", ON_MATRICES)
-def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
-    phi, mean_of = brdf_case(rule, randn)
-    mean, h = mean_of(2), 1e-8
-    _, grads = value_and_grads(mean, phi)
-    names = ("rate", "pace", "beta", "eps", "mean", "loss", "left", "right", "out", "in")
-    for part in ("theta", *(f"alpha.{name}" for name in names)):
-        if part == "theta" and rule == "meta-basis":
-            continue  # turned gradients have entries of 1e-6, where Adam's direction has a kink for any step h
-        moved = [key for key in phi if key.startswith(part)]
-        if not moved:
-            continue
-        direction = {key: randn(*phi[key].shape) for key in moved}
-        ahead, behind = (
-            mean({**phi, **{key: phi[key] + sign * h * direction[key] for key in moved}}) for sign in (1, -1)
-        )
-        slope = sum((grads[key] * direction[key]).sum() for key in moved)
-        torch.testing.assert_close(slope, (ahead - behind) / (2 * h), rtol=2e-5, atol=1e-8)
-
-
 def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
     (batch,) = parabolas(randn, 1, tasks=1)
     rates, start = 0.1 * randn(2, 3), randn(3)

@@ -133,20 +133,6 @@ def gradients(mean: Callable[[Params], Tensor], phi: Params) -> Params:
     return dict(zip(leaves, torch.autograd.grad(mean(leaves), list(leaves.values())), strict=True))
 
 
-def test_finite_differences(app: Any, randn: Callable[..., Tensor]) -> None:
-    phi, batches = phi_of(app, randn), batches_for(app, randn, STEPS + 1)
-    mean = mean_after_learning(app, batches, TORCH)
-    grads, h = gradients(mean, phi), 1e-7
-    for part in ("kernel0", "kernel1", "kernel2", "shift0", "shift1", "shift2", "place", "unit"):
-        key = f"alpha.around.z.{part}"
-        assert grads[key].any()
-        direction = randn(*phi[key].shape)
-        direction /= direction.norm()
-        ahead, behind = (float(mean(phi | {key: phi[key] + sign * h * direction})) for sign in (1, -1))
-        slope = float((grads[key] * direction).sum())
-        assert slope == pytest.approx((ahead - behind) / (2 * h), rel=2e-5, abs=1e-8), key
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
 def test_compiled_same_as_eager(app: Any, randn: Callable[..., Tensor]) -> None:

@@ -126,24 +126,6 @@ def test_the_gradient_of_the_solution_is_zero(theta: Params, batches: list[Batch
     assert float(slope.abs().max()) < 100 * LEAST
 
 
-def test_derivatives_through_the_solve_are_those_of_finite_differences(theta: Params, batches: list[Batch]) -> None:
-    """In the initialisation, in what features depend on, in penalties and in what is kept."""
-    alpha = {key: value[:, 0] for key, value in alpha_of(theta, keep=0.3).items()}
-
-    def left(w: Tensor, scale: Tensor, penalty: Tensor, keep: Tensor) -> Tensor:
-        rule = SOLVE.rule(spread({"penalty.W": penalty, "keep.W": keep}, TASKS, 1))
-        final = learn_through({"W": w, "scale": scale}, rule, batches, LOSS, order=2)
-        return value(final, batches[0], {})
-
-    given = (theta["W"], theta["scale"], alpha["penalty.W"], alpha["keep.W"])
-    leaves = [each.clone().requires_grad_() for each in given]
-    found = torch.autograd.grad(left(*leaves).sum(), leaves)
-    for i, each in enumerate(given):
-        way, step = torch.linspace(-1, 1, each.numel(), dtype=torch.float64).reshape(each.shape), 1e-5
-        ends = [left(*(g + sign * step * way if i == k else g for k, g in enumerate(given))).sum() for sign in (1, -1)]
-        torch.testing.assert_close((found[i] * way).sum(), (ends[0] - ends[1]) / (2 * step), rtol=1e-6, atol=1e-8)
-
-
 def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
     """Training cannot take them to where the solve is ill-conditioned."""
     for far, bound in ((-99.0, LEAST), (99.0, GREATEST)):
