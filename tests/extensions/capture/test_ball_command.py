@@ -89,9 +89,15 @@ def test_fits_merge_photos_of_several_exposures(
     [
         (["illumination", "--observe", "photo", "--exposures", "1/20,1/60"], "2 exposure(s) for 3 photo(s)"),
         (["illumination", "--observe", "photo", "--exposures", "soon"], "expected exposure times"),
-        (["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"], "leave out --batch"),
-        (["illumination", "--exposures", "auto"], "add --observe photo"),
-        (["svbrdf_nonstationary", "--observe", "photo", "--exposures", "auto"], "only illumination does"),
+        (
+            ["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"],
+            "which are merged into one here; leave",
+        ),
+        (["illumination", "--exposures", "auto"], "--exposures: only where fits see INPUT by --observe photo"),
+        (
+            ["svbrdf_nonstationary", "--observe", "photo", "--exposures", "auto"],
+            "has no such option, only illumination",
+        ),
     ],
 )
 def test_fits_refuse_exposures_that_do_not_fit_in_a_line(
