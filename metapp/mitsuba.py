@@ -4,7 +4,7 @@
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
     {"type": "metapp_guided_path", "max_depth": 8}
 
-The last is an integrator: Mitsuba's `path` with path guiding that it learns while it renders; see
+The last is an integrator, of an extension: Mitsuba's `path` with path guiding that it learns while it renders; see
 `metapp.extensions.guided.integrator`. It is `guided_path`, too, unless a scene means that of Mueller et al. 2017.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the

@@ -467,6 +467,9 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
 
 
 def test_only_transport_has_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for app, folder, words in (("brdf", tmp_path, "brdf has no scenes"), ("transport", tmp_path / "none", "none")):
+    for app, folder, words in (
+        ("brdf", tmp_path, "brdf has no such option, only transport"),
+        ("transport", tmp_path / "none", "none"),
+    ):
         assert console.run(lambda a=app, f=folder: cli(["meta", a, "--scene-root", str(f)], standalone_mode=False)) == 2
         assert words in capsys.readouterr().err
