@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from data_tools.formats.options import FOV_OF_FITS
 from metapp.door import Converter, Format, InMemory, Option
 
@@ -22,12 +24,22 @@ Examples:
 FOV = FOV_OF_FITS._replace(
     help="Camera field of view along the shorter side; default: from EXIF, else a distant camera."
 )
+
+
+def folders(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The same paths; ValueError unless all are folders."""
+    if not all(path.is_dir() for path in paths):
+        raise ValueError("not there, expected folders")
+    return paths
+
+
 ROOTS = Option(
     "scene_root",
     None,
     "Additional folder from which a scene may load files; may be given several times.",
     "DIR",
     several=True,
+    convert=folders,
     passed_as="roots",
 )
 OFFERS = (

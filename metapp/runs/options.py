@@ -106,7 +106,8 @@ def converted(option: door.Option, value: Any) -> Any:
     try:
         return option.convert(value)
     except ValueError as error:
-        raise BadOption(f"{option.flag} '{value}': {error}.") from None
+        text = " ".join(map(str, value)) if isinstance(value, tuple) else value
+        raise BadOption(f"{option.flag} '{text}': {error}.") from None
 
 
 def adapted(recipe: Recipe, name: str, request: Request, options: Mapping[str, Any]) -> Recipe:
