@@ -11,6 +11,8 @@ from urllib.parse import quote
 from metapp.learning.app import App
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.reporter import number
+from metapp.storage import html
+from metapp.storage.html import element
 from metapp.storage.images import png_address, png_bytes
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 LARGE, SMALL = 192, 96  # px, the height of fit and reference, and of other pictures
 LINE = "margin:.3em 0"
+FIGURE = "display:inline-block;margin:0 .5em .3em 0;vertical-align:top;font-size:.85em"
 WARNING = "margin:.3em 0;padding-left:.6em;border-left:3px solid #d08700"
 
 
@@ -25,25 +28,26 @@ def card_of(name: str, about: str, images: Mapping[str, Image], facts: str, warn
     """One fit: its name and what it is, its pictures, and lines below them; a link to its page, if there is one."""
     main = {key: image for key, image in images.items() if key in ("reference", "fit")}
     others = {key: image for key, image in images.items() if key not in main}
+    link = element("a", "interactive page", href=quote(str(page))) if page else ""
     lines = [
-        f"<div style='{LINE}'><b>{escape(name)}</b> &ensp;{escape(about)}</div>",
+        element("div", element("b", escape(name)), f" &ensp;{escape(about)}", style=LINE),
         *(_row(each, height) for each, height in ((main, LARGE), (others, SMALL)) if each),
-        f"<div style='{LINE}'>{escape(facts)}</div>",
-        *([f"<div style='{LINE}'><a href='{quote(str(page))}'>interactive page</a></div>"] if page else []),
-        *([f"<div style='{WARNING}'>warning: {escape(warning)}</div>"] if warning else []),
+        element("div", escape(facts), style=LINE),
+        element("div", link, style=LINE) if link else "",
+        element("div", escape(f"warning: {warning}"), style=WARNING) if warning else "",
     ]
-    return f"<div>{''.join(lines)}</div>"
+    return element("div", *lines)
 
 
 def _row(images: Mapping[str, Image], height: int) -> str:
+    sized = f"height:{height}px;max-width:none;margin:0;display:block"
     figures = (
-        "<figure style='display:inline-block;margin:0 .5em .3em 0;vertical-align:top'>"
-        f"<img src='{_address(image, 2 * height)}' alt='{escape(name)}' "
-        f"style='height:{height}px;max-width:none;margin:0;display:block'>"
-        f"<figcaption style='font-size:.85em;opacity:.8'>{escape(name.replace('_', ' '))}</figcaption></figure>"
-        for name, image in images.items()
+        html.figure(
+            html.image(_address(each, 2 * height), name, style=sized), escape(name.replace("_", " ")), style=FIGURE
+        )
+        for name, each in images.items()
     )
-    return f"<div>{''.join(figures)}</div>"
+    return element("div", *figures)
 
 
 def _address(image: Image, highest: int) -> str:
@@ -56,9 +60,7 @@ def _address(image: Image, highest: int) -> str:
 def table_of(rows: Sequence[tuple[str, float | None, float, str]], app: App | None) -> str:
     """Several fits, as name, error, seconds and warning."""
     if app is None:
-        return "<div>no fits</div>"
-    titles = ("", f"error{factor_of(app)}", "seconds", "warning" if any(row[3] for row in rows) else "")
-    shown = ((name, number(error, ".3f"), f"{seconds:.3g}", told) for name, error, seconds, told in rows)
-    lines = [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in shown]
-    head = "".join(f"<th>{title}</th>" for title in titles)
-    return f"<div>{escape(title_of(app))}: {len(rows)} fits<table><tr>{head}</tr>{''.join(lines)}</table></div>"
+        return element("div", "no fits")
+    titles = ("", f"error{factor_of(app)}", "seconds", "warning" if any(warning for *_, warning in rows) else "")
+    shown = [html.row((name, number(error, ".3f"), f"{seconds:.3g}", told)) for name, error, seconds, told in rows]
+    return element("div", escape(f"{title_of(app)}: {len(rows)} fits"), html.table([html.row(titles, "th")], shown))

@@ -20,8 +20,9 @@ from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import caption_of, factor_of, title_of
 from metapp.runs.reporter import number
-from metapp.storage import Document
+from metapp.storage import Document, html
 from metapp.storage.files import write_atomically
+from metapp.storage.html import element
 from metapp.storage.images import in_8_bits
 from metapp.storage.records import RunFolder, file_name, read_theta, summary
 
@@ -245,24 +246,24 @@ def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence
     """
     records = sorted(folder.finished().values(), key=lambda record: (-(record["error"] or 0.0), record["name"]))
     total = summary(records)
-    title = escape(f"{title_of(app)}, {paradigm}: {len(records)} fits")
-    mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; "
-    listed = "".join(f"<li>{escape(source)}<br><small>{escape(reason)}</small>" for source, reason in failures)
-    failed = f"<h2>{len(failures)} failed</h2><ul>{listed}</ul>" if failures else ""
-    page = (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>"
-        f"<h1>{title}</h1><p>{escape(mean + caption_of(app))}. Reference left, fit right; large errors first.</p>"
-        f"{failed}<main>{''.join(_figure(record) for record in records)}</main></html>"
+    title = f"{title_of(app)}, {paradigm}: {len(records)} fits"
+    mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; {caption_of(app)}"
+    listed = [element("li", escape(source), "<br>", element("small", escape(reason))) for source, reason in failures]
+    failed = element("h2", f"{len(failures)} failed") + element("ul", *listed) if failures else ""
+    text = html.page(
+        title,
+        STYLE,
+        element("h1", escape(title)),
+        element("p", escape(f"{mean}. Reference left, fit right; large errors first.")),
+        failed,
+        element("main", *map(_figure, records)),
     )
-    file = folder.path / "gallery.html"
-    write_atomically(file, lambda partial: partial.write_text(page, encoding="utf-8", errors="backslashreplace"))
-    return file
+    return html.write_page(text, folder.path / "gallery.html")
 
 
 def _figure(record: Document) -> str:
-    name = escape(record["name"])
+    name, file = record["name"], f"{FOLDER}/{file_name(record['name'])}.png"
     error = "" if record["error"] is None else f"error {record['error']:.3f}, "
-    warning = f"<br><small>warning: {escape(record['warning'])}</small>" if record.get("warning") else ""
-    image = f"<img loading='lazy' src='{FOLDER}/{escape(file_name(record['name']))}.png' alt='{name}'>"
-    told = f"{name}<br><small>{error}{record['seconds']:.3g} s</small>{warning}"
-    return f"<figure>{image}<figcaption>{told}</figcaption></figure>"
+    lines = [f"{error}{record['seconds']:.3g} s", f"warning: {record['warning']}" if record.get("warning") else ""]
+    told = "".join(f"<br>{element('small', escape(line))}" for line in lines if line)
+    return html.figure(html.image(file, name), escape(name) + told)

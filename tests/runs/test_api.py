@@ -23,7 +23,6 @@ from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.apps.brdf.few import Few
 from metapp.rendering.variant import load_mitsuba
 from metapp.runs.pictures import to_srgb
-from metapp.storage.records import file_name
 from metapp.storage.tensors import read_tensors
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
@@ -413,18 +412,6 @@ def test_a_fit_shows_itself(network: Path) -> None:
     assert (picture.mode, picture.size) == ("RGB", (196, 96))
     reference = to_srgb(fit.pictures()["reference"])
     assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
-
-
-def test_a_fit_writes_its_page_and_links_to_it(network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    fit = api.fit("brdf", network)
-    assert "href" not in fit._repr_html_()
-    page = fit.view()
-    assert page == Path(f"{file_name(fit.name)}.html")
-    assert "VIEWERS.brdf" in page.read_text(encoding="utf-8")
-    assert f"<a href='{page}'>" in fit._repr_html_()
-    assert fit.view(tmp_path / "a b.html").is_file()
-    assert "a%20b.html'" in fit._repr_html_()
 
 
 def test_a_warning_is_shown_and_names_are_text(network: Path) -> None:

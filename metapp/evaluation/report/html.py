@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
 from metapp.runs.naming import name_of
 from metapp.storage.files import write_atomically
+from metapp.storage.html import element, figure, image, table
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it
@@ -64,44 +65,47 @@ def sortable_html(
         caption: above it.
         classes: of each row, if any.
     """
-    left = [' class="left"' if aligned else "" for _, aligned in head]
-    titles = "".join(
-        f'<th scope="col"{css} aria-sort="none"><button>{escape(title)}</button></th>'
-        for (title, _), css in zip(head, left, strict=True)
+    sides = ["left" if aligned else "" for _, aligned in head]
+    titles = (
+        element("th", element("button", escape(title)), scope="col", class_=side, aria_sort="none")
+        for (title, _), side in zip(head, sides, strict=True)
     )
     rows = []
-    for i, cells in enumerate(body):
-        css = f' class="{escape(classes[i])}"' if classes else ""
-        first, *rest = (f"{align}>{escape(text)}" for align, text in zip(left, cells, strict=True))
-        rows.append(f'<tr{css}><th scope="row"{first}</th>' + "".join(f"<td{cell}</td>" for cell in rest) + "</tr>")
-    top = f"<caption>{escape(caption)}</caption>" if caption else ""
-    table = f'<table class="sortable">{top}<thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    return f'<div class="scroll">{table}</div>'
+    for i, (name, *cells) in enumerate(body):
+        first = element("th", escape(name), scope="row", class_=sides[0])
+        others = (element("td", escape(text), class_=side) for text, side in zip(cells, sides[1:], strict=True))
+        rows.append(element("tr", first, *others, class_=classes[i] if classes else ""))
+    return scrolling(table([element("tr", *titles)], rows, caption, class_="sortable"))
 
 
-def table_html(table: Table, subject: Subject, rows: list[Row]) -> str:
+def scrolling(content: str) -> str:
+    """Something that may be wider than the page."""
+    return element("div", content, class_="scroll")
+
+
+def table_html(measured: Table, subject: Subject, rows: list[Row]) -> str:
     """A table with its caption, and notes below."""
-    head = [(column.title, column.left) for column in table.columns]
-    body = [[column.text(row) for column in table.columns] for row in rows]
+    head = [(column.title, column.left) for column in measured.columns]
+    body = [[column.text(row) for column in measured.columns] for row in rows]
     classes = [str(row["paradigm"]).partition(":")[0] for row in rows]
-    notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes(subject, rows))
-    return sortable_html(head, body, title_of(table, subject, rows), classes) + f'<ul class="notes">{notes}</ul>'
+    sortable = sortable_html(head, body, title_of(measured, subject, rows), classes)
+    return sortable + notes_html(measured.notes(subject, rows))
 
 
-def details_html(summary: str, content: str) -> str:
-    """Something that is shown at a click."""
-    return f"<details><summary>{escape(summary)}</summary>{content}</details>"
-
-
-def image_html(address: str, text: str) -> str:
-    """A picture, and what it is to those who do not see it."""
-    return f'<img loading="lazy" src="{address}" alt="{escape(text)}">'
+def notes_html(notes: Iterable[str]) -> str:
+    """Texts in small type, a line each."""
+    return element("ul", *(element("li", escape(note)) for note in notes), class_="notes")
 
 
 def drawn_html(drawn: Drawn, name: str, pictures: Pictures, kind: str = "figure") -> str:
     """A figure that was drawn, with its caption."""
-    image = image_html(pictures.add(name, png_of(drawn.figure)), drawn.caption)
-    return f'<figure class="{kind}">{image}<figcaption>{escape(drawn.caption)}</figcaption></figure>'
+    picture = image(pictures.add(name, png_of(drawn.figure)), drawn.caption)
+    return figure(picture, escape(drawn.caption), class_=kind)
+
+
+def link_to(subject: Subject) -> str:
+    """A link to an application's section."""
+    return element("a", escape(subject.title), href=f"#{anchor(subject)}")
 
 
 def anchor(subject: Subject) -> str:

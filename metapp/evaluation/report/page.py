@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import datetime
-import json
 import os
 import platform
-import re
 from collections.abc import Iterator, Sequence
 from html import escape
 from importlib import resources
@@ -19,10 +17,11 @@ from metapp.evaluation.notes import carried, overfit_note, warned
 from metapp.evaluation.report.html import (
     Pictures,
     anchor,
-    details_html,
     drawn_html,
     identifier,
-    image_html,
+    link_to,
+    notes_html,
+    scrolling,
     sortable_html,
     table_html,
 )
@@ -35,11 +34,21 @@ from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.reporter import number
 from metapp.runs.statistics import apart
 from metapp.runs.surroundings import make_folder, versions
-from metapp.storage.files import write_atomically
+from metapp.storage import html
+from metapp.storage.html import element
 from metapp.storage.records import Record
 
 TASKS = 8  # of a gallery
 TIMES = "&times;"
+TITLE = "Metappearance, reproduced"
+ABOUT = (
+    "Small networks that reproduce visual appearance, trained in five ways: how good they become, and how fast. Each "
+    "of our figures was computed from the records behind it; the paper's stand beside them."
+)
+DIALOG = (
+    '<dialog id="record" aria-label="The record behind a picture"><form method="dialog"><button>Close</button></form>'
+    '<div id="shown"></div></dialog>'
+)
 HEADINGS = {
     "results": "Error and time",
     "quickft": "Against as many steps of fine-tuning",
@@ -66,20 +75,17 @@ def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str
     make_folder(folder)
     pictures = Pictures()
     sections = [section(subject, pictures, tables) for subject in subjects]
-    links = [f'<a href="#{anchor(subject)}">{escape(subject.title)}</a>' for subject in subjects]
-    records = json.dumps({anchor(subject): records_of(subject) for subject in subjects}, allow_nan=False)
-    parts = {
-        "style": _text("page.css"),
-        "script": _text("page.js"),
-        "links": "".join([*links, '<a href="#made">How this was made</a>']),
-        "body": "\n".join([glance(subjects, pictures), *sections, colophon(subjects, tables)]),
-        "records": records.replace("<", "\\u003c"),  # no record can end the script
-    }
-    page = re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _text("page.html"))
-    placed = pictures.place(page, folder)
-    file = folder / "index.html"
-    write_atomically(file, lambda partial: partial.write_text(placed, encoding="utf-8"))
-    return file
+    page = html.page(
+        TITLE,
+        _text("page.css"),
+        element("header", element("h1", TITLE), element("p", ABOUT)),
+        element("nav", *map(link_to, subjects), '<a href="#made">How this was made</a>', aria_label="Applications"),
+        element("main", glance(subjects, pictures), *sections, colophon(subjects, tables)),
+        DIALOG,
+        html.data_script("records", {anchor(subject): records_of(subject) for subject in subjects}),
+        element("script", _text("page.js")),
+    )
+    return html.write_page(pictures.place(page, folder), folder / "index.html")
 
 
 def _text(name: str) -> str:
@@ -96,7 +102,8 @@ def section(subject: Subject, pictures: Pictures, tables: Sequence[str]) -> str:
     hint = "The reference beside five results; a click shows the record behind one."
     return "\n".join(
         [
-            f'<section id="{name}"><h2>{escape(subject.title)}</h2>',
+            f'<section id="{name}">',
+            element("h2", escape(subject.title)),
             _table("results", subject) if "results" in tables else "",
             f'<div class="figures">{"".join(drawn.values())}</div>' if drawn else "",
             f"<h3>Along the steps</h3>{strips}" if strips else "",
@@ -130,18 +137,24 @@ def colophon(subjects: Sequence[Subject], tables: Sequence[str]) -> str:
     which = tables[0] if len(tables) == 1 else "all"
     commands = dict.fromkeys(command for subject in subjects for command in _commands(subject, which))
     known = paper()
-    sources = "".join(f"<li>{escape(key)}: {escape(text)}</li>" for key, text in known["sources"].items())
-    return (
-        f'<section id="made"><h2>How this was made</h2>{_facts(facts)}'
-        f"<h3>Data</h3>{_facts({subject.title: subject.label for subject in subjects})}"
-        f"<h3>Commands</h3><pre>{escape(chr(10).join(commands))}</pre>"
-        f"<h3>The paper</h3><p>{escape(known['source'])}</p><ul class='notes'>{sources}</ul></section>"
+    return element(
+        "section",
+        element("h2", "How this was made"),
+        _facts(facts),
+        element("h3", "Data"),
+        _facts({subject.title: subject.label for subject in subjects}),
+        element("h3", "Commands"),
+        element("pre", escape("\n".join(commands))),
+        element("h3", "The paper"),
+        element("p", escape(known["source"])),
+        notes_html(f"{key}: {text}" for key, text in known["sources"].items()),
+        id="made",
     )
 
 
 def _facts(facts: dict[str, str]) -> str:
-    pairs = "".join(f"<dt>{escape(key)}</dt><dd>{escape(text)}</dd>" for key, text in facts.items())
-    return f"<dl>{pairs}</dl>"
+    pairs = (element("dt", escape(key)) + element("dd", escape(text)) for key, text in facts.items())
+    return element("dl", *pairs)
 
 
 def _commands(subject: Subject, which: str) -> list[str]:
@@ -153,10 +166,14 @@ def _commands(subject: Subject, which: str) -> list[str]:
 
 def glance(subjects: Sequence[Subject], pictures: Pictures) -> str:
     """Cards and the table."""
-    cards = "".join(card(subject, pictures) for subject in subjects)
-    return (
-        f'<section id="glance"><h2>At a glance</h2><div class="cards">{cards}</div>'
-        f"<h3>The paper's table of results</h3>{matrix(subjects)}</section>"
+    cards = (card(subject, pictures) for subject in subjects)
+    return element(
+        "section",
+        element("h2", "At a glance"),
+        element("div", *cards, class_="cards"),
+        element("h3", "The paper's table of results"),
+        matrix(subjects),
+        id="glance",
     )
 
 
@@ -167,12 +184,11 @@ def card(subject: Subject, pictures: Pictures) -> str:
     lines = [f"{_big(speed, ',.0f', TIMES)} as fast as Overfit {_small(paper_speed, ',.0f', TIMES)}"]
     if is_first_protocol(subject.app):
         lines.insert(0, f"{_big(gap, '.0%')} of the gap closed {_small(paper_gap, '.0%')}")
-    lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in (*warned(rows), *overfit_note(subject)))]
+    lines += [badge(rows), *(element("small", escape(note)) for note in (*warned(rows), *overfit_note(subject)))]
     drawn = draw("plane", subject)
     picture = drawn_html(drawn, f"{anchor(subject)}-plane", pictures, "plain") if drawn else ""
-    items = "".join(f"<li>{line}</li>" for line in lines)
-    link = f'<a href="#{anchor(subject)}">{escape(subject.title)}</a>'
-    return f"<article><h3>{link}</h3>{picture}<ul>{items}</ul></article>"
+    items = element("ul", *(element("li", line) for line in lines))
+    return element("article", element("h3", link_to(subject)), picture, items)
 
 
 def _big(value: float | None, form: str, unit: str = "") -> str:
@@ -204,26 +220,26 @@ def matrix(subjects: Sequence[Subject]) -> str:
     titles = paper()["titles"]
     by_name: dict[str, Subject] = {subject.app.name: subject for subject in subjects if is_first_protocol(subject.app)}
     names = [*(name for name in titles if name in by_name), *(name for name in by_name if name not in titles)]
-    top = "".join(f'<th scope="col" colspan="2">{escape(titles.get(name, by_name[name].title))}</th>' for name in names)
-    below = "<th scope='col'>error</th><th scope='col'>seconds</th>" * len(names)
-    body = ""
+    headings = (escape(titles.get(name, by_name[name].title)) for name in names)
+    top = (element("th", heading, scope="col", colspan="2") for heading in headings)
+    below = [element("th", heading, scope="col") for heading in ("error", "seconds")] * len(names)
+    body = []
     for paradigm, title in TITLES.items():
-        cells = "".join(_pair(by_name[name], paradigm) for name in names)
-        body += f'<tr class="{paradigm}"><th scope="row" class="left">{title}</th>{cells}</tr>'
+        cells = (_pair(by_name[name], paradigm) for name in names)
+        body.append(element("tr", element("th", title, scope="row", class_="left"), *cells, class_=paradigm))
     caption = (
         "Mean error over unseen tasks and median seconds of inference; in small type the paper's, of its own data and "
         "machine. A dash: not measured here yet."
     )
-    head = f"<thead><tr><td></td>{top}</tr><tr><td></td>{below}</tr></thead>"
-    table = f'<table class="matrix"><caption>{caption}</caption>{head}<tbody>{body}</tbody></table>'
-    return f'<div class="scroll">{table}</div>'
+    head = [element("tr", element("td"), *cells) for cells in (top, below)]
+    return scrolling(html.table(head, body, caption, class_="matrix"))
 
 
 def _pair(subject: Subject, paradigm: str) -> str:
     row = result_row(subject, paradigm)
     ours = (number(row["error"], ".3f"), number(row["seconds"], ".3g"))
     theirs = (number(row["paper_error"], ".3f"), number(row["paper_seconds"], ".3f"))
-    return "".join(f"<td>{one}<small>{other}</small></td>" for one, other in zip(ours, theirs, strict=True))
+    return "".join(element("td", one, element("small", other)) for one, other in zip(ours, theirs, strict=True))
 
 
 # The gallery: the reference beside the fit of every paradigm, each with the record behind it
@@ -232,7 +248,7 @@ def _pair(subject: Subject, paradigm: str) -> str:
 def gallery_html(subject: Subject, pictures: Pictures) -> str:
     """Up to TASKS tasks, evenly spaced, a row each; a click on a fit shows its record."""
     rows = [_task_html(subject, task, pictures) for task in evenly(subject.tasks, TASKS)]
-    return f'<div class="gallery">{"".join(rows)}</div>' if any(rows) else ""
+    return element("div", *rows, class_="gallery") if any(rows) else ""
 
 
 def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
@@ -243,18 +259,15 @@ def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
         key = (name_of(subject.app), task.name)
         if not shown and "reference" in made:
             address = pictures.add_array(identifier(*key, "reference"), to_srgb(made["reference"]))
-            image = image_html(address, f"{task.name}: reference")
-            shown.append(f"<figure>{image}<figcaption>Reference</figcaption></figure>")
+            shown.append(html.figure(html.image(address, f"{task.name}: reference"), "Reference"))
         address = pictures.add_array(identifier(*key, name), to_srgb(made["fit"]))
         result = f"{number(record['error'], '.3f')}, {record['seconds']:.3g} s"
-        image = image_html(address, f"{task.name}: {title}, error {result}")
-        button = f'data-of="{anchor(subject)}" data-row="{name}" data-task="{escape(task.name)}"'
-        shown.append(
-            f'<figure class="{name}"><button class="record" {button}>{image}</button>'
-            f"<figcaption><b>{title}</b> {escape(result)}</figcaption></figure>"
-        )
-    row = f'<div class="row">{"".join(shown)}</div>'
-    return f'<div class="task"><h4>{escape(task.name)}</h4>{row}</div>' if shown else ""
+        picture = html.image(address, f"{task.name}: {title}, error {result}")
+        record_of = {"data_of": anchor(subject), "data_row": name, "data_task": task.name}
+        button = element("button", picture, class_="record", **record_of)
+        shown.append(html.figure(button, f"{element('b', title)} {escape(result)}", class_=name))
+    row = element("div", *shown, class_="row")
+    return element("div", element("h4", escape(task.name)), row, class_="task") if shown else ""
 
 
 def fits_of(subject: Subject, task: Task) -> Iterator[tuple[str, Record, Params]]:
@@ -286,4 +299,4 @@ def tasks_html(subject: Subject) -> str:
         [task.name, *(number(of_row.get(task.name), ".3f") for of_row in errors.values())] for task in subject.tasks
     ]
     table = sortable_html([("task", True), *((name, False) for name in errors)], body)
-    return details_html(f"Errors of all {len(subject.tasks)} tasks", table)
+    return element("details", element("summary", f"Errors of all {len(subject.tasks)} tasks"), table)

@@ -12,14 +12,19 @@ from urllib.parse import parse_qs
 
 from metapp.extensions.viewer.page import html
 from metapp.storage import Document
+from metapp.storage.html import element, page
 
 HOST = "127.0.0.1"
 NEWS = "news"
 WAIT_SECONDS = 10.0  # that a question for news waits for some
 LAST_SECONDS = 2.0  # that the end waits for pages that have not heard of it
 # a page that asks again at once, and is not answered before there is something to show or WAIT_SECONDS are over
-EARLY = """<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0"><title>metapp</title>
-<p>The fit has not begun yet; this page shows it once it has."""
+EARLY = page(
+    "metapp",
+    "",
+    element("p", "The fit has not begun yet; this page shows it once it has."),
+    element("script", "location.reload()"),
+)
 
 
 class Live:

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import base64
-import json
-import re
 import zlib
 from collections.abc import Sequence
-from html import escape
 from importlib import resources
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
@@ -17,12 +13,24 @@ from torch import Tensor
 
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document
-from metapp.storage.files import write_atomically
+from metapp.storage.html import data_script, element, page
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
 SCRIPTS = ("core", "shading", "shapes", "overlay", "stage", *KINDS, "main")  # in this order
 TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
+
+BODY = """<header>
+<h1></h1><p class="caption"></p><span class="spacer"></span>
+<button id="save" title="Save this view as PNG">Save PNG</button>
+</header>
+<main>
+<nav aria-label="Fits"></nav>
+<section id="stage" aria-label="View"><p class="problem" hidden></p></section>
+<form id="controls" aria-label="Controls"></form>
+</main>
+<footer></footer>
+<noscript>This page draws with WebGL 2 and needs JavaScript.</noscript>"""
 
 
 class Shown(NamedTuple):
@@ -108,30 +116,15 @@ def html(data: Document, live: str = "") -> str:
         live: the address, relative to the page's, that tells what has changed while a fit runs; "" for a page that is
             finished.
     """
-    # no text can end the script that it stands in
-    content = json.dumps(data | {"live": live}, allow_nan=False).replace("<", "\\u003c")
-    parts = {
-        "title": escape(data["title"]),
-        "style": _text("page.css"),
-        "three": _text("three.min.js"),
-        "scripts": "\n".join(_text(f"scripts/{name}.js") for name in SCRIPTS),
-        "data": content,
-    }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _text("page.html"))
-
-
-def write_page(data: Document, path: Path) -> Path:
-    """Write the page, whole or not at all.
-
-    Returns:
-        The file.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    text = html(data)
-    write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8", errors="backslashreplace"))
-    return path
+    scripts = "\n".join(_text(f"scripts/{name}.js") for name in SCRIPTS)
+    return page(
+        data["title"],
+        _text("page.css"),
+        BODY,
+        element("script", _text("three.min.js")),
+        data_script("data", data | {"live": live}),
+        element("script", scripts),
+    )
 
 
 def _text(name: str) -> str:

@@ -12,7 +12,7 @@ import torch
 
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
-from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -21,6 +21,7 @@ from metapp.runs.recorded import Recorded, app_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
+from metapp.storage.html import write_page
 from metapp.storage.records import file_name, read_theta
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def view_page(wanted: Wanted, out: Path | None, *, quiet: bool) -> Path:
     for line in lacking:
         say(f"warning: left out: {line}")
     title = f"metapp: {', '.join(dict.fromkeys(title_of(fit.app) for fit in fits))}"
-    return write_page(document(title, groups), page)
+    return write_page(html(document(title, groups)), page)
 
 
 def _read(path: Path, task: str) -> Recorded:
@@ -184,6 +185,6 @@ def view_fit(fit: Fit, path: str | PathLike[str] = "") -> Path:
     title, record = title_of(fit.app), {"error": fit.error, "seconds": fit.seconds}
     with threads(threads_of(fit.app)):
         shown = shown_of(fit.presentation, fit.settings["paradigm"], record, fit.parameters, fit.task)
-    page = document(f"metapp: {title}", [Group(fit.name, title, [shown])])
+    page = html(document(f"metapp: {title}", [Group(fit.name, title, [shown])]))
     fit.page = write_page(page, Path(path or f"{file_name(fit.name)}.html"))
     return fit.page

@@ -28,11 +28,12 @@ from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few import Few
-from metapp.extensions.viewer.page import Group, Shown, array, document, write_page
+from metapp.extensions.viewer.page import Group, Shown, array, document, html
 from metapp.extensions.viewer.pages.anisotropic_residual import CELLS as AZIMUTHAL
 from metapp.extensions.viewer.pages.brdf import CELLS, packed
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
+from metapp.storage.html import write_page
 from tests import anisotropic
 from tests.browser import Page, browsing
 
@@ -92,7 +93,7 @@ def browser(opened: Any) -> Iterator[Any]:
 
 
 def open_page(browser: Any, folder: Path, fits: list[Shown]) -> Page:
-    return Page(browser, write_page(document("metapp", [Group("lobe", "BRDF", fits)]), folder / "view.html"))
+    return Page(browser, write_page(html(document("metapp", [Group("lobe", "BRDF", fits)])), folder / "view.html"))
 
 
 @pytest.mark.parametrize("name", APPS)

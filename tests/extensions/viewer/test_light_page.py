@@ -22,11 +22,12 @@ from metapp.apps.illumination.app import SMALL, Illumination, IlluminationSetup
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
-from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
+from metapp.storage.html import write_page
 from tests.browser import Page, browsing
 
 ROWS = 64
@@ -141,7 +142,7 @@ def open_page(
 ) -> tuple[Page, IlluminationPresentation, Params]:
     presentation, theta = shown(protocol)
     group = Group("lamps", "Illumination", [Shown("meta", "", view_of(presentation, theta, task_of(reference)))])
-    page = Page(browser, write_page(document("metapp", [group]), folder / "view.html"))
+    page = Page(browser, write_page(html(document("metapp", [group])), folder / "view.html"))
     page.set(paper="white")
     return page, presentation, theta
 

@@ -96,7 +96,7 @@ def test_a_page_that_is_early_asks_again(live: Live, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(module, "WAIT_SECONDS", 0.05)
     status, text = get(live, "")
     assert status == 200
-    assert 'http-equiv="refresh"' in text
+    assert "location.reload()" in text
     live.tell(page("gold"), "first", [])
     assert '"live": "news"' in get(live, "")[1]
 

@@ -14,8 +14,9 @@ import torch
 from PIL import Image
 
 from metapp.extensions.viewer.live import Live
-from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import View
+from metapp.storage.html import write_page
 from tests.browser import Page, browsing
 
 pytestmark = pytest.mark.long
@@ -36,7 +37,7 @@ def page(browser: Any, tmp_path: Path) -> Page:
     maps = {name: torch.rand(8, 16, 3).half() for name in ("map", "reference")}
     light = View("light", maps, facts={"scale": 1.0, "note": "", **SPHERES}, shared={"lobes": torch.ones(2, 32).half()})
     groups = [Group(view.kind, "Fits", [Shown("meta", "", view)]) for view in (pictures, light)]
-    opened = Page(browser, write_page(document("metapp", groups), tmp_path / "view.html"), 320, 240)
+    opened = Page(browser, write_page(html(document("metapp", groups)), tmp_path / "view.html"), 320, 240)
     opened.sized(64, 64)
     return opened
 

@@ -15,8 +15,9 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture, write_page
+from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture
 from metapp.extensions.viewer.view import View
+from metapp.storage.html import write_page
 
 LARGEST = 3_000_000  # bytes of a page beside the run's own data
 
@@ -75,7 +76,7 @@ def test_what_fits_share_stands_once() -> None:
 
 
 def test_a_page_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = write_page(page_of(View("pictures"), "\ud800"), tmp_path / "view.html")
+    file = write_page(html(page_of(View("pictures"), "\ud800")), tmp_path / "view.html")
     before = file.read_bytes()
 
     def full(*_: object, **__: object) -> None:
@@ -83,6 +84,6 @@ def test_a_page_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(OSError, match="was not written"):
-        write_page(page_of(View("pictures")), file)
+        write_page(html(page_of(View("pictures"))), file)
     assert file.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["view.html"]

@@ -23,7 +23,7 @@ from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import Shot
 from metapp.apps.transport.presentation import TransportPresentation
-from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.texture import QUILTED
 from metapp.extensions.viewer.view import View, view_of
@@ -32,6 +32,7 @@ from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.runs.outputs import write_pictures
+from metapp.storage.html import write_page
 from tests.browser import Page, browsing
 
 SIZE = 32
@@ -142,7 +143,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         Group("bark twice", "Texture", textures),
         Group("room", "Light", [Shown("meta", "", lit())]),
     ]
-    file = write_page(document("metapp", groups), tmp_path_factory.mktemp("page") / "view.html")
+    file = write_page(html(document("metapp", groups)), tmp_path_factory.mktemp("page") / "view.html")
     with browsing() as browser:
         opened = Page(browser, file)
         yield opened

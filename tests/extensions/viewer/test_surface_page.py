@@ -25,12 +25,13 @@ from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPre
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import QUICK
-from metapp.extensions.viewer.page import Group, Shown, document, write_page
+from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.surface import Lit, surface_view
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
+from metapp.storage.html import write_page
 from tests.assets.surfaces import rock
 from tests.browser import Page, browsing
 
@@ -94,7 +95,7 @@ def browser() -> Iterator[Any]:
 
 def open_page(browser: Any, folder: Path, view: View) -> Page:
     fits = [Shown("meta", "", view)]
-    return Page(browser, write_page(document("metapp", [Group("rock", "svBRDF", fits)]), folder / "view.html"))
+    return Page(browser, write_page(html(document("metapp", [Group("rock", "svBRDF", fits)])), folder / "view.html"))
 
 
 def like(found: np.ndarray, wanted: np.ndarray) -> bool:
@@ -289,7 +290,7 @@ def test_a_fitted_light_of_the_page_lights_materials(browser: Any, tmp_path: Pat
         Group("stone", "svBRDF", [Shown("meta", "", material)]),
         Group("dusk", "Light", [Shown("meta", "", light)]),
     ]
-    page = Page(browser, write_page(document("metapp", groups), tmp_path / "view.html"))
+    page = Page(browser, write_page(html(document("metapp", groups)), tmp_path / "view.html"))
     page.sized(48, 48)
     page.page.evaluate("metapp.viewer.most = () => 64")
     assert page.page.evaluate("metapp.viewer.environments()") == [["studio", "Studio"], ["1", "dusk"]]

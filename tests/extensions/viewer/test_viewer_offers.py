@@ -1,4 +1,4 @@
-"""The core without the viewer: fits work, and what is missing names the extension."""
+"""The offers of the extension: the method of fits, the pages of applications; and the core without them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from metapp import door
 from metapp.extensions.viewer.view import view_of
 from metapp.runs import api
+from metapp.storage.records import file_name
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 1
@@ -35,3 +36,15 @@ def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkey
     monkeypatch.setattr(door, "offers_of", lambda kind, app: ())
     view = view_of(fit.presentation, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
+
+
+def test_a_fit_writes_its_page_and_links_to_it(networks: Path, tmp_path: Path) -> None:
+    fit = api.fit("brdf", networks)
+    assert "view" in dir(fit)
+    assert "href" not in fit._repr_html_()
+    page = fit.view()
+    assert page == Path(f"{file_name(fit.name)}.html")
+    assert "VIEWERS.brdf" in page.read_text(encoding="utf-8")
+    assert f'<a href="{page}">' in fit._repr_html_()
+    assert fit.view(tmp_path / "a b.html").is_file()
+    assert 'a%20b.html"' in fit._repr_html_()

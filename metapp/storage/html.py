@@ -1,0 +1,97 @@
+"""HTML of galleries, reports, notebooks and interactive pages: elements, and documents that need no network."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from html import escape
+from pathlib import Path
+
+from metapp.storage import Document
+from metapp.storage.files import write_atomically
+
+HEAD = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">"""
+
+
+def element(name: str, *content: str, **attributes: str) -> str:
+    """An element.
+
+    Args:
+        name: of its tag.
+        content: HTML.
+        attributes: texts; those of "" are left out. In their names _ stands for -, but for one at the end: `class_`.
+    """
+    return f"{_tag(name, attributes)}{''.join(content)}</{name}>"
+
+
+def image(address: str, text: str, **attributes: str) -> str:
+    """A picture, and what it is to those who do not see it; attributes as of `element`."""
+    return _tag("img", {"loading": "lazy", "src": address, "alt": text, **attributes})
+
+
+def figure(picture: str, caption: str, **attributes: str) -> str:
+    """A picture above its caption, both HTML; attributes as of `element`."""
+    return element("figure", picture, element("figcaption", caption), **attributes)
+
+
+def row(cells: Iterable[str], name: str = "td") -> str:
+    """A row of a table, of texts."""
+    return element("tr", *(element(name, escape(cell)) for cell in cells))
+
+
+def table(head: Iterable[str], body: Iterable[str], caption: str = "", **attributes: str) -> str:
+    """A table.
+
+    Args:
+        head, body: its rows, each an element.
+        caption: text above it, if any.
+        attributes: as of `element`.
+    """
+    above = element("caption", escape(caption)) if caption else ""
+    return element("table", above, element("thead", *head), element("tbody", *body), **attributes)
+
+
+def data_script(name: str, document: Document) -> str:
+    """A JSON document that a script of the page reads as the element `name`.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    content = json.dumps(document, allow_nan=False).replace("<", "\\u003c")  # no text can end the script
+    return element("script", content, type="application/json", id=name)
+
+
+def page(title: str, style: str, *body: str) -> str:
+    """A whole document.
+
+    Args:
+        title: text.
+        style: CSS.
+        body: HTML, a line each.
+    """
+    head = "\n".join([HEAD, element("title", escape(title)), element("style", style), "</head>"])
+    return "\n".join([head, "<body>", *body, "</body>", "</html>", ""])
+
+
+def write_page(text: str, path: Path) -> Path:
+    """Write a document, whole or not at all.
+
+    Returns:
+        The file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8", errors="backslashreplace"))
+    return path
+
+
+def _tag(name: str, attributes: dict[str, str]) -> str:
+    pairs = ((key.rstrip("_").replace("_", "-"), escape(text)) for key, text in attributes.items() if text)
+    words = [name, *(f'{key}="{text}"' for key, text in pairs)]
+    return f"<{' '.join(words)}>"
