@@ -20,6 +20,7 @@ from metapp.appearance.geometry import directions_to_four_angles
 from metapp.appearance.presentation import Presentation, maps_of
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Params, Task
+from metapp.runs import BadOption
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import check_export, check_name, check_protocol, check_types
 from metapp.runs.choosing import recipe_of_tasks
@@ -28,13 +29,14 @@ from metapp.runs.inputs import tasks_to_fit
 from metapp.runs.memory import in_memory
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.notebook import card_of, table_of
-from metapp.runs.options import outputs_of
+from metapp.runs.options import all_options, outputs_of
 from metapp.runs.outputs import export_fit
 from metapp.runs.pictures import beside, image_of
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage.files import write_atomically
+from metapp.storage.text import meant
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -280,6 +282,10 @@ def _request(app: str, paradigm: str, options: Mapping[str, Any]) -> Request:
     for key in ("data", "out", "checkpoint"):
         if isinstance(general.get(key), str | PathLike):
             general[key] = Path(general[key])
+    names = [*GENERAL, "app", "paradigm", *all_options()]
+    for name in options:
+        if name not in names:
+            raise BadOption(f"{name}: no option of a fit, expected one of {', '.join(names)}.{meant(name, names)}")
     check_types({"app": app, "paradigm": paradigm, **general})
     check_name(app)
     own = {name: value for name, value in options.items() if name not in GENERAL}

@@ -32,6 +32,8 @@ from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, guarded, summary
 
+FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # what is wrong with inputs and fits
+
 
 class Failure(NamedTuple):
     """A source that was not fitted, and why; `named`: whether the user named it, so that it should have been good."""
@@ -287,6 +289,8 @@ class _Loop:
             self._columns[source.place] = column_of_fit(self.presentation, task, theta)
 
     def _fail(self, source: Source, error: Exception) -> None:
+        if not (self.fitter.plan.request.resumes or isinstance(error, FORESEEN)):
+            raise error
         # frames hold what was read: of thousands of failures that is all memory
         error.__context__ = error.__cause__ = None
         self.failures.append(Failure(source.place, error.with_traceback(None), source.named))

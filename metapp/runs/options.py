@@ -231,7 +231,7 @@ def _typed(option: door.Option, value: Any) -> Any:
 
 def _check_use(option: door.Option, request: Request, protocol: str) -> None:
     if option.protocol and option.protocol != protocol:
-        raise BadOption(f"{option.flag}: only where fits see INPUT by --observe {option.protocol}; add that.")
+        raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
     if option.of_inputs and not (request.inputs or request.objects):
         raise BadOption(f"{option.flag}: about INPUT alone; name what to fit.")
 

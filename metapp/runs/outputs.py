@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,7 +20,7 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import check_export, check_name
 from metapp.runs.options import check_options
 from metapp.runs.plan import plan
-from metapp.runs.recorded import app_as, plan_as, read_run, tasks_as
+from metapp.runs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.request import Request
 from metapp.runs.shipped import QUICK
@@ -168,19 +169,20 @@ def export_run(
     check_options(Request(name, options=options), "")
     target = out or folder / form
     with progress(form, len(records), quiet=quiet) as bar:
-        tasks = tasks_as(records, app_as(records[-1]["settings"]), inputs, data)
+        tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            task = tasks.get(name, Task(name, {}))
-            theta, path = read_theta(folder, name), target / file_name(name)
+            shown, theta = plan_as(settings, options=options).presentation, read_theta(folder, name)
+            write = functools.partial(export_fit, shown, theta=theta, path=target / file_name(name), name=form)
             try:
-                export_fit(plan_as(settings, options=options).presentation, task, theta, path, form, settings)
-            except KeyError as missing:
-                if task.data:
-                    raise
-                raise ValueError(
-                    f"{name}: {form} is made of the fit and its input ({missing}), expected both; "
-                    "give what was fitted after the form, or --data."
-                ) from None
+                write(task=Task(name, {}), settings=settings)
+            except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
+                tasks = tasks_as(records, shown.app, inputs, data) if tasks is None else tasks
+                if name not in tasks:
+                    raise ValueError(
+                        f"{name}: {form} is made of the fit and its input ({missing}), expected both; "
+                        "give what was fitted after the form, or --data."
+                    ) from None
+                write(task=tasks[name], settings=settings)
             bar.advance(name)
     return Exported(form, str(target), [record["name"] for record in records])

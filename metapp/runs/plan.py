@@ -197,5 +197,5 @@ def _check(request: Request, options: Mapping[str, Any]) -> None:
         raise BadOption("--train-steps: only with --train.")
     for form in request.exports:
         check_export(form, request.app)
-    if merge_of(request.app, options) and request.resumes:
-        raise BadOption("--batch and --shard: of several inputs, which are merged into one here; leave them out.")
+    if (merging := merge_of(request.app, options)) and request.resumes:
+        raise BadOption(f"{merging[0].option.flag} makes one input of all; leave out --batch and --shard.")

@@ -206,7 +206,10 @@ def test_the_field_of_view_counts(metapp: Callable, shot: Path) -> None:
     data = {fov: metapp(*common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
     assert data["0"] == data["45"] != data["70"]  # names of data tell their content
     misuse = metapp("overfit", "texture", shot, "--fov", "60").misuse
-    assert "--fov: texture has no photos whose camera counts; leave it out." in misuse
+    assert (
+        "--fov: texture has no such option, only illumination, svbrdf_nonstationary, svbrdf_stationary; leave it out."
+        in misuse
+    )
 
 
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
@@ -221,4 +224,4 @@ def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
         misuse = metapp("overfit", SVBRDF, *inputs, *words, "--exposure", "1").misuse
         assert "--exposure is about INPUT photos where fits see them alone" in misuse
     misuse = metapp("overfit", "texture", shot, "--exposure", "1").misuse
-    assert "--exposure: texture takes photos as they are" in misuse
+    assert "--exposure: texture has no such option, only svbrdf_nonstationary" in misuse

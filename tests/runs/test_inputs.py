@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from data_tools.readers.nbrdf import SHAPES, read_nbrdf
-from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Task
 from metapp.runs.inputs import distinct, sources_to_fit
+from metapp.runs.plan import plan
 from metapp.runs.request import Request
 
 
@@ -28,7 +28,7 @@ def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: p
         return original(self)
 
     monkeypatch.setattr(Path, "iterdir", iterdir)
-    sources, _ = sources_to_fit(Brdf(), Request("brdf", inputs=[tmp_path]))
+    sources, _ = sources_to_fit(plan(Request("brdf", inputs=[tmp_path])))
     for source in sources:
         assert read_nbrdf(source.place)["fc1"].shape == (6, 21)
     assert len(sources) == 8
