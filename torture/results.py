@@ -27,9 +27,9 @@ SOURCE = "int seven(void) { return 7; }\n"
 def runs() -> list[Files]:
     """Data sets of two BRDFs, with the records of a run on them and its fits as a pack."""
     from metapp.apps.brdf.app import Brdf
+    from metapp.extensions.packs.pack import pack
     from metapp.runs.execution import execute
     from metapp.runs.inputs import data_folder
-    from metapp.runs.pack import pack
     from metapp.runs.plan import plan
     from metapp.runs.request import Request
 
@@ -113,7 +113,7 @@ def write_pack(rng: random.Random, folder: Path) -> Path:
 
 def read_pack(folder: Path, file: Path) -> None:
     """As `metapp unpack`; what it makes is read again."""
-    from metapp.runs.pack import unpack
+    from metapp.extensions.packs.pack import unpack
     from metapp.runs.recorded import read_run
     from metapp.storage.records import read_theta
     from torture.targets import BadResult

@@ -11,8 +11,6 @@ OFFERS = (
     Command("baseline", f"{_HERE}.baseline:command"),
     Command("plan", f"{_HERE}.plan:command"),
     Command("export", f"{_HERE}.export:command"),
-    Command("pack", f"{_HERE}.pack:pack_command"),
-    Command("unpack", f"{_HERE}.pack:unpack_command"),
     Command("rerun", f"{_HERE}.rerun:command"),
     Command("compare", f"{_HERE}.compare:command"),
     Command("synth", f"{_HERE}.data_synth:synth", under="data", bare_is_help=True),

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.storage.packing import LARGEST_HEADER, Pack, in_steps, read_pack, write_pack
+from metapp.extensions.packs.file import LARGEST_HEADER, Pack, in_steps, read_pack, write_pack
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_a_file_that_unfolds_to_more_than_it_may_hold_is_neither_written_nor_rea
 ) -> None:
     path, pack = tmp_path / "a.pack", Pack([str(i) for i in range(7)], {"w": in_steps(values, 8)}, {})
     write_pack(path, pack)
-    monkeypatch.setattr("metapp.storage.packing.LARGEST", 7 * 5 * 3 - 1)
+    monkeypatch.setattr("metapp.extensions.packs.file.LARGEST", 7 * 5 * 3 - 1)
     with pytest.raises(ValueError, match="105 bytes of fits, expected at most 104; pack fewer fits"):
         read_pack(path)
     with pytest.raises(ValueError, match="105 bytes of fits, expected at most 104; pack fewer fits"):

@@ -16,9 +16,10 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.runs.pack import GROWTH
+from metapp import door
+from metapp.extensions.packs.file import read_pack, write_pack
+from metapp.extensions.packs.pack import GROWTH
 from metapp.runs.shipped import shipped_path
-from metapp.storage.packing import read_pack, write_pack
 from metapp.storage.records import load_checkpoint, read_records, read_theta, save_checkpoint
 from tests.marked import long
 from tests.small_spheres import run_small
@@ -171,6 +172,12 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
         assert not Path("b").exists()
 
 
+def test_without_the_extension_its_commands_are_refused(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(door.WITHOUT, "packs")
+    for command in ("pack", "unpack"):
+        assert "a command of the extension packs" in metapp(command, "a").misuse
+
+
 BOMBS = ("shape", "name", "tasks")
 
 
@@ -214,7 +221,8 @@ def _fit_bytes(head: dict[str, Any]) -> int:
 UNPACKED = """
 import sys
 from pathlib import Path
-from metapp.runs.pack import unpack
+from metapp import door
+from metapp.extensions.packs.pack import unpack
 
 def peak():
     return Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]

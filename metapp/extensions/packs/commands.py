@@ -12,7 +12,7 @@ from metapp.cli.options import FittedData, Json, RunPath
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
-    from metapp.runs.pack import Packed
+    from metapp.extensions.packs.pack import Packed
 
 MadeBy = Annotated[Path | None, typer.Option(help="Checkpoint of the fits; default: the shipped one.")]
 
@@ -41,7 +41,7 @@ def pack_command(
 
     Example: metapp pack RUN --out materials.pack
     """
-    from metapp.runs.pack import pack
+    from metapp.extensions.packs.pack import pack
 
     done = pack(run, out_file, bits, inputs or [], data=data, checkpoint=checkpoint, quiet=quiet)
     _tell(done, done.file, json=json, quiet=quiet)
@@ -61,7 +61,7 @@ def unpack_command(
 
     Example: metapp unpack materials.pack --out runs/materials
     """
-    from metapp.runs.pack import unpack
+    from metapp.extensions.packs.pack import unpack
 
     done = unpack(file, out_folder, checkpoint)
     _tell(done, done.out, json=json, quiet=quiet)
@@ -70,8 +70,8 @@ def unpack_command(
 def _tell(done: Packed, made: str, *, json: bool, quiet: bool) -> None:
     """Sizes and errors, and where what was made is."""
     if not quiet:
-        each = done.size / len(done.tasks)
-        say(f"{len(done.tasks)} fits, {done.bits} bits a number: {done.size:,} bytes, {each:,.0f} a fit")
+        mean = done.size / len(done.tasks)
+        say(f"{len(done.tasks)} fits, {done.bits} bits a number: {done.size:,} bytes, {mean:,.0f} a fit")
         if done.after is not None:
             before, after = (number(error, ".4g") for error in (done.before, done.after))
             say(f"mean error {after}, of the fits {before}")

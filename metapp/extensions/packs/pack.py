@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import torch
 
+from metapp.extensions.packs.file import BITS, Pack, Steps, in_steps, opened_pack, write_pack
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
@@ -23,7 +24,6 @@ from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.packing import BITS, Pack, Steps, in_steps, opened_pack, write_pack
 from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
@@ -65,12 +65,12 @@ class Stack(NamedTuple):
 
     def errors(self, thetas: Params) -> list[float | None]:
         """As tables print them, of parameters [T, ...]; None where there is no reference."""
-        found: list[float | None] = []
+        scaled: list[float | None] = []
         for i, task in enumerate(self.tasks):
             one = {key: value[i : i + 1] for key, value in thetas.items()}
             errors = self.app.errors(one, stack(self.app, [task])) if task.data else {}
-            found.append(self.app.traits.scale * float(errors["error"][0]) if errors else None)
-        return found
+            scaled.append(self.app.traits.scale * float(errors["error"][0]) if errors else None)
+        return scaled
 
 
 def pack(
@@ -104,11 +104,11 @@ def pack(
     plan = _plan_of(settings, str(run), checkpoint)
     names = [record["name"] for record in records]
     thetas = _stacked([read_theta(folder, name) for name in names], names)
-    known = tasks_as(records, plan.app, inputs, data)
-    if 0 < len(known) < len(names):
-        say(f"note: errors of {len(known)} of {len(names)} fits, as what the others saw is not there or has changed.")
-    fits = Stack(plan.app, thetas, [known.get(name, Task(name, {})) for name in names])
-    base = known_of(plan.prepared, {key: tuple(value.shape[1:]) for key, value in thetas.items()})
+    tasks = tasks_as(records, plan.app, inputs, data)
+    if 0 < len(tasks) < len(names):
+        say(f"note: errors of {len(tasks)} of {len(names)} fits, as what the others saw is not there or has changed.")
+    fits = Stack(plan.app, thetas, [tasks.get(name, Task(name, {})) for name in names])
+    base = shared_with(plan.prepared, {key: tuple(value.shape[1:]) for key, value in thetas.items()})
     before = fits.errors(thetas)
     with progress("pack", quiet=quiet) as bar:
         chosen = bits or _fewest_bits(fits, base, before, bar.name)
@@ -145,7 +145,7 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
         plan = _plan_of(settings, str(file), checkpoint)
         _require_network(file, plan.app, packed.shapes)
         steps = packed.read().tensors
-    base = known_of(plan.prepared, packed.shapes)
+    base = shared_with(plan.prepared, packed.shapes)
     _require_finite(file, plan.app, steps, base)
     folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})
     for i, record in enumerate(records):
@@ -184,26 +184,26 @@ def _require_finite(file: Path, app: App, steps: Mapping[str, Steps], base: Para
 _NOT_OF = "{}: tensor '{}' is not one of {}, expected a fit's; pack the fits again."
 
 
-def known_of(prepared: MetaParameters, shapes: Mapping[str, tuple[int, ...]]) -> Params:
-    """What is known of a fit without its input: the learned initialisation, or the decoder that all tasks share.
+def shared_with(prepared: MetaParameters, shapes: Mapping[str, tuple[int, ...]]) -> Params:
+    """Parameters that all fits by a checkpoint share: the learned initialisation, or the decoder.
 
     Args:
         prepared: the checkpoint.
         shapes: of a fit's tensors.
 
     Returns:
-        A tensor for each of them: 0 for what an encoder predicts.
+        A tensor of each name and shape: 0 for what an encoder predicts.
     """
     decoder = {key.removeprefix("decoder."): value for key, value in prepared.encoder.items()}
-    said = {**decoder, **prepared.theta}
+    shared = {**decoder, **prepared.theta}
     return {
-        key: said[key].cpu() if key in said and said[key].shape == shape else torch.zeros(shape)
+        key: shared[key].cpu() if key in shared and shared[key].shape == shape else torch.zeros(shape)
         for key, shape in shapes.items()
     }
 
 
 def restored(steps: Mapping[str, Steps], base: Params, fit: int | slice = slice(None)) -> Params:
-    """Parameters [...] of a fit, or [T, ...] of several, of differences from what is known."""
+    """Parameters [...] of a fit, or [T, ...] of several, of differences from what all fits share."""
     return {key: base[key] + of.values(fit) for key, of in steps.items()}
 
 
@@ -225,8 +225,7 @@ def _fewest_bits(fits: Stack, base: Params, before: list[float | None], tell: Ca
         now = _mean(fits.errors(restored(_in_steps(fits.thetas, base, bits), base)))
         return now is not None and now - mean <= GROWTH * abs(mean)
 
-    found = bisect.bisect_left(range(BITS[0], BITS[1]), True, key=enough)
-    return BITS[0] + found
+    return BITS[0] + bisect.bisect_left(range(BITS[0], BITS[1]), True, key=enough)
 
 
 def _plan_of(settings: Document, subject: str, path: Path | None) -> Plan:
@@ -269,5 +268,5 @@ def _size_of(prepared: MetaParameters) -> int:
 
 
 def _mean(errors: list[float | None]) -> float | None:
-    known = [error for error in errors if error is not None]
-    return sum(known) / len(known) if known else None
+    measured = [error for error in errors if error is not None]
+    return sum(measured) / len(measured) if measured else None
