@@ -12,10 +12,10 @@ from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
 from metapp.baselines import lobes
 from metapp.baselines.baseline import Allowed, Training, mean_error
-from metapp.baselines.brdf import EPSILON, Relative, RidgeOf, baselines, coefficients, drawn, reweighted, space_of
+from metapp.baselines.brdf import EPSILON, Relative, RidgeOf, coefficients, drawn, reweighted, space_of
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
-from tests.baselines.test_brdf_baselines import SAMPLES, random_materials
+from tests.baselines.test_brdf_baselines import random_materials
 
 APP = Brdf()
 
@@ -105,20 +105,6 @@ def test_a_penalty_is_judged_on_materials_that_components_do_not_know(rng: Gener
     space = space_of(known.data["where"][0], known.data["target"][known.rows])
     expected = mean_error(APP, method.fit_in(space, 1e-7, 1), validation, allowed)
     assert method._error(training, allowed, (1e-7, 1)) == pytest.approx(expected, rel=1e-6)
-
-
-def test_the_nearest_of_a_training_material_is_itself(rng: Generator) -> None:
-    training, allowed = Training(APP, random_materials(6, rng)), Allowed(200, 2700)
-    (nearest,) = [baseline for baseline in baselines(APP) if baseline.name == "nearest"]
-    prepared = nearest.prepare(training, allowed)
-    for row in range(6):
-        one = training.stacked.select([row])
-        answer = prepared.fit(one, Generator().manual_seed(0), allowed).answer()
-        assert answer.shape == (1, 3, SAMPLES - SAMPLES // 2)
-        torch.testing.assert_close(
-            torch.log1p(answer[0].T * one.data["where"][row, SAMPLES // 2 :, 6:]),
-            one.data["target"][row, SAMPLES // 2 :],
-        )
 
 
 def near_mirror(rng: Generator, count: int = 3000) -> lobes.Cosines:

@@ -175,41 +175,6 @@ def test_only_the_first_protocol_takes_the_starts_without_a_name(on_data: Callab
 # Tables
 
 
-@pytest.mark.long
-def test_every_protocol_has_a_table_of_its_own(on_data: Callable) -> None:
-    assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
-    assert on_data("meta", "brdf", *STEPS).code == 0
-    missing = on_data("evaluate", "brdf", "--no-run", "--observe", "photo").err
-    assert "brdf photo: " in missing
-    assert "overfit, finetune, quickft" in missing
-    assert "--observe photo" in missing
-    assert "--observe reference" not in missing
-
-    table = on_data("evaluate", "brdf")
-    assert table.code == 0, table.err
-    shown = " ".join(table.out.split())
-    assert shown.index("BRDF (reference)") < shown.index("gap closed") < shown.index("BRDF (photo)")
-    assert shown.index("fits see: reference") < shown.index("fits see: photo")
-    assert shown.count("gap closed") == shown.count("the paper's figures are") == 1
-    assert "Overfit sees the photo alone and is no floor" in shown
-    pictures = {file.stem.rpartition("-")[2] for file in Path("runs/brdf").glob("comparison-*.png")}
-    assert pictures == {"reference", "photo"}
-
-    rows = on_data("evaluate", "brdf", "--no-run", "--json").document["rows"]
-    assert [row["observe"] for row in rows] == ["reference"] * 5 + ["photo"] * 5
-    assert rows[4]["paper_error"] == 0.720
-    assert all(row["paper_error"] is None and row["paper_seconds"] is None for row in rows[5:])
-    assert all(row["tasks"] == 2 for row in rows)
-    assert on_data("evaluate", "brdf", "--no-run", "--json", "--observe", "photo").document["rows"] == rows[5:]
-    text = on_data("evaluate", "brdf", "--no-run", "--format", "markdown").out
-    assert "| brdf reference | general |" in text
-    assert "| brdf photo | meta |" in text
-    assert "Meta's error is " in text.partition("\nbrdf photo:\n")[2]
-    assert "gap closed" in text.partition("\nbrdf reference:\n")[2]
-    for form in ("latex", "csv"):
-        assert on_data("evaluate", "brdf", "--no-run", "--format", form).code == 0
-
-
 def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
     for apps, observe, reason in (
         (("texture",), "photo", "texture has one protocol"),
@@ -252,21 +217,6 @@ def test_meta_is_compared_where_overfit_is_no_floor() -> None:
 
 
 # Tasks without a reference
-
-
-def test_a_task_without_reference_has_no_error(metapp: Callable, networks: Path) -> None:
-    for others in ([], [networks / "m1"]):
-        common = ("overfit", "brdf", networks / "unknown", *others)
-        document = metapp(*common, "--json").done
-        first, *rest = document["tasks"]
-        assert first["error"] is None
-        assert first["seconds"] > 0
-        assert document["error"] == (rest[0]["error"] if others else None)
-        assert read_records(Path(document["out"], "record.jsonl"))[0]["error"] is None
-        assert Path(document["out"], "pictures.png").is_file()
-        shown = metapp(*common).out
-        assert (" - " in shown, "no error: there is no reference" in shown) == (bool(others), not others)
-        assert ("files" in shown) == (not others)
 
 
 def test_tables_of_tasks_without_reference() -> None:

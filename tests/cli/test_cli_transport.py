@@ -123,26 +123,6 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
 
 
 @pytest.mark.long
-def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "SPP", 4)
-    app = Transport(replace(RECIPES["quick"].setup, picture=24))
-    judged, errors = [], images.Studio.errors
-
-    def noted(self: images.Studio, picture: torch.Tensor) -> dict[str, float]:
-        judged.append((tuple(picture.shape), tuple(self.reference.shape)))
-        return errors(self, picture)
-
-    monkeypatch.setattr(images.Studio, "errors", noted)
-    shown, theta = TransportPresentation(app), uniform(app)
-    found = shown.image_errors({"instant": Fitted(theta, 0.0)}, scenes[0])
-    assert set(judged) == {((3, 24, 24), (3, 24, 24))}
-    of_integrators = {images.REGULAR_NEE, *(plugin.row for plugin in images.integrators())}
-    assert set(found) == {"reference", "regular", "instant"} | of_integrators
-    assert shown.image_measure.startswith("pictures of 24 px of 1024 paths a pixel; ")
-    assert shown.outputs(theta, scenes[0])["fit"].shape == (128, 256, 3)  # of any recipe
-
-
-@pytest.mark.long
 def test_pictures_with_nee_come_in_waves(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
     whole = studio.path(4096).picture

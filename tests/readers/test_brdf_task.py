@@ -103,18 +103,6 @@ def test_table_samples_are_measured_values(table: np.ndarray) -> None:
     assert all(torch.equal(data[key], again[key]) for key in data)
 
 
-@pytest.mark.long
-def test_table_and_function_give_the_same_picture() -> None:
-    first = brdf_task("a", tabulate(evaluate), samples=64).data["render"]
-    second = brdf_task("a", evaluate, samples=64).data["render"]
-    assert float((first - second).abs().mean()) < 2e-3 * float(second.mean())
-    table = np.ones((90, 90, 180, 3))
-    table[..., 1] = -0.1
-    data = brdf_task("noisy", table, samples=64).data
-    assert data["reflectance"].unique(dim=0).tolist() == [[1, 0, 1]]
-    assert (data["render"] >= 0).all()
-
-
 def test_few_valid_bins() -> None:
     table = np.broadcast_to(-SCALE, (90, 90, 180, 3)).copy()
     table[40:50, 10:20] = 1.0

@@ -37,11 +37,6 @@ def test_what_a_bright_photo_clips_stays_white_and_the_rest_is_as_it_should_be(s
     torch.testing.assert_close(linear(found)[:, ~clips], RADIANCE[:, ~clips], atol=0.009, rtol=0)
 
 
-def test_no_stops_change_nothing() -> None:
-    photo = encoded(RADIANCE)
-    assert torch.equal(rightly_exposed(photo, 0.0), photo)
-
-
 def test_a_file_is_read_so(tmp_path: Path) -> None:
     path = tmp_path / "wall.png"
     pixels = encoded(RADIANCE / 2).permute(1, 2, 0).contiguous().numpy()

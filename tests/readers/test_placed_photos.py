@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import json
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -112,54 +109,6 @@ def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
     assert result.code == 1
     assert "leaf: a flash photo, expected a material's maps" in result.err
     assert "--observe photo" in result.err
-
-
-@pytest.mark.long
-def test_data_sets_of_several_photos_have_that_recipe(tmp_path: Path, metapp: Callable) -> None:
-    said = {}
-    for photos, recipe in ((1, "full"), (3, "several")):
-        data = tmp_path / f"{photos}-photos"
-        drawn = ("--count", "2", "--size", "64", "--photos", photos, "--out", data)
-        assert metapp("data", "synth", APP, *drawn).code == 0
-        result = metapp("general", APP, "--observe", "photo", "--data", data, "--out", tmp_path / "runs", "--json")
-        assert result.code == 0, result.err
-        assert [task["counts"] for task in result.document["tasks"]] == [{"photos": photos}]
-        record = json.loads((Path(result.document["out"]) / "record.jsonl").read_text().splitlines()[0])
-        assert (record["settings"]["recipe"], record["counts"]) == (recipe, {"photos": photos})
-        said[recipe] = result.err
-    assert f"{APP}: recipe several, since every task of {data} has several photos\n" in said["several"]
-    assert "recipe several" not in said["full"]
-    seen = plan(Request(APP, "general", data=data, observe="reference"))
-    assert seen.request.recipe == "full"
-
-
-@pytest.mark.long
-def test_lines_have_the_recipes_of_their_inputs(
-    folder: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each is answered as by a command of its own; one that holds both kinds is refused, unless a recipe is given."""
-    plain, both = folder / "a.png", folder.parent / "both"
-    shutil.copytree(folder, both / "leaf")
-    write(both / "wall.png", 4)
-    told = ("--observe", "photo", "--out", folder.parent / "runs", "--json", "--quiet")
-
-    def answers(*more: str) -> list[dict]:
-        text = "".join(f"{line}\n" for line in (plain, folder, both, plain, folder))
-        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
-        return [json.loads(line) for line in metapp("general", APP, "-", *told, *more).out.splitlines()]
-
-    found = answers()
-    for answer, path in zip(found, (plain, folder, both, plain, folder), strict=True):
-        assert answer["input"] == str(path)
-        if path == both:
-            assert "leaf has several photos" in answer["failure"]
-            assert "fit them by two commands" in answer["failure"]
-        else:
-            photos, recipe = (3, "several") if path == folder else (1, "full")
-            assert answer["tasks"][0]["counts"] == {"photos": photos}
-            assert f"-{recipe}-seed0" in Path(answer["out"]).name
-    assert found[4]["out"] == metapp("general", APP, folder, *told).document["out"]
-    assert all("-full-seed0" in Path(answer["out"]).name for answer in answers("--recipe", "full"))
 
 
 @pytest.mark.parametrize(
