@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps import presentation_of
-from metapp.apps.transport import presentation, spline
+from metapp.apps.transport import spline
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
@@ -307,17 +307,3 @@ def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
         lit = plain.sum(1) > 0
         assert lit.sum() > 100
         assert float(((plain - other).abs().sum(1) < 1e-3 * plain.sum(1))[lit].float().mean()) > 0.98
-
-
-@pytest.mark.long
-def test_pictures_of_a_flow_and_of_samples_drawn_from_it_agree() -> None:
-    theta = bent(FLOW, scale=0.3)
-    points = torch.rand(1, 4, 600_000, generator=rng(1), dtype=torch.float64)
-    density = sum(FLOW.log_density(theta, points)).exp()[0]
-    rows = torch.multinomial(density, 60_000, replacement=True, generator=rng(2))
-    drawn = presentation.picture_of_samples(points[0, :, rows].T.float())
-    fit = presentation.picture_of_flow(FLOW, {key: value[0].float() for key, value in theta.items()})
-    assert fit.shape == drawn.shape == (128, 256, 3)
-    assert float((fit - drawn).abs().mean()) < 0.04
-    other = presentation.picture_of_flow(FLOW, {key: value[0].float() for key, value in bent(FLOW, 7, 0.3).items()})
-    assert float((fit - other).abs().mean()) > 0.05

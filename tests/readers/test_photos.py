@@ -187,14 +187,6 @@ def test_the_central_square_counts(tmp_path: Path) -> None:
     assert read_photo(path).shape == (3, 256, 256)
 
 
-@pytest.mark.parametrize("side", [64, 100, 333, 1000])
-def test_scaling_down_keeps_the_mean_radiance(tmp_path: Path, side: int) -> None:
-    values = noise(side, side)
-    image = read_photo(write(tmp_path / "a.png", values), 64)
-    before, after = (srgb_to_linear(each.double() / 255).mean((1, 2)) for each in (planes(values), image))
-    assert (before - after).abs().max() < 2e-4  # of rounding to 8 bits
-
-
 def test_smaller_pictures_are_interpolated_only_as_far_as_asked(tmp_path: Path) -> None:
     image = read_photo(write(tmp_path / "a.png", smooth(40, 40)), 160).int()
     assert image.shape == (3, 160, 160)

@@ -72,17 +72,6 @@ def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: 
 
 @pytest.mark.long
 @needs_mitsuba
-def test_next_event_estimation_lowers_the_noise_of_a_small_lamps_indirect_light() -> None:
-    scene = small_lamp(1, 8)
-    errors = []
-    for next_event in (False, True):
-        mean, error = cell_means(Tracer(scene, next_event=next_event), 2, 4)
-        errors.append(float((error / mean.mean()).median()))
-    assert errors[1] < 0.3 * errors[0]
-
-
-@pytest.mark.long
-@needs_mitsuba
 def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyPatch) -> None:
     # light of a point that reaches the second surface counts whether or not its direction is held
     monkeypatch.setitem(CELLS, 4, CELLS[6])

@@ -11,9 +11,6 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.appearance.presentation import Fitted
-from metapp.appearance.sphere import environment_scene, shade_sphere
-from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import blank, paper
@@ -31,8 +28,6 @@ from metapp.learning.task import Task
 from metapp.runs.plan import Checkpoint, plan
 from metapp.runs.request import Request
 from tests.evaluation.cli.subjects import rows, subject_of
-
-APP = Brdf()
 
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
@@ -160,16 +155,3 @@ def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:
     ]
     notes = [note for note in load_table("image").notes(subject, found) if "others have none" in note]
     assert notes == ["meta, MAPE, equal time: mean of 3 of 8 tasks, the others have none"]
-
-
-def test_the_same_picture_has_an_ssim_of_one(subject: Subject) -> None:
-    task = subject.tasks[0]
-    theta = {key: value[0] for key, value in APP.init(torch.Generator().manual_seed(0), 1).items()}
-    picture = shade_sphere(environment_scene(), lambda angles: APP.reflectance(theta, angles))
-    same = Task("same", task.data | {"environment": picture})
-    image_errors = BrdfPresentation(APP).image_errors
-    measured = image_errors({"meta": Fitted(theta, 1.0)}, same)
-    assert measured["meta"]["SSIM"] == pytest.approx(1, abs=1e-5)
-    assert image_errors({"meta": Fitted(theta, 1.0)}, task)["meta"]["SSIM"] < 0.999
-    older = Task("older", {key: value for key, value in task.data.items() if key != "environment"})
-    assert image_errors({"meta": Fitted(theta, 1.0)}, older) == {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import torch
 
 from metapp.evaluation.cell import Cell, Clock, run_cells
 from metapp.learning.task import Task
-from metapp.runs.reporter import Reporter, duration, reporting
+from metapp.runs.reporter import duration
 from metapp.runs.request import Portion
 from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import Record, RunFolder
@@ -71,32 +70,6 @@ def test_the_time_left_is_by_gradient_steps(cell: Make) -> None:
     clock.add(other, 1.0)
     assert clock.left() == pytest.approx(10.0)
     assert [duration(seconds) for seconds in (5, 300, 7200)] == ["5 s", "5 min", "2.0 h"]
-
-
-def test_the_time_left_counts_pictures(cell: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock that stands still but for what a task takes: steps 0.1 s each, pictures 30 s where 20 were guessed."""
-    now, shown = [0.0], []
-    monkeypatch.setattr("metapp.evaluation.cell.time.perf_counter", lambda: now[0])
-
-    class Hears(Reporter):
-        def clock(self) -> Any:
-            return contextlib.nullcontext(lambda note, spent, left: shown.append((note.partition(",")[0], spent, left)))
-
-    def taking(seconds: float) -> Callable[[], None]:
-        return lambda: now.__setitem__(0, now[0] + seconds)
-
-    fits = cell("transport fit", "ab", 9, taking(1.0))
-    pictures = cell("transport pictures", "ab", 0, taking(30.0), stage=1, guess=20.0)
-    with reporting(Hears()):
-        run_cells([fits, pictures], quiet=False)
-    assert shown == [
-        ("transport fit", 0.0, 0.0),
-        ("transport fit a", 1.0, pytest.approx(1.0 + 40.0)),
-        ("transport fit b", 2.0, pytest.approx(40.0)),
-        ("transport pictures", 2.0, pytest.approx(40.0)),
-        ("transport pictures a", 32.0, pytest.approx(30.0)),  # as measured
-        ("transport pictures b", 62.0, 0.0),
-    ]
 
 
 def test_fits_have_the_threads_of_their_application_whatever_ran_before(cell: Make) -> None:

@@ -12,7 +12,7 @@ from metapp.appearance.geometry import above_horizon
 from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.extensions.viewer.pages.anisotropic_residual import CELLS, _interpolation, corners, gridded, reached, solved
+from metapp.extensions.viewer.pages.anisotropic_residual import CELLS, gridded
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Task
 from tests import anisotropic
@@ -68,29 +68,6 @@ def test_the_grid_has_no_seam() -> None:
         values = interpolated(noise(), path.reshape(-1, 4), TURN).reshape(64, 4000, 3)
         steepest = 8 * max(CELLS) * step  # cells a rad by the difference of neighbours
         assert float(values.diff(dim=1).abs().max()) < steepest
-
-
-def test_shares_add_up_and_lie_in_reached_cells() -> None:
-    places = corners(angles_above(20_000, 3), 0.0)
-    torch.testing.assert_close(places.shares.sum(1), torch.ones(len(places.shares)))
-    inside = places.shares > 1e-5
-    assert reached().flatten()[places.cells[inside]].all()
-    assert 0.5 < float(reached().float().mean()) < 0.7
-
-
-def test_the_transposed_map_is_transposed() -> None:
-    at, back = _interpolation(corners(angles_above(500, 4), TURN))
-    rng = Generator().manual_seed(0)
-    grid, values = torch.randn(math.prod(CELLS), 3, generator=rng), torch.randn(500, 3, generator=rng)
-    torch.testing.assert_close((at(grid) * values).sum(), (grid * back(values)).sum(), atol=1e-2, rtol=1e-4)
-
-
-def test_conjugate_gradients_solve() -> None:
-    rng = Generator().manual_seed(0)
-    root, right = torch.randn(12, 12, generator=rng), torch.randn(12, 3, generator=rng)
-    matrix = root @ root.T + torch.eye(12)
-    found = solved(lambda x: matrix @ x, right, matrix.diagonal()[:, None], 60)
-    torch.testing.assert_close(found, torch.linalg.solve(matrix, right), atol=1e-4, rtol=1e-3)
 
 
 def test_no_residual_is_none() -> None:

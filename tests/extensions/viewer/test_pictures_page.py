@@ -19,10 +19,7 @@ from metapp.appearance.metrics import mape, ssim
 from metapp.appearance.presentation import Picture
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.apps.transport.app import Transport, TransportSetup
-from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import Shot
-from metapp.apps.transport.presentation import TransportPresentation
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.texture import QUILTED
@@ -38,7 +35,6 @@ from tests.browser import Page, browsing
 SIZE = 32
 WHOLE = TILED * SIZE
 SHOWN = TexturePresentation(Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), "vgg16", ("relu1_1",))))
-FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
 
 
 def theta_of(seed: int = 0) -> Params:
@@ -106,16 +102,6 @@ def test_a_texture_is_shown_without_its_exemplar_and_while_its_fit_runs() -> Non
     assert {name: tuple(each.shape) for name, each in quick.pictures.items()} == {
         "exemplar": (SIZE, SIZE, 3),
         "fit": (SIZE, SIZE, 3),
-    }
-
-
-def test_transport_without_a_scene_shows_densities() -> None:
-    shown = TransportPresentation(Transport(TransportSetup(FLOW)))
-    theta = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
-    view = view_of(shown, theta, Task("room", {"samples": torch.rand(500, 4)}))
-    assert {name: tuple(each.shape) for name, each in view.pictures.items()} == {
-        "reference": (128, 256, 3),
-        "fit": (128, 256, 3),
     }
 
 
