@@ -28,16 +28,16 @@ from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
 from metapp.appearance.noise import factors
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.design import Limits, places_of
 from metapp.baselines.baseline import Training
 from metapp.baselines.brdf import EPSILON, Space, _space
 from metapp.cli.console import run
 from metapp.evaluation.baseline_fits import training_of
 from metapp.evaluation.figures.style import COLOURS, MUTED, STYLE
+from metapp.extensions.few.design import Limits, places_of
+from metapp.extensions.few.planning import plan_brdf
 from metapp.learning.task import Task
 from metapp.runs.inputs import data_folder, tasks_of_data
 from metapp.runs.plan import plan
-from metapp.runs.planning import plan_brdf
 from metapp.runs.request import Request
 
 COUNTS = (4, 8, 16, 32, 64)

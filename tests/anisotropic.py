@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.measured_pairs import Pairs
 from data_tools.synthetic.brdf_anisotropic import turned
 from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
-from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
+from metapp.appearance.geometry import above_horizon, directions_to_four_angles, rusinkiewicz_to_directions
 from metapp.apps.brdf.anisotropic import axes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import ANISOTROPIC
@@ -34,6 +35,27 @@ def brushed(angles: Tensor) -> Tensor:
     """The same of angles [..., 4] in rad, 0 below the horizon."""
     wi, wo = rusinkiewicz_to_directions(angles.double())
     return torch.where(above_horizon(angles)[..., None], brushed_directions(wi, wo), 0.0).to(angles)
+
+
+def directions(count: int, seed: int) -> Tensor:
+    """Unit vectors above the surface, float64."""
+    vectors = torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    vectors[:, 2] = vectors[:, 2].abs() + 0.05
+    return vectors / vectors.norm(dim=1, keepdim=True)
+
+
+def measured(count: int, *, anisotropic: bool = True) -> Pairs:
+    """The material, or one without azimuth, as a goniometer has it, with noise of 5 %."""
+    wi, wo = directions(count, 3), directions(count, 4)
+    near = wi * torch.tensor([-1.0, -1.0, 1.0]) + 0.4 * directions(count, 5)
+    wo[::2] = (near / near.norm(dim=1, keepdim=True))[::2]
+    values = brushed_directions(wi, wo)
+    if not anisotropic:
+        angles = directions_to_four_angles(wi, wo)
+        angles[:, 3] = 0
+        values = brushed(angles)
+    noise = torch.exp(0.05 * torch.randn(values.shape, generator=torch.Generator().manual_seed(0)))
+    return Pairs(wi, wo, values * noise)
 
 
 @functools.cache

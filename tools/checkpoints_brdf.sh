@@ -27,11 +27,11 @@ done
 "$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three"
 "$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/three" --out "$runs" --train --train-steps 13000 \
   --checkpoint metapp/checkpoints/brdf/ridge.safetensors
-ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "metapp/checkpoints/brdf/$2"; }
+ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "${3:-metapp/checkpoints/brdf}/$2"; }
 ship "three-*-quick-seed0" ""
 # few samples, and anisotropic materials, have recipes of their own
 "$metapp" meta brdf --recipe few --data "$runs/data/joint" --out "$runs" --train --train-steps 12000
-ship "joint-*-few-seed0" few
+ship "joint-*-few-seed0" few metapp/extensions/few/checkpoints
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic"
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
 ship "anisotropic-*-anisotropic-seed0" anisotropic

@@ -131,7 +131,7 @@ def _read_rgl(folder: Path, file: Path) -> None:
 
 
 def _read_gonio(folder: Path, file: Path) -> None:
-    from data_tools.readers import gonio
+    from metapp.extensions.few import gonio
 
     wi, wo, reflectance = gonio.read_pairs(file)
     if not wi.shape == wo.shape == reflectance.shape or not bool((wi + wo + reflectance).isfinite().all()):

@@ -39,17 +39,6 @@ Examples:
   metapp data bsdf chm_orange_rgb.bsdf --out rgl
   metapp data bsdf measurements --split test --out rgl
 """
-GONIO = """Convert goniometer measurements, CSV files.
-
-A line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light), theta_o_deg, phi_o_deg
-(detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as wavelengths (400nm, 410nm, ...).
-Lines that begin with # are comments. The measurements themselves are the samples, in random order; a bad file that
-was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
-
-Examples:
-  metapp data gonio paint.csv --out measured
-  metapp data gonio measurements --split test --out measured
-"""
 
 OFFERS = (
     Format(
@@ -58,13 +47,6 @@ OFFERS = (
         "data_tools.readers.rgl",
         "RGL .bsdf files",
         command=Converter(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
-    ),
-    Format(
-        "gonio",
-        "brdf",
-        "data_tools.readers.gonio",
-        "goniometer .csv files",
-        command=Converter(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
     ),
     Format(
         "merl",

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers import brdf_task, gonio, rgl
+from data_tools.readers import brdf_task, rgl
+from data_tools.readers.measured_pairs import LARGEST, Pairs, task_of_pairs
 from data_tools.readers.picture_objects import array_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
@@ -29,8 +30,8 @@ def from_object(source: Any, name: str, how: Mapping[str, Any]) -> Task:
         source: one of
             f(wi, wo) -> reflectance in 1/sr without the cosine, linear RGB [N, 3] or gray [N], a numpy array or a
             tensor, of unit vectors [N, 3] in the surface's frame (z its normal), float32 arrays, to light and viewer;
-            (wi, wo, reflectance), arrays [N, 3] of measured samples, 64 or more; each counts as it is, half are held
-            out;
+            (wi, wo, reflectance), arrays [N, 3] of measured samples, 4 or more; each counts as it is; of more than
+            1,000 half are held out;
             a BSDF of Mitsuba in an RGB variant that is not scalar, such as `mi.load_dict({"type": "roughconductor"})`.
         name: of the task.
         how: arguments of readers; of no use here.
@@ -43,10 +44,12 @@ def from_object(source: Any, name: str, how: Mapping[str, Any]) -> Task:
             raise ValueError(f"{name}: {len(source)} arrays, expected {len(SAMPLED)}: {', '.join(SAMPLED)}.")
         wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLED[:2], strict=True))
         values = _array(name, source[2], SAMPLED[2])
-        if not ((values >= 0) & (values <= gonio.LARGEST)).all():
+        if not ((values >= 0) & (values <= LARGEST)).all():
             found = "reflectance that is negative, huge or not finite"
-            raise ValueError(f"{name}: {found}, expected 0 to {gonio.LARGEST:g}.")
-        return gonio.task_of_directions(name, wi, wo, values)
+            raise ValueError(f"{name}: {found}, expected 0 to {LARGEST:g}.")
+        if not len(wi) == len(wo) == len(values):
+            raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(values)} rows, expected as many of each.")
+        return task_of_pairs(name, Pairs(wi, wo, values).above())
     if type(source).__module__.partition(".")[0] == "mitsuba":
         return _evaluated(name, partial(rgl.evaluate, load_mitsuba(), source))
     if callable(source):

@@ -16,7 +16,6 @@ from torch import Generator, Tensor
 
 from data_tools.balls.view import Floats, mirrored
 from data_tools.draws import stream
-from data_tools.readers.gonio import Pairs, write_pairs
 from data_tools.synthetic import brdf, cornell, illumination, svbrdf_nonstationary, svbrdf_stationary, texture
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.geometry import directions_to_full_circle
@@ -71,8 +70,16 @@ def _write_brdf(file: Path) -> None:
     paint = brdf.synthetic_materials("test", 4, _SEED)[3]
     rng = Generator().manual_seed(_SEED)
     wi, wo = (_hemisphere(torch.rand(2, _PAIRS, generator=rng)) for _ in range(2))
-    measured = Pairs(wi, wo, paint.evaluate(directions_to_full_circle(wi, wo)))
-    write_pairs(file, wi[:0], wo[:0], measured)
+    places = [
+        angle.rad2deg()
+        for x, y, z in (wi.T.double(), wo.T.double())
+        for angle in (torch.hypot(x, y).atan2(z), y.atan2(x))
+    ]
+    rows = torch.cat([torch.stack(places, 1), paint.evaluate(directions_to_full_circle(wi, wo))], 1)
+    head = "# a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector; r, g, b its BRDF in 1/sr\n"
+    head += "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
+    formats = ["%.2f"] * 4 + ["%.6g"] * 3
+    write_atomically(file, lambda path: np.savetxt(path, rows, formats, ",", header=head, comments=""))
 
 
 def _hemisphere(uniform: Tensor) -> Tensor:

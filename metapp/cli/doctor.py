@@ -71,7 +71,7 @@ def _extensions() -> list[str]:
         for extension in door.extensions()
         if not extension.problem
     ]
-    return names + [f"{name} (left out by {door.WITHOUT})" for name in door.left_out()]
+    return names + [f"{extension.name} (left out by {door.WITHOUT})" for extension in door.left_out()]
 
 
 def _compiler() -> str:

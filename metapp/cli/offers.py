@@ -9,7 +9,6 @@ OFFERS = (
     Command("doctor", f"{_HERE}.doctor:command"),
     Command("evaluate", f"{_HERE}.evaluate:command"),
     Command("baseline", f"{_HERE}.baseline:command"),
-    Command("plan", f"{_HERE}.plan:command"),
     Command("export", f"{_HERE}.export:command"),
     Command("rerun", f"{_HERE}.rerun:command"),
     Command("compare", f"{_HERE}.compare:command"),

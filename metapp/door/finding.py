@@ -68,24 +68,22 @@ def offers_of(kind: type[Kind], app: str) -> tuple[Kind, ...]:
 
 def extensions() -> tuple[Extension, ...]:
     """All extensions but those that METAPP_WITHOUT names."""
-    left_out = _left_out(os.environ.get(WITHOUT, ""))
-    return tuple(extension for extension in (*_installed(), *_added) if extension.name not in left_out)
+    names = _left_out(os.environ.get(WITHOUT, ""))
+    return tuple(extension for extension in (*_installed(), *_added) if extension.name not in names)
+
+
+def left_out() -> tuple[Extension, ...]:
+    """The extensions that METAPP_WITHOUT leaves out."""
+    names = _left_out(os.environ.get(WITHOUT, ""))
+    return tuple(extension for extension in (*_installed(), *_added) if extension.name in names)
 
 
 def switched_off(kind: type[Any], name: str) -> str:
     """The extension that METAPP_WITHOUT leaves out and that offers a record of this kind and name; "" for none."""
-    left_out = _left_out(os.environ.get(WITHOUT, ""))
-    for extension in (*_installed(), *_added):
-        names = {offer.name for offer in extension.offers if isinstance(offer, kind)}
-        if extension.name in left_out and name in names:
+    for extension in left_out():
+        if any(isinstance(offer, kind) and offer.name == name for offer in extension.offers):
             return extension.name
     return ""
-
-
-def left_out() -> list[str]:
-    """The extensions that METAPP_WITHOUT leaves out."""
-    names = _left_out(os.environ.get(WITHOUT, ""))
-    return [extension.name for extension in (*_installed(), *_added) if extension.name in names]
 
 
 def problems() -> list[str]:

@@ -11,9 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import gonio, rgl
+from data_tools.readers import rgl
 from data_tools.readers.brdf_objects import from_object
 from data_tools.readers.brdf_task import as_measured, brdf_task, is_anisotropic
+from data_tools.readers.measured_pairs import task_of_pairs
 from data_tools.synthetic.brdf import synthetic_materials
 from data_tools.synthetic.brdf_anisotropic import UNSEEN, anisotropic_materials
 from data_tools.synthetic.brdf_anisotropic_models import albedo
@@ -29,16 +30,9 @@ from metapp.baselines import anisotropic_lobes
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from tests import anisotropic
-from tests.anisotropic import APP, TURN, brushed, brushed_directions
+from tests.anisotropic import APP, TURN, brushed, brushed_directions, directions, measured
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
-
-
-def directions(count: int, seed: int) -> Tensor:
-    """Unit vectors above the surface, float64."""
-    vectors = torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
-    vectors[:, 2] = vectors[:, 2].abs() + 0.05
-    return vectors / vectors.norm(dim=1, keepdim=True)
 
 
 def test_four_angles_give_the_directions_back() -> None:
@@ -140,62 +134,21 @@ def test_noise_moves_all_angles_of_a_sample() -> None:
     torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-4, atol=1e-6)
 
 
-def table(path: Path, count: int, *, turn: bool, anisotropic: bool = True) -> Path:
-    """A goniometer's table of the material, or of one without azimuth."""
-    wi, wo = directions(count, 3), directions(count, 4)
-    near = wi * torch.tensor([-1.0, -1.0, 1.0]) + 0.4 * directions(count, 5)
-    wo[::2] = (near / near.norm(dim=1, keepdim=True))[::2]
-    values = brushed_directions(wi, wo)
-    if not anisotropic:
-        angles = directions_to_four_angles(wi, wo)
-        angles[:, 3] = 0
-        values = brushed(angles)
-    noise = torch.exp(0.05 * torch.randn(values.shape, generator=torch.Generator().manual_seed(0)))
-    rows = torch.cat([*(part for each in (wi, wo) for part in spherical(each)), values * noise], 1)
-    head = "theta_i_rad,phi_i_rad,theta_o_rad,phi_o_rad,r,g,b"
-    path.write_text("\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in rows.tolist())]))
-    return path
-
-
-def spherical(directions: Tensor) -> tuple[Tensor, Tensor]:
-    return directions[:, 2:].clamp(-1, 1).acos(), torch.atan2(directions[:, 1:2], directions[:, :1])
-
-
 @pytest.mark.parametrize("count", [500, 4000])
-def test_goniometer_tables_keep_phi_h_where_it_counts(tmp_path: Path, count: int) -> None:
-    task = gonio.read_task(table(tmp_path / "a.csv", count, turn=True))
+def test_measured_samples_keep_phi_h_where_it_counts(count: int) -> None:
+    task = task_of_pairs("a", measured(count))
     four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
     ratio = task.data["reflectance"] / brushed(four)
     assert float((ratio.log().std() - 0.05).abs()) < 0.01
-    assert gonio.is_anisotropic(tmp_path)
-    task = gonio.read_task(table(tmp_path / "a.csv", count, turn=True, anisotropic=False))
-    assert "phi_h" not in task.data
-    assert not gonio.is_anisotropic(tmp_path / "a.csv")
-
-
-def test_a_recipe_of_its_own_is_chosen_and_others_say_what_they_leave_out(
-    metapp: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = table(tmp_path / "brushed.csv", 4000, turn=True)
-    fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
-    assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
-    plain = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
-    assert fitted.done["error"] < 0.7 * plain.done["error"]
-    assert "fitted as isotropic: phi_h is left out" in plain.err
-    general = metapp("general", "brdf", file, "--out", tmp_path / "runs", "--json")  # has no checkpoint for it
-    assert "phi_h is left out" in general.err
-    assert general.done["error"] > fitted.done["error"]
-    other = table(tmp_path / "plain.csv", 500, turn=True, anisotropic=False)
-    both = metapp("meta", "brdf", file, other, "--out", tmp_path / "runs")
-    assert "plain.csv has not, and recipes for these differ" in both.misuse.replace("\n", "")
+    assert "phi_h" not in task_of_pairs("a", measured(count, anisotropic=False)).data
 
 
 def test_forms_without_phi_h_are_refused_in_one_line(metapp: Callable, tmp_path: Path) -> None:
-    file = table(tmp_path / "brushed.csv", 1000, turn=True)
-    metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--quiet")
+    metapp("data", "synth", "brdf", "--anisotropic", "--count", 5, "--out", tmp_path / "set")
+    metapp("meta", "brdf", "--data", tmp_path / "set", "--out", tmp_path / "runs", "--quiet")
     (run,) = (tmp_path / "runs" / "brdf" / "meta").iterdir()
     for form, words in (("merl", "a MERL table has no phi_h"), ("nbrdf", "the NBRDF network has no phi_h")):
-        refused = metapp("export", run, form, file)
+        refused = metapp("export", run, form)
         assert words in refused.error
         assert "export bsdf or mitsuba" in refused.error
     merl = metapp("data", "synth", "brdf", "--anisotropic", "--as", "merl", "--out", tmp_path / "merl")

@@ -7,12 +7,12 @@ import torch
 from torch import Generator
 
 from metapp.apps.brdf.network import BrdfNetwork
-from metapp.apps.brdf.networks import NETWORKS, network_of
+from metapp.apps.brdf.networks import network_of, networks
 
-networks = pytest.mark.parametrize("network", NETWORKS, ids=repr)
+each_network = pytest.mark.parametrize("network", networks(), ids=repr)
 
 
-@networks
+@each_network
 def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
     theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 2).items()}
     assert network_of(theta) is network
@@ -23,7 +23,7 @@ def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
         network_of({key: value for key, value in theta.items() if key != "w1"})
 
 
-@networks
+@each_network
 def test_phi_h_counts_where_a_network_says_so(network: BrdfNetwork) -> None:
     rng = Generator().manual_seed(2)
     theta = {

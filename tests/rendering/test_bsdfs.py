@@ -87,7 +87,7 @@ def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
     return network_of(theta).evaluate(theta, angles).numpy().T
 
 
-@pytest.mark.parametrize("network", [*BOTH, long("few")])
+@pytest.mark.parametrize("network", BOTH)
 def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
     light, viewer = directions(20_000, 1), directions(20_000, 2)
     near = viewer * [[-1], [-1], [1]] + 0.01 * directions(20_000, 3)  # beside the mirror direction
@@ -99,7 +99,7 @@ def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str,
         error = np.max(np.abs(found - expected) / (1 + np.abs(expected)), axis=0)
         # in the last degree before the horizon directions of single precision say no more about their angles
         assert error[np.minimum(light[2], viewer[2]) > 0.02].max() < 1e-5
-        assert error.max() < (5e-4 if network == "few" else 2e-4)  # it divides by both cosines
+        assert error.max() < 2e-4
     assert expected.max() > 1
 
 

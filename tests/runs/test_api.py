@@ -20,7 +20,6 @@ from PIL import Image
 
 import metapp as api
 from metapp.appearance.geometry import rusinkiewicz_to_directions
-from metapp.apps.brdf.few import Few
 from metapp.rendering.variant import load_mitsuba
 from metapp.runs.pictures import to_srgb
 from metapp.storage.tensors import read_tensors
@@ -126,15 +125,10 @@ def test_a_function_is_fitted() -> None:
 
 
 def test_arrays_of_samples_are_fitted() -> None:
-    wi, wo = directions(600)
+    wi, wo = directions(1200)
     fit = api.fit("brdf", (wi, wo, lambertian(wi, wo)))
     assert fit.error < 1
-    assert len(fit.task.data["angles"]) == 600
-    few = api.fit("brdf", (wi[:20], wo[:20], lambertian(wi[:20], wo[:20])))
-    assert few.app.setup == Few()  # by the model for few samples, which sees all of them
-    angles = fit.task.data["angles"]
-    known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
-    assert float((few.app.reflectance(few.parameters, angles) - known).abs().median()) < 0.01
+    assert len(fit.task.data["angles"]) == 1200
 
 
 def test_a_bsdf_of_mitsuba_is_fitted() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, Chosen, Recipe, recipes
+from metapp.door import Application, Chosen, Network, Recipe, recipes
 
 _HERE = "metapp.apps.brdf"
 OFFERS = (
@@ -38,15 +38,7 @@ OFFERS = (
             paradigms=("meta", "overfit"),
         ),
     ),
-    Recipe(
-        "brdf",
-        "few",
-        f"{_HERE}.recipes:RECIPES.few",
-        chosen=Chosen(
-            ("gonio",),
-            has="1,000 samples or fewer",
-            tells="has_few",
-            paradigms=("meta",),
-        ),
-    ),
+    Network("brdf", f"{_HERE}.nbrdf:NBRDF"),
+    Network("brdf", f"{_HERE}.featured:FEATURED"),
+    Network("brdf", f"{_HERE}.featured:ANISOTROPIC"),
 )

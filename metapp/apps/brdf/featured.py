@@ -138,6 +138,9 @@ class Featured(BrdfNetwork):
         return Folded(layers, "featured")
 
 
+FEATURED, ANISOTROPIC = Featured(), Featured(anisotropic=True)
+
+
 def inputs_of(where: Tensor) -> Tensor:
     """What the network reads [T, INPUTS, N] of half vector, difference vector and cos theta_i, [T, 7, N].
 

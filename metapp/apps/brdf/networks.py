@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.few import Few
-from metapp.apps.brdf.nbrdf import NBRDF
+from metapp import door
 from metapp.apps.brdf.network import BrdfNetwork
 from metapp.learning.task import Params
 
-NETWORKS: tuple[BrdfNetwork, ...] = (NBRDF, Featured(), Featured(anisotropic=True), Few())
+
+def networks() -> list[BrdfNetwork]:
+    """Instances of all networks, of any size."""
+    return [door.load(offer.network) for offer in door.offers_of(door.Network, "brdf")]
 
 
 def network_of(theta: Params) -> BrdfNetwork:
@@ -17,7 +18,7 @@ def network_of(theta: Params) -> BrdfNetwork:
     Raises:
         ValueError: they are of none.
     """
-    for network in NETWORKS:
+    for network in networks():
         if network.shapes.keys() == theta.keys():
             return network
     names = ", ".join(sorted(theta)) or "none"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.few import MOST, Few
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 
@@ -64,22 +63,6 @@ QUICK = Recipe(
 
 # where paradigms need not fit the same network, the rule that is best on validation tasks
 FULL = replace(QUICK, rule="ridge")
-# for up to MOST samples, which may be noisy or lack grazing angles: one solve of all of them
-FEW = replace(
-    FULL,
-    steps=1,
-    batch=MOST,
-    meta={
-        "ridge": replace(
-            RIDGE,
-            tasks=12,
-            rates=RIDGE.rates | dict.fromkeys(("theta.last", "theta.deviation", "theta.noise"), 1e-2),
-            initialisation="random",
-            validate_every=1000,
-            setup=Few(),
-        )
-    },
-)
 # for materials whose reflectance depends on phi_h, too, which takes more features; one network for all paradigms
 AZIMUTHS = Featured(features=96, code=16, anisotropic=True)
 ANISOTROPIC = replace(
@@ -109,4 +92,4 @@ PAPER = replace(
     rule="meta-sgd",
 )
 
-RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "few": FEW, "anisotropic": ANISOTROPIC}
+RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "anisotropic": ANISOTROPIC}

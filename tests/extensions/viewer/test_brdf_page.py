@@ -27,7 +27,7 @@ from metapp.appearance.sphere import reference_scene, shade_sphere, studio_light
 from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.few import Few
+from metapp.extensions.few.network import Few
 from metapp.extensions.viewer.page import Group, Shown, array, document, html
 from metapp.extensions.viewer.pages.anisotropic_residual import CELLS as AZIMUTHAL
 from metapp.extensions.viewer.pages.brdf import CELLS, packed

@@ -11,9 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import gonio
 from data_tools.readers.colours import colour_science, spectra_to_rgb
+from data_tools.readers.measured_pairs import FEW, Pairs
 from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
+from metapp.extensions.few import gonio
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
@@ -105,7 +106,7 @@ def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
     lines = file.read_text().splitlines()
     assert not gonio.has_few(file)
     assert not gonio.has_few(file.parent)
-    for count, few in ((gonio.FEW + 1, False), (gonio.FEW, True), (20, True)):
+    for count, few in ((FEW + 1, False), (FEW, True), (20, True)):
         file.write_text("\n".join(lines[: 2 + count]))
         assert gonio.has_few(file) == few
     angles = gonio.read_task(file).data["angles"]
@@ -117,7 +118,7 @@ def test_what_a_plan_writes_is_read_back_when_it_is_filled_in(tmp_path: Path, an
     wi, wo = rusinkiewicz_to_directions(angles[:30])
     file = tmp_path / "plan.csv"
     nothing = torch.zeros(0, 3).double()
-    gonio.write_pairs(file, wi, wo, gonio.Pairs(nothing, nothing, nothing))
+    gonio.write_pairs(file, wi, wo, Pairs(nothing, nothing, nothing))
     with pytest.raises(ValueError, match=r"line 4: r nan, expected .* fill in what a plan asks for"):
         gonio.read_pairs(file)
     colours = material(angles[:30])

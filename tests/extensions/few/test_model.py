@@ -11,10 +11,9 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.design import CALIBRATED, Limits, belief, expected_errors, places_of, plan
 from metapp.apps.brdf.featured import inputs_of
-from metapp.apps.brdf.few import MOST, TABLE, Few
-from metapp.apps.brdf.gaussian import (
+from metapp.extensions.few.design import CALIBRATED, Limits, Posterior, expected_errors, places_of, plan
+from metapp.extensions.few.gaussian import (
     DARKEST,
     cosine_product,
     features_of,
@@ -24,6 +23,7 @@ from metapp.apps.brdf.gaussian import (
     reflectance_of,
     slope_of,
 )
+from metapp.extensions.few.network import MOST, TABLE, Few
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params
 
@@ -87,7 +87,7 @@ def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor)
     logs = opponent(theta).T @ (seen * cosine_product(where) + DARKEST).log()
     features, weights = features_of(theta, where)[0], precision(theta, slope_of(seen, where))[0]
     torch.testing.assert_close(at.weights[0], weights * where.shape[2])
-    known = belief(theta, where, slope_of(seen, where))
+    posterior = Posterior.of(theta, where, slope_of(seen, where))
     for axis in range(3):
         root = weights.sqrt()
         rows = torch.cat([(features * root).T, torch.diag(torch.exp(-theta["deviation"][0, axis]))])
@@ -96,22 +96,22 @@ def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor)
         gram = at.features[0] * at.weights[0] / where.shape[2] @ at.features[0].T + torch.diag(at.prior[0, axis])
         moment = at.features[0] * at.weights[0] / where.shape[2] @ at.residual[0, axis]
         torch.testing.assert_close(torch.linalg.solve(gram, moment), change)
-        torch.testing.assert_close(known.covariance[axis], torch.linalg.inv(rows.T @ rows))
+        torch.testing.assert_close(posterior.covariance[axis], torch.linalg.inv(rows.T @ rows))
 
 
 def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, where: Tensor) -> None:
-    known = belief(theta, where[:, :, :5])
+    posterior = Posterior.of(theta, where[:, :, :5])
     rng = Generator().manual_seed(5)
-    roots = torch.linalg.cholesky(known.covariance)
+    roots = torch.linalg.cholesky(posterior.covariance)
     draws = torch.einsum("cfg,cgn->cfn", roots, torch.randn(3, 8, 20_000, generator=rng, dtype=torch.float64))
     logs = opponent(theta) @ torch.einsum("cfn,fm->mcn", draws, features_of(theta, where)[0])  # [M, 3, draws]
-    torch.testing.assert_close(known.deviation(where), CALIBRATED * logs.std(2).T, rtol=0.03, atol=1e-5)
+    torch.testing.assert_close(posterior.deviation(where), CALIBRATED * logs.std(2).T, rtol=0.03, atol=1e-5)
 
 
 def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
-    before = belief(theta, where[:, :, :0]).deviation(where)
+    before = Posterior.of(theta, where[:, :, :0]).deviation(where)
     for count in (1, 4, 16):
-        after = belief(theta, where[:, :, :count]).deviation(where)
+        after = Posterior.of(theta, where[:, :, :count]).deviation(where)
         assert bool((after <= before + 1e-12).all())
         before = after
 
@@ -122,9 +122,9 @@ def test_a_fit_of_what_the_model_draws_finds_it(theta: Params, where: Tensor) ->
     many = places_of(angles_of(400).double())
     batch = batch_of(sure, many)
     at = linear(sure, batch)
-    known = belief(sure, many, slope_of(batch["target"].expm1() / many[:, 6:7], many))
+    posterior = Posterior.of(sure, many, slope_of(batch["target"].expm1() / many[:, 6:7], many))
     moment = at.residual[0] * at.weights[0] / 400 @ at.features[0].T
-    found = sure | {"last": sure["last"] + torch.einsum("cfg,cg->cf", known.covariance, moment)[None]}
+    found = sure | {"last": sure["last"] + torch.einsum("cfg,cg->cf", posterior.covariance, moment)[None]}
     assert float(APP.loss(found, batch_of(sure, where), {})) < 0.05 * float(APP.loss(sure, batch_of(sure, where), {}))
 
 
@@ -185,7 +185,7 @@ def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
     single = {key: value.float() for key, value in theta.items()}
 
     def left(angles: Tensor) -> float:
-        return expected_errors(belief(single, places_of(angles)))["expected"]
+        return expected_errors(Posterior.of(single, places_of(angles)))["expected"]
 
     wi, wo = plan(single, 6, Limits(), NOTHING, Generator().manual_seed(0))
     first = directions_to_full_circle(wi, wo)

@@ -1,4 +1,4 @@
-"""The network of fits of few samples: the linear Gaussian model of `metapp.apps.brdf.gaussian`."""
+"""The network of fits of few samples: the linear Gaussian model of `metapp.extensions.few.gaussian`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.noise import factors
-from metapp.apps.brdf import gaussian
 from metapp.apps.brdf.augmentation import within_reach
-from metapp.apps.brdf.design import belief, expected_errors
 from metapp.apps.brdf.featured import INPUTS
-from metapp.apps.brdf.gaussian import DARKEST, opponent, slope_of
 from metapp.apps.brdf.network import BrdfNetwork, Folded, samples_at
+from metapp.extensions.few import gaussian
+from metapp.extensions.few.design import Posterior, expected_errors
+from metapp.extensions.few.gaussian import DARKEST, opponent, slope_of
 from metapp.learning.task import Batch, Linear, Params, Tasks
 
 MOST = 1024  # samples of which a material has few at most
@@ -129,5 +129,8 @@ class Few(BrdfNetwork):
             one = {key: value[i : i + 1] for key, value in theta.items()}
             where, target = (batch[key][i : i + 1, :, : int(count)] for key in ("where", "target"))
             slope = slope_of(target.expm1() / where[:, 6:].clamp_min(1e-4), where)
-            errors.append(expected_errors(belief(one, where, slope)))
+            errors.append(expected_errors(Posterior.of(one, where, slope)))
         return {name: torch.tensor([one[name] for one in errors]) for name in errors[0]}
+
+
+NETWORK = Few()

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.gonio import read_pairs
 from metapp.appearance.geometry import cosines, directions_to_full_circle
 from metapp.appearance.reflection import microfacet_lobe
+from metapp.extensions.few.gonio import read_pairs
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -76,14 +76,3 @@ def test_what_cannot_be_planned_is_refused(metapp: Callable, words: tuple[object
     assert found in done.err
     assert "Traceback" not in done.err
     assert not Path("a.csv").exists()
-
-
-def test_few_and_many_samples_are_not_fitted_alike(metapp: Callable, tmp_path: Path) -> None:
-    few, many = tmp_path / "few.csv", tmp_path / "many.csv"
-    head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
-    rows = [f"{10 + 0.05 * i:.2f},0,{70 - 0.05 * i:.2f},{i % 180},0.1,0.1,0.1" for i in range(1200)]
-    few.write_text("\n".join([head, *rows[:20]]))
-    many.write_text("\n".join([head, *rows]))
-    done = metapp("meta", "brdf", few, many)
-    assert "few.csv has 1,000 samples or fewer" in done.misuse
-    assert "many.csv has not" in done.misuse

@@ -1,4 +1,4 @@
-"""What samples leave open of a material, and which directions to measure next, by the model of `gaussian`.
+"""The error that samples leave, and the directions to measure next, by the model of `gaussian`.
 
 Its covariance after samples does not depend on what their colours are but through their brightness, so that directions
 can be chosen before anything is measured: one after the other, each where the expected error of all directions falls
@@ -20,7 +20,7 @@ from metapp.appearance.geometry import (
     outgoing_cosine,
     spread_angles,
 )
-from metapp.apps.brdf.gaussian import features_of, opponent, precision, reflectance_of, slope_of
+from metapp.extensions.few.gaussian import features_of, opponent, precision, reflectance_of, slope_of
 from metapp.learning.task import Params
 
 CANDIDATES, REFERENCES = 4096, 2048
@@ -34,7 +34,7 @@ CALIBRATED = 0.34
 
 @dataclass(frozen=True)
 class Limits:
-    """What an instrument can measure.
+    """Limits of an instrument.
 
     Attributes:
         grazing_rad: light and detector are no further from the normal than this.
@@ -59,8 +59,8 @@ def places_of(angles: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What is known of a material: a fit by the model, one task's, [1, ...], and the covariance of its last layer.
+class Posterior:
+    """A material after samples: a fit by the model, one task's, [1, ...], and the covariance of its last layer.
 
     Attributes:
         theta: the fit, or the model's own mean.
@@ -69,6 +69,22 @@ class Belief:
 
     theta: Params
     covariance: Tensor
+
+    @classmethod
+    def of(cls, theta: Params, where: Tensor, slope: Tensor | None = None) -> Posterior:
+        """Condition the model on samples.
+
+        Args:
+            theta: parameters of one task [1, ...].
+            where: places of the samples, [1, 7, N]; N may be 0.
+            slope: of the samples, [1, 3, N], as `gaussian.slope_of` of what was measured; None: of what theta says.
+        """
+        if slope is None:
+            slope = slope_of(reflectance_of(theta, where).clamp_min(0), where)
+        features = features_of(theta, where)[0].double()
+        gram = features * precision(theta, slope)[0].double() @ features.T
+        prior = torch.diag_embed(torch.exp(-2 * theta["deviation"][0].double()))
+        return cls(theta, torch.cholesky_inverse(torch.linalg.cholesky(gram + prior)))
 
     def deviation(self, where: Tensor) -> Tensor:
         """Standard deviation of the logarithm of each channel, [3, N] of places [1, 7, N]."""
@@ -82,32 +98,16 @@ class Belief:
         return ABSOLUTE * (slope * self.deviation(where)).mean(0)
 
 
-def belief(theta: Params, where: Tensor, slope: Tensor | None = None) -> Belief:
-    """What is known after samples.
-
-    Args:
-        theta: parameters of one task [1, ...].
-        where: places of the samples, [1, 7, N]; N may be 0.
-        slope: of the samples, [1, 3, N], as `gaussian.slope_of` of what was measured; None: of what theta says.
-    """
-    if slope is None:
-        slope = slope_of(reflectance_of(theta, where).clamp_min(0), where)
-    features = features_of(theta, where)[0].double()
-    gram = features * precision(theta, slope)[0].double() @ features.T
-    prior = torch.diag_embed(torch.exp(-2 * theta["deviation"][0].double()))
-    return Belief(theta, torch.cholesky_inverse(torch.linalg.cholesky(gram + prior)))
-
-
 @functools.cache
 def everywhere(count: int = 512) -> Tensor:
     """Places [1, 7, count] of `spread_angles`."""
     return places_of(spread_angles(count))
 
 
-def expected_errors(known: Belief) -> dict[str, float]:
+def expected_errors(posterior: Posterior) -> dict[str, float]:
     """The expected error over all directions, in highlights (half vector within 10 degrees) and beyond 70 degrees."""
     where = everywhere()
-    errors = known.expected_error(where)
+    errors = posterior.expected_error(where)
     highlight = where[0, 2] > math.cos(math.radians(10))
     grazing = torch.minimum(where[0, 6], outgoing_cosine(where)[0]) < math.cos(math.radians(70))
     parts = {"": errors, "_highlight": errors[highlight], "_grazing": errors[grazing]}
@@ -115,7 +115,7 @@ def expected_errors(known: Belief) -> dict[str, float]:
 
 
 def plan(theta: Params, count: int, limits: Limits, seen: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
-    """The directions to measure.
+    """Choose the directions to measure.
 
     Args:
         theta: the model, or a fit by it, [1, ...].
@@ -142,7 +142,7 @@ def plan(theta: Params, count: int, limits: Limits, seen: Tensor, rng: Generator
     theta = {key: value.detach() for key, value in theta.items()}
     before = places_of(seen.float())
     with torch.no_grad():
-        chosen = free[_greedy(theta, belief(theta, before), _places(free), others, count)]
+        chosen = free[_greedy(theta, Posterior.of(theta, before), _places(free), others, count)]
     return _directions(_refined(theta, chosen, limits, before, others))
 
 
@@ -167,12 +167,12 @@ def _places(free: Tensor) -> Tensor:
     return places_of(directions_to_full_circle(*_directions(free)))
 
 
-def _greedy(theta: Params, known: Belief, where: Tensor, others: Tensor, count: int) -> list[int]:
+def _greedy(theta: Params, posterior: Posterior, where: Tensor, others: Tensor, count: int) -> list[int]:
     """Indices of candidates [1, 7, N], one after the other where the expected square error falls most."""
     weights = precision(theta, slope_of(reflectance_of(theta, where).clamp_min(0), where))[0].double()
     slope = slope_of(reflectance_of(theta, others).clamp_min(0), others)[0].double()
     features, goal = features_of(theta, where)[0].double(), features_of(theta, others)[0].double() * slope.mean(0)
-    total, covariance = goal @ goal.T, known.covariance
+    total, covariance = goal @ goal.T, posterior.covariance
     chosen: list[int] = []
     for _ in range(count):
         mapped = covariance @ features  # [3, F, N]
@@ -194,7 +194,7 @@ def _refined(theta: Params, free: Tensor, limits: Limits, before: Tensor, others
     for step in range(STEPS + 1):
         free.requires_grad_()
         where = torch.cat([before, _places(free)], 2)
-        error = belief(theta, where).expected_error(others).mean()
+        error = Posterior.of(theta, where).expected_error(others).mean()
         if error.item() < least:
             best, least = free.detach(), error.item()
         (gradient,) = torch.autograd.grad(error, free)

@@ -3,7 +3,7 @@
 Logarithms of reflectance are what it adds up, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
 Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
 weights, so that one ridge regression gives its mean, and its covariance says what the samples leave open:
-`metapp.apps.brdf.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes.
+`metapp.extensions.few.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes.
 """
 
 from __future__ import annotations

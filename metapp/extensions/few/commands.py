@@ -42,7 +42,7 @@ class Options:
 
 
 @takes(Options)
-def command(options: Options) -> None:
+def plan(options: Options) -> None:
     """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
 
     They minimise the expected error of recipe few: first one by one, then jointly by its gradient.
@@ -53,11 +53,11 @@ def command(options: Options) -> None:
       metapp meta brdf paint.csv
       metapp plan brdf --samples 8 --after paint.csv --out more.csv
     """
-    from data_tools.readers.gonio import write_pairs
-    from metapp.apps.brdf.design import Limits
-    from metapp.evaluation.figures.directions import directions
     from metapp.evaluation.figures.style import save
-    from metapp.runs.planning import plan_brdf
+    from metapp.extensions.few.design import Limits
+    from metapp.extensions.few.figure import directions
+    from metapp.extensions.few.gonio import write_pairs
+    from metapp.extensions.few.planning import plan_brdf
 
     out = options.out
     if options.app != "brdf":

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from data_tools.readers.gonio import Pairs, read_pairs
+from data_tools.readers.measured_pairs import Pairs
 from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
-from metapp.apps.brdf import gaussian
-from metapp.apps.brdf.design import Limits, belief, expected_errors, places_of, plan
+from metapp.extensions.few import gaussian
+from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
+from metapp.extensions.few.gonio import read_pairs
 from metapp.learning.task import Params
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.plan import plan as plan_of
@@ -72,9 +73,9 @@ def fitted(theta: Params, angles: Tensor, reflectance: Tensor) -> Params:
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
     batch = {"where": where, "target": target, "count": torch.tensor([float(len(angles))])}
     linear = gaussian.linear(theta, batch)
-    known = belief(theta, where, gaussian.slope_of(reflectance.T[None].float(), where))
+    posterior = Posterior.of(theta, where, gaussian.slope_of(reflectance.T[None].float(), where))
     moment = (linear.residual[0] * linear.weights[0] / len(angles)) @ linear.features[0].T
-    change = torch.einsum("cfg,cg->cf", known.covariance, moment.double())
+    change = torch.einsum("cfg,cg->cf", posterior.covariance, moment.double())
     return theta | {"last": theta["last"] + change[None].float()}
 
 
@@ -87,12 +88,12 @@ def _grid() -> Tensor:
 
 def open_errors(theta: Params, seen: Tensor) -> tuple[float, Tensor]:
     """The expected error x100 over all directions after samples [N, 3] rad, and over GRID, NaN below the horizon."""
-    known = belief(theta, places_of(seen))
+    posterior = Posterior.of(theta, places_of(seen))
     grid = _grid()
-    errors = 100 * known.expected_error(grid)
+    errors = 100 * posterior.expected_error(grid)
     above = torch.minimum(grid[0, 6], outgoing_cosine(grid)[0]) > 0
     mean = torch.where(above, errors, math.nan).reshape(*GRID, PHI).nanmean(2)
-    return 100 * expected_errors(known)["expected"], mean
+    return 100 * expected_errors(posterior)["expected"], mean
 
 
 def _file_of(after: Path) -> Path:

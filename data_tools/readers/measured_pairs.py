@@ -1,0 +1,150 @@
+"""A BRDF task of measured pairs of directions."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_tools.readers import brdf_task
+from metapp.appearance.geometry import directions_to_four_angles
+from metapp.appearance.sphere import reference_scene, shade_sphere
+from metapp.learning.task import Task
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
+Array = NDArray[np.float64]
+
+LEAST = 4  # pairs of directions
+FEW = 1000  # up to so many none is held out
+LARGEST = 1e9  # of a BRDF, in 1/sr
+LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
+NEIGHBOURS = 6  # measurements that a pixel of the picture is made of
+COMPARED, PAIRED = 20_000, 8  # measurements that tell whether phi_h counts, and neighbours of each
+EXPLAINED = 0.1  # share of the squared differences of neighbours, from which on phi_h counts
+TOLD = 64  # measurements that tell so at least
+STEEPEST_RAD = math.radians(3)  # half vectors nearer to the normal have no azimuth to speak of
+
+
+class Pairs(NamedTuple):
+    """Measured pairs of directions.
+
+    Attributes:
+        wi, wo: unit vectors [N, 3] to light and detector, z the normal, float64.
+        reflectance: linear RGB [N, 3] in 1/sr, >= 0, float64.
+    """
+
+    wi: Tensor
+    wo: Tensor
+    reflectance: Tensor
+
+    def above(self) -> Pairs:
+        """Those of which neither direction is along or below the surface."""
+        rows = torch.minimum(self.wi[:, 2], self.wo[:, 2]) > math.cos(LAST_RAD)
+        return Pairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
+
+
+def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
+    """Turn measurements into a BRDF task.
+
+    Nothing is resampled: the samples are the measurements, in random order, half of them for fits to see; where there
+    are FEW at most, fits see all of them, and errors are of what fits saw. Those of the same half and difference
+    angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen. Only the picture interpolates,
+    and there is none under an environment map.
+
+    Args:
+        name: of the task.
+        pairs: above the surface.
+        source: the file that errors name; the task's name where there is none.
+
+    Returns:
+        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, and render [96, 96, 4], float32; phi_h [N] where that
+        counts, as `depends_on_azimuth` says.
+
+    Raises:
+        ValueError: too few measurements.
+    """
+    from scipy.spatial import KDTree  # here: every BRDF file is first shown to readers of such, whatever it is
+
+    angles = directions_to_four_angles(pairs.wi, pairs.wo)
+    azimuths = depends_on_azimuth(angles, pairs.reflectance)
+    angles, reflectance = _distinct(angles if azimuths else angles[:, :3], pairs.reflectance)
+    if len(angles) < LEAST:
+        raise ValueError(
+            f"{source or name}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more."
+        )
+    order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
+    near = functools.partial(_near, KDTree(_points(angles)), reflectance)
+    render = shade_sphere(reference_scene(azimuths=azimuths), near).float()
+    if len(order) <= FEW:
+        order = order.repeat(2)
+    samples = brdf_task.columns_of(angles[order].float())
+    return Task(name, {**samples, "reflectance": reflectance[order].float(), "render": render})
+
+
+def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
+    """Whether reflectance depends on phi_h: whether that explains how neighbours in the other angles differ.
+
+    By least squares of differences of log reflectance on differences of the first two harmonics of phi_h, which noise
+    does not follow. Of measurements at one azimuth nothing is told: they count as isotropic.
+
+    Args:
+        angles: [N, 4] in rad.
+        reflectance: [N, 3] in 1/sr.
+    """
+    from scipy.spatial import KDTree
+
+    tilted = angles[:, 0] > STEEPEST_RAD
+    angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
+    if len(angles) < TOLD:
+        return False
+    order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:COMPARED]
+    points = _points(angles[:, :3])
+    near = KDTree(points).query(points[order.numpy()], k=1 + PAIRED)[1][:, 1:]
+    first, second = order[:, None].expand(-1, PAIRED).reshape(-1), torch.from_numpy(near).reshape(-1)
+    phi_h = angles[:, 3]
+    waves = torch.stack([phi_h.cos(), phi_h.sin(), (2 * phi_h).cos(), (2 * phi_h).sin()], 1).double()
+    changes, difference = waves[first] - waves[second], (values[first] - values[second]).double()
+    total = float(difference.square().sum())
+    gram = changes.T @ changes + 1e-9 * len(changes) * torch.eye(4, dtype=torch.float64)
+    moment = changes.T @ difference
+    # a few numbers explain a share of noise, too
+    explained = float(moment @ torch.linalg.solve(gram, moment)) - 4 * total / len(order)
+    return total > 0 and explained > EXPLAINED * total
+
+
+def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
+    """The same with one mean value where several are of the same angles."""
+    _, inverse, count = torch.unique((angles * 1e5).round(), dim=0, return_inverse=True, return_counts=True)
+
+    def mean(values: Tensor) -> Tensor:
+        total = torch.zeros(len(count), values.shape[1], dtype=values.dtype).index_add(0, inverse, values)
+        result: Tensor = total / count[:, None]
+        return result
+
+    return mean(angles), mean(reflectance)
+
+
+def _points(angles: Tensor) -> Array:
+    """Angles [N, 3 or 4] as points [N, 4 or 5] whose distances say how alike they are: highlights are narrow."""
+    theta_h, theta_d, phi_d = angles[:, :3].double().unbind(-1)
+    turn = 2 * phi_d  # by reciprocity phi_d + pi is phi_d
+    radius = 2 * theta_h.sqrt()
+    half = [radius] if angles.shape[1] == 3 else [radius * angles[:, 3].cos(), radius * angles[:, 3].sin()]
+    return torch.stack([*half, theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
+
+
+def _near(tree: KDTree, reflectance: Tensor, angles: Tensor) -> Tensor:
+    """Reflectance [M, 3] beside measurements: the mean of log(1 + f) of the nearest, by inverse distance."""
+    distance, index = tree.query(_points(angles), k=min(NEIGHBOURS, len(reflectance)))
+    weights = torch.from_numpy(1 / (distance + 1e-3))[..., None]
+    total: Tensor = (reflectance.log1p()[index] * weights).sum(1)
+    result: Tensor = torch.expm1(total / weights.sum(1)).to(angles.dtype)
+    return result

@@ -1,0 +1,24 @@
+"""The recipe of BRDFs with up to MOST samples, which may be noisy or lack grazing angles: one solve of all of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metapp.apps.brdf.recipes import FULL, RIDGE
+from metapp.extensions.few.network import MOST, NETWORK
+
+FEW = replace(
+    FULL,
+    steps=1,
+    batch=MOST,
+    meta={
+        "ridge": replace(
+            RIDGE,
+            tasks=12,
+            rates=RIDGE.rates | dict.fromkeys(("theta.last", "theta.deviation", "theta.noise"), 1e-2),
+            initialisation="random",
+            validate_every=1000,
+            setup=NETWORK,
+        )
+    },
+)

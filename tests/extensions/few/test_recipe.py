@@ -1,0 +1,78 @@
+"""The recipe of few samples: which inputs choose it, what it fits, and goniometer tables that choose others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import metapp as api
+from data_tools.readers.measured_pairs import Pairs
+from metapp import door
+from metapp.extensions.few import gonio
+from metapp.extensions.few.network import NETWORK
+from tests.anisotropic import measured
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+
+def table(file: Path, pairs: Pairs) -> Path:
+    """A goniometer's table of measurements."""
+    gonio.write_pairs(file, pairs.wi[:0], pairs.wo[:0], pairs)
+    return file
+
+
+def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
+    rng = np.random.default_rng(0)
+    wi, wo = (np.abs(each) / np.linalg.norm(each, axis=1, keepdims=True) for each in rng.normal(size=(2, 1200, 3)))
+    known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
+    values = known.expand(1200, 3).numpy()
+    many, *some = (api.fit("brdf", (wi[:count], wo[:count], values[:count])) for count in (1200, 20, 4))
+    assert many.app.setup != NETWORK
+    assert all(fit.app.setup == NETWORK for fit in some)
+    angles = many.task.data["angles"]
+    assert float((some[0].app.reflectance(some[0].parameters, angles) - known).abs().median()) < 0.01
+
+
+def test_few_and_many_samples_are_not_fitted_alike(metapp: Callable, tmp_path: Path) -> None:
+    few, many = tmp_path / "few.csv", tmp_path / "many.csv"
+    head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
+    rows = [f"{10 + 0.05 * i:.2f},0,{70 - 0.05 * i:.2f},{i % 180},0.1,0.1,0.1" for i in range(1200)]
+    few.write_text("\n".join([head, *rows[:20]]))
+    many.write_text("\n".join([head, *rows]))
+    done = metapp("meta", "brdf", few, many)
+    assert "few.csv has 1,000 samples or fewer" in done.misuse
+    assert "many.csv has not" in done.misuse
+
+
+def test_tables_that_depend_on_phi_h_choose_the_anisotropic_recipe(metapp: Callable, tmp_path: Path) -> None:
+    file, plain = (table(tmp_path / f"{name}.csv", pairs) for name, pairs in (
+        ("brushed", measured(4000)), ("plain", measured(500, anisotropic=False))))  # fmt: skip
+    assert gonio.is_anisotropic(tmp_path)
+    assert not gonio.is_anisotropic(plain)
+    fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
+    assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
+    isotropic = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
+    assert fitted.done["error"] < 0.7 * isotropic.done["error"]
+    assert "fitted as isotropic: phi_h is left out" in isotropic.err
+    general = metapp("general", "brdf", file, "--out", tmp_path / "runs", "--json")  # has no checkpoint for it
+    assert "phi_h is left out" in general.err
+    assert general.done["error"] > fitted.done["error"]
+    both = metapp("meta", "brdf", file, plain, "--out", tmp_path / "runs")
+    assert "plain.csv has not, and recipes for these differ" in both.misuse.replace("\n", "")
+
+
+def test_without_the_extension_its_inputs_and_command_are_refused_by_its_name(
+    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = table(tmp_path / "paint.csv", measured(20))
+    monkeypatch.setenv(door.WITHOUT, "few")
+    line = "expected RGL .bsdf files, .*; the extension few reads it, which METAPP_WITHOUT leaves out; unset it."
+    with pytest.raises(ValueError, match=line):
+        api.fit("brdf", file)
+    assert "'few'" in metapp("meta", "brdf", "--recipe", "few").misuse
+    pairs = measured(20, anisotropic=False)
+    assert api.fit("brdf", tuple(pairs)).app.setup != NETWORK
