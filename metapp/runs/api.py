@@ -17,7 +17,7 @@ from torch import Tensor
 from data_tools.readers.brdf_objects import unit_vectors
 from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.appearance.presentation import Presentation, maps_of
+from metapp.appearance.presentation import maps_of
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Params, Task
 from metapp.runs import BadOption
@@ -59,7 +59,7 @@ class Fit:
         steps: of gradient descent.
         guarded: whether the guard acted, as the learned rule failed.
         settings: what it was made by, as records have it.
-        page: an interactive page of the fit that was written, which notebooks link to; None where there is none.
+        plan: that it was made by.
 
     Extensions add methods, such as `view` of the viewer.
     """
@@ -67,8 +67,7 @@ class Fit:
     def __init__(
         self, plan: Plan, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
     ) -> None:
-        self.app, self.task, self.settings, self._plan = plan.app, task, settings, plan
-        self.page: Path | None = None
+        self.app, self.task, self.settings, self.plan = plan.app, task, settings, plan
         self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
         self.error: float | None = record["error"]
         self.seconds: float = record["seconds"]
@@ -97,11 +96,6 @@ class Fit:
         """What tables and files call the task."""
         return self.task.name
 
-    @property
-    def presentation(self) -> Presentation[Any]:
-        """The application's presentation, by the options of the fit."""
-        return self._plan.presentation
-
     def __repr__(self) -> str:
         error = "no reference" if self.error is None else f"error {self.error:.3f}"
         return f"<Fit of {self.app.name} {self.name}: {error}, {self.seconds:.4f} s>"
@@ -111,7 +105,7 @@ class Fit:
         error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
         about = f"{title_of(self.app)}, {self.settings['paradigm']}"
         facts = f"{error}, {self.seconds:.3g} s, {self.steps} steps"
-        return card_of(self.name, about, self._images, facts, self.warning, self.page)
+        return card_of(self.name, about, self._images, facts, self.warning)
 
     def __call__(self, wi: Any, wo: Any) -> Any:
         """Evaluate a fitted BRDF.
@@ -146,20 +140,20 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        maps = maps_of(self.presentation, self.parameters, self.task)
+        maps = maps_of(self.plan.presentation, self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Any]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        return self.presentation.outputs(self.parameters, self.task)
+        return self.plan.presentation.outputs(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
         """What the options of outputs ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
-        made = outputs_of(self.app.name, self._plan.options)
+        made = outputs_of(self.app.name, self.plan.options)
         with threads(threads_of(self.app)):
             files = [
-                door.load(output.output)(self.presentation, self.task, self.parameters, value).files
+                door.load(output.output)(self.plan.presentation, self.task, self.parameters, value).files
                 for output, value in made
             ]
         return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
@@ -191,7 +185,7 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        export_fit(self.presentation, self.task, self.parameters, Path(path), form, self.settings)
+        export_fit(self.plan.presentation, self.task, self.parameters, Path(path), form, self.settings)
 
 
 class Fits(list[Fit]):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 from metapp.learning.app import App
 from metapp.runs.naming import factor_of, title_of
@@ -24,16 +22,14 @@ FIGURE = "display:inline-block;margin:0 .5em .3em 0;vertical-align:top;font-size
 WARNING = "margin:.3em 0;padding-left:.6em;border-left:3px solid #d08700"
 
 
-def card_of(name: str, about: str, images: Mapping[str, Image], facts: str, warning: str, page: Path | None) -> str:
-    """One fit: its name and what it is, its pictures, and lines below them; a link to its page, if there is one."""
+def card_of(name: str, about: str, images: Mapping[str, Image], facts: str, warning: str) -> str:
+    """One fit: its name and what it is, its pictures, and lines below them."""
     main = {key: image for key, image in images.items() if key in ("reference", "fit")}
     others = {key: image for key, image in images.items() if key not in main}
-    link = element("a", "interactive page", href=quote(str(page))) if page else ""
     lines = [
         element("div", element("b", escape(name)), f" &ensp;{escape(about)}", style=LINE),
         *(_row(each, height) for each, height in ((main, LARGE), (others, SMALL)) if each),
         element("div", escape(facts), style=LINE),
-        element("div", link, style=LINE) if link else "",
         element("div", escape(f"warning: {warning}"), style=WARNING) if warning else "",
     ]
     return element("div", *lines)

@@ -390,7 +390,7 @@ def test_things_in_memory_are_numbered_where_they_have_no_name(network: Path) ->
 
 
 def pictures_in(html: str) -> list[Image.Image]:
-    urls = re.findall(r"src='data:image/png;base64,([^']+)'", html)
+    urls = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
     return [Image.open(io.BytesIO(base64.b64decode(url))) for url in urls]
 
 

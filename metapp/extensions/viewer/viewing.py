@@ -173,7 +173,7 @@ def shown_of(
 
 @torch.no_grad()
 def view_fit(fit: Fit, path: str | PathLike[str] = "") -> Path:
-    """Write an interactive page of a fit, as `metapp view` does; what notebooks show links to it from then on.
+    """Write an interactive page of a fit, as `metapp view` does.
 
     Args:
         fit: of the Python API, where this is its method `view`.
@@ -184,7 +184,6 @@ def view_fit(fit: Fit, path: str | PathLike[str] = "") -> Path:
     """
     title, record = title_of(fit.app), {"error": fit.error, "seconds": fit.seconds}
     with threads(threads_of(fit.app)):
-        shown = shown_of(fit.presentation, fit.settings["paradigm"], record, fit.parameters, fit.task)
+        shown = shown_of(fit.plan.presentation, fit.settings["paradigm"], record, fit.parameters, fit.task)
     page = html(document(f"metapp: {title}", [Group(fit.name, title, [shown])]))
-    fit.page = write_page(page, Path(path or f"{file_name(fit.name)}.html"))
-    return fit.page
+    return write_page(page, Path(path or f"{file_name(fit.name)}.html"))
