@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Generator
 
+from metapp.door import Command, offers
 from metapp.learning.task import Task
 from metapp.rendering.paths.path_space import DIMENSIONS, Tracer
 from metapp.rendering.paths.resampling import draw_samples
@@ -36,7 +37,6 @@ UNITS = {
 }
 BESIDE = ("scene", ".json")  # is a file beside each shard, too
 SUFFIXES = (".xml", ".json")
-UPGRADE = "metapp data scene {} --upgrade"
 
 _NUMBERS = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene in memory may hold
 _SHAPES = ((), (3,), (3, 3), (4, 4))
@@ -153,7 +153,7 @@ def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
     except ValueError as error:
         reason = str(error)
         if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason += f"; {UPGRADE.format(subject)}"
+            reason += _upgrade("; ", subject)
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
     raise ValueError(f"{subject}: {reason}")
 
@@ -173,10 +173,16 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
         return checked(scene, Places.beside(path, roots), str(path.resolve()))
     except Unsupported as error:
-        remedy = f", or {UPGRADE.format(path)}" if path.suffix.lower() == ".xml" else "."
-        raise ValueError(f"{path}: {str(error).rstrip('.')}{remedy}") from None
+        remedy = _upgrade(", or ", path) if path.suffix.lower() == ".xml" else ""
+        raise ValueError(f"{path}: {str(error).rstrip('.')}{remedy or '.'}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _upgrade(begin: str, subject: object) -> str:
+    """The command that may repair a scene; "" where no extension has it."""
+    there = any((command.under, command.name) == ("data", "upgrade") for command in offers(Command))
+    return f"{begin}metapp data upgrade {subject}" if there else ""
 
 
 def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:

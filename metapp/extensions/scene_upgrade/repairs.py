@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from data_tools.readers import scene_materials as materials
-from data_tools.readers.scene_values import (
+from metapp.extensions.scene_upgrade import materials
+from metapp.extensions.scene_upgrade.values import (
     blackbody,
     child,
     linear,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from data_tools.readers.mitsuba_scenes import read_scene, read_task
-from data_tools.readers.scene_repairs import Repair, repair
-from data_tools.readers.scene_upgrade import lines, upgraded, verdict, write
+from metapp.extensions.scene_upgrade.repairs import Repair, repair
+from metapp.extensions.scene_upgrade.upgrade import lines, upgraded, verdict, write
 from metapp.rendering.scenes.loading import load_any, load_scene
 from metapp.rendering.scenes.xml import SceneElement, parse
 from metapp.rendering.variant import load_mitsuba
@@ -317,13 +317,13 @@ def test_a_light_of_one_number_is_white(box: Path) -> None:
     ("content", "problem"),
     [
         (old(BOX), r"line 1, <bsdf type=\"phong\" id=\"wall\">: a plugin 'phong', expected one of Mitsuba's own; "
-         r"leave it out, or metapp data scene .*s\.xml --upgrade$"),
+         r"leave it out, or metapp data upgrade .*s\.xml$"),
         (old('\n<animation name="toWorld"/>'), r"line 2: an element '<animation name>', expected those of Mitsuba 3; .*"
-         r"--upgrade$"),
-        (old(CAMERA.replace("$spp", "4").replace("lookAt", "lookat")), r"a plugin 'sobol'.* --upgrade$"),
+         r"metapp data upgrade .*s\.xml$"),
+        (old(CAMERA.replace("$spp", "4").replace("lookAt", "lookat")), r"a plugin 'sobol'.* metapp data upgrade .*$"),
         (old('<integrator type="path"><boolean name="strictNormals" value="true"/></integrator>'),
-         r"Mitsuba can load: .*strict_normals.*; metapp data scene .*s\.xml --upgrade$"),
-        (old('<integrator type="$i"/>', version="3.0.0"), r"'\$i', expected a <default> .* --upgrade$"),
+         r"Mitsuba can load: .*strict_normals.*; metapp data upgrade .*s\.xml$"),
+        (old('<integrator type="$i"/>', version="3.0.0"), r"'\$i', expected a <default> .* metapp data upgrade .*$"),
     ],
 )  # fmt: skip
 def test_readers_name_the_first_unsupported_element_and_the_remedy(tmp_path: Path, content: str, problem: str) -> None:

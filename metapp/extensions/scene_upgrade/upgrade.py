@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import indent, tostring
 
-from data_tools.readers.scene_repairs import Repair, repair
-from data_tools.readers.scene_values import snake_case
+from metapp.extensions.scene_upgrade.repairs import Repair, repair
+from metapp.extensions.scene_upgrade.values import snake_case
 from metapp.rendering.scenes.loading import check_traced, load_any
 from metapp.rendering.scenes.rules import Places, read_text
 from metapp.rendering.scenes.trial import try_scene

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from data_tools.readers.scene_values import Colour, child, colour, made, number, numbers, shown, taken
+from metapp.extensions.scene_upgrade.values import Colour, child, colour, made, number, numbers, shown, taken
 from metapp.rendering.scenes.xml import SceneElement
 
 Log = Callable[[SceneElement, str], None]

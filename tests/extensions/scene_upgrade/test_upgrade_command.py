@@ -1,4 +1,4 @@
-"""`metapp data scene FILE`: public scenes checked, repaired and written for Mitsuba 3."""
+"""`metapp data upgrade`: public scenes checked, repaired and written for Mitsuba 3."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from metapp import door
 from tests.needs_mitsuba import needs_mitsuba
 
 CORNELL = """<scene version="0.6.0">
@@ -35,26 +36,26 @@ def cornell(tmp_path: Path) -> Path:
 @pytest.mark.long
 @needs_mitsuba
 def test_a_public_scene_is_checked_upgraded_and_fitted(cornell: Path, metapp: Callable) -> None:
-    checked = metapp("data", "scene", cornell)
+    checked = metapp("data", "upgrade", cornell, "--dry-run")
     assert checked.code == 1
     assert "line 2: <integrator type=\"photonmapper\">: 'path' of max_depth 6" in checked.out
     assert 'line 2: <integer name="photons">: left out, version 3 has no such parameter' in checked.out
     assert 'line 4 and 3 more: <transform name="toWorld">: to_world' in checked.out
     assert 'line 7: <bsdf type="phong" id="grey">: exponent 20 is alpha 0.1508: blendbsdf' in checked.out
-    assert checked.err.rstrip().endswith(f"leave it out, or metapp data scene {cornell} --upgrade")
+    assert checked.err.rstrip().endswith(f"leave it out, or metapp data upgrade {cornell}")
     assert [path.name for path in cornell.parent.iterdir()] == ["cornell.xml"]
 
-    done = metapp("data", "scene", cornell, "--upgrade")
+    done = metapp("data", "upgrade", cornell)
     assert done.code == 0
     assert done.out == checked.out
     target = cornell.with_name("cornell-v3.xml")
     assert f"{target}: Mitsuba 3 loads it; " in done.err
     assert cornell.read_text() == CORNELL
 
-    again = metapp("data", "scene", cornell, "--upgrade")
+    again = metapp("data", "upgrade", cornell)
     assert again.code == 1
     assert "cornell-v3.xml: there already, expected a new file; remove it, or name another one: --out FILE" in again.err
-    fine = metapp("data", "scene", target)
+    fine = metapp("data", "upgrade", target, "--dry-run")
     assert (fine.code, fine.out) == (0, "")
     assert "Mitsuba 3 loads it" in fine.err
     fit = metapp("general", "transport", target, "--quiet", "--json")
@@ -66,27 +67,38 @@ def test_a_public_scene_is_checked_upgraded_and_fitted(cornell: Path, metapp: Ca
 def test_scripts_read_what_was_done(cornell: Path, metapp: Callable, tmp_path: Path) -> None:
     cornell.write_text(CORNELL.replace('type="ward"', 'type="coating"'))
     target = tmp_path / "out" / "new.xml"
-    done = metapp("data", "scene", cornell, "--upgrade", "--out", target, "--quiet", "--json")
+    done = metapp("data", "upgrade", cornell, "--out", target, "--quiet", "--json")
     assert done.code == 1
     document = json.loads(done.out)
     assert (document["out"], document["loads"]) == (str(target), False)
     assert document["repairs"][0] == {"line": 1, "element": "<scene>", "done": "version 0.6.0 is 3.0.0"}
     assert document["problem"].startswith('line 8: <bsdf type="coating" id="red">: version 3 has no layers; give')
     assert "error: " in done.err
-    assert "--upgrade" not in done.err
+    assert "metapp data upgrade" not in done.err
     assert target.is_file()  # to be edited
 
 
 def test_misuse_is_named(cornell: Path, metapp: Callable) -> None:
-    assert "of a scene's FILE, expected one; name it." in metapp("data", "scene", "--upgrade").misuse
-    assert "of --upgrade, expected that too; add it." in metapp("data", "scene", cornell, "--out", "a.xml").misuse
+    both = ("--dry-run", "--out", "a.xml")
+    assert "expected one of the two; leave one out." in metapp("data", "upgrade", cornell, *both).misuse
     for name, problem in (("none.xml", "No such file"), ("box.json", "no .xml file, expected a scene in XML")):
         path = cornell.with_name(name)
         if name == "box.json":
             path.write_text("{}")
-        found = metapp("data", "scene", path, "--upgrade")
+        found = metapp("data", "upgrade", path)
         assert found.code == 1
         assert problem in found.err
-    same = metapp("data", "scene", cornell, "--upgrade", "--out", cornell)
+    same = metapp("data", "upgrade", cornell, "--out", cornell)
     assert (same.code, cornell.read_text()) == (1, CORNELL)
     assert "there already" in same.err
+
+
+@needs_mitsuba
+def test_without_the_extension_old_scenes_are_refused_without_a_hint(
+    cornell: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hint = f"metapp data upgrade {cornell}"
+    assert metapp("general", "transport", cornell, "--quiet").error.endswith(hint)
+    monkeypatch.setenv(door.WITHOUT, "scene_upgrade")
+    assert "a command of the extension scene_upgrade" in metapp("data", "upgrade", cornell).misuse
+    assert "metapp data upgrade" not in metapp("general", "transport", cornell, "--quiet").error
