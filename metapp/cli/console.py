@@ -119,11 +119,14 @@ def run(command: Callable[[], object]) -> int:
 
 
 def _remedy(message: str) -> str:
-    """What to do about an application that was forgotten, or given in place of a command; else ""."""
+    """What to do about an application that was forgotten or is no command, or a word that is no choice; else ""."""
     from metapp.apps import app_names
+    from metapp.storage.text import meant
 
     if message == "Missing argument 'APP'.":
         return f" It is one of {', '.join(app_names())}."
+    if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message):
+        return meant(choice[1], choice[2].strip("'").split("', '"))
     given = re.fullmatch(r"No such command '(\w+)'\.", message)
     return f" {given[1]} is an application: metapp meta {given[1]}." if given and given[1] in app_names() else ""
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from metapp import door
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, annotated, plain, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
@@ -19,9 +20,8 @@ from metapp.storage.text import meant
 if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
     from metapp.evaluation.rows import Table
-    from metapp.evaluation.study import Design
     from metapp.evaluation.subject import Subject
-    from metapp.learning.recipe import Initialisation
+    from metapp.runs.request import Portion
 
 LISTED = 8  # rows of a table that are named as missing
 NAMES, STUDIES = table_names(), table_names(studies=True)
@@ -69,25 +69,11 @@ class Evaluation:
     overfit_share: Annotated[
         float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
     ] = 1.0
-    steps: Annotated[
-        list[int] | None, typer.Option(help="rules: numbers of gradient steps, 5 10 20 40 unless given.", min=1)
-    ] = None
-    train_steps: Annotated[
-        int | None, typer.Option(help="rules: outer steps of each training, 500 unless given.", min=1)
-    ] = None
-    seeds: Annotated[int | None, typer.Option(help="rules: seeds of training from --seed on, 3.", min=1)] = None
-    initialisation: Annotated[
-        str,
-        typer.Option(
-            help="rules: what each training begins at: random, mean (of General's predictions) or encoder (General's "
-            "own); encoder."
-        ),
-    ] = ""
     rule: Annotated[
         str,
         typer.Option(
             autocompletion=completion.rules,
-            help="Meta's learned rule, default: the recipe's; rules: this one alone, default: all.",
+            help="Meta's learned rule, default: the recipe's; a table of rules: this one alone, default: all.",
         ),
     ] = ""
     observe: Annotated[
@@ -112,7 +98,15 @@ class Evaluation:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
 
 
-@takes(Evaluation)
+# the options of tables, with the table's name
+_OWN = {option.name: (option, offer.name) for offer in door.offers(door.Table) for option in offer.options}
+_FIELDS: list[tuple[str, object, object]] = [
+    (name, annotated(option, given=True, rich_help_panel=f"Options of --which {table}"), field(default=None))
+    for name, (option, table) in _OWN.items()
+]
+
+
+@takes(make_dataclass("Options", _FIELDS, bases=(Evaluation,), frozen=True))
 def command(options: Evaluation) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
 
@@ -123,9 +117,9 @@ def command(options: Evaluation) -> None:
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else (options.which,)
     drawn = NAMES if options.figures and options.which not in STUDIES else reported if options.report else ()
-    cells = cells_of([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, options)
+    cells = cells_of([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects)
     if options.shard:
-        fill_part(cells, options)
+        fill_part(cells, subjects[0].portion, options)
         return
     fill(cells, subjects, options)
     if not options.quiet:
@@ -135,9 +129,9 @@ def command(options: Evaluation) -> None:
 
         show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
     if options.figures:
-        from metapp.evaluation.figures import FIGURES, write_figures
+        from metapp.evaluation.figures import write_figures
 
-        for file in write_figures(subjects, options.figures, STUDIES if options.which in STUDIES else FIGURES):
+        for file in write_figures(subjects, options.figures, options.which if options.which in STUDIES else ""):
             say(f"figure: {file}")
     if options.report:
         from metapp.evaluation.report.page import write_report
@@ -155,39 +149,19 @@ def check(options: Evaluation) -> Evaluation:
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
-    of_studies: dict[str, object] = {
-        "--steps": options.steps,
-        "--train-steps": options.train_steps,
-        "--seeds": options.seeds,
-        "--initialisation": options.initialisation,
-    }
     if options.shard and (options.no_run or options.figures or options.report):
         raise typer.BadParameter("--shard: runs a part and prints no table; leave --no-run, --figures, --report out.")
-    for option, of_study in of_studies.items():
-        if of_study and options.which not in STUDIES:
-            raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
+    for name in own_options(options):
+        own, owner = _OWN[name]
+        if owner != options.which:
+            raise typer.BadParameter(f"{own.flag}: only with --which {owner}.")
     return options
 
 
-def design_of(options: Evaluation) -> Design:
-    """What the rule study trains.
-
-    Raises:
-        BadParameter: there is no such initialisation.
-    """
-    from metapp.evaluation.study import INITIALISATIONS, Design
-
-    if (name := options.initialisation) and name not in INITIALISATIONS:
-        expected = f"{', '.join(INITIALISATIONS)}.{meant(name, INITIALISATIONS)}"
-        raise typer.BadParameter(f"--initialisation '{name}': expected one of {expected}")
-    default = Design()
-    return Design(
-        options.train_steps or default.outer,
-        tuple(options.steps or default.steps),
-        options.seeds or default.seeds,
-        cast("Initialisation", name or default.initialisation),
-        (options.rule,) if options.rule else (),
-    )
+def own_options(options: Evaluation) -> dict[str, Any]:
+    """What was given of the options of tables, by name."""
+    values = {name: plain(getattr(options, name)) for name in _OWN}
+    return {name: value for name, value in values.items() if value}
 
 
 def subjects_of(options: Evaluation) -> list[Subject]:
@@ -196,9 +170,9 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     from metapp.evaluation.subject import Subject
     from metapp.runs.checks import check_name, check_protocol
     from metapp.runs.plan import plan
-    from metapp.runs.request import Request
+    from metapp.runs.request import Request, portion_of
 
-    design, run = design_of(options), not options.no_run
+    run, own = not options.no_run, own_options(options) | ({"rule": options.rule} if options.rule else {})
     names = options.apps or app_names()
     for name in names:
         check_name(name)
@@ -223,33 +197,28 @@ def subjects_of(options: Evaluation) -> list[Subject]:
         for protocol in ((options.observe,) if options.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
     strict = bool(options.apps) and run
-    return [Subject(one, run=run, strict=strict, share=options.overfit_share, design=design) for one in plans]
+    share, portion = options.overfit_share, portion_of(options.shard)
+    return [Subject(one, run=run, strict=strict, share=share, portion=portion, options=own) for one in plans]
 
 
-def cells_of(tables: list[Table], subjects: list[Subject], options: Evaluation) -> list[Cell]:
+def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:
     """What the tables must have measured.
 
     Raises:
-        ValueError: a checkpoint is missing that was asked for, or the General that parts of a study begin at.
+        ValueError: a checkpoint is missing that was asked for.
     """
     if any(table.name not in STUDIES for table in tables):
         # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
         # nobody named have empty cells where a checkpoint is missing
         assert all(subject.fits for subject in subjects)
-    if options.shard and options.which in STUDIES:
-        for subject in subjects:
-            if subject.study.general is None:
-                remedy = "train it first: metapp general with --train"
-                raise ValueError(f"--shard: {subject.title} has no General yet, which all parts begin at; {remedy}.")
     return [cell for table in tables for subject in subjects for cell in table.cells(subject)]
 
 
-def fill_part(cells: list[Cell], options: Evaluation) -> None:
+def fill_part(cells: list[Cell], portion: Portion, options: Evaluation) -> None:
     """Measure one part of what has no record yet; say what was done and what is left."""
     from metapp.evaluation.cell import distinct, run_cells
-    from metapp.runs.request import portion_of
 
-    made = run_cells(cells, portion_of(options.shard), quiet=options.quiet)
+    made = run_cells(cells, portion, quiet=options.quiet)
     cells = distinct(cells)
     total, missing = sum(len(cell.tasks) for cell in cells), sum(len(cell.missing()) for cell in cells)
     if not options.quiet:
@@ -285,7 +254,7 @@ def _say_missing(subject: Subject, cells: list[Cell], which: str) -> str:
     total, missing = sum(len(cell.tasks) for cell in own), sum(len(cell.missing()) for cell in own)
     some = ", ".join([*list(empty)[:LISTED], *([f"{len(empty) - LISTED} more"] if len(empty) > LISTED else [])])
     say(f"{name}: {f'{missing:,} of {total:,}' if total else 'all'} records missing: {some}")
-    return next(iter(empty.values())).command if which in STUDIES else subject.command(which)
+    return subject.command(which)
 
 
 def draw(subjects: list[Subject], names: Sequence[str]) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import shlex
+from collections.abc import Mapping
 from contextlib import suppress
+from types import MappingProxyType
 from typing import Any
 
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
-from metapp.evaluation.cell import Cell, Measure
-from metapp.evaluation.study import Design, Study
+from metapp.evaluation.cell import WHOLE, Cell, Measure
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
@@ -21,6 +22,7 @@ from metapp.runs.inputs import tasks_of_data
 from metapp.runs.naming import name_of, title_of
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
+from metapp.runs.request import Portion
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.records import FIT, Record, RunFolder
 
@@ -32,20 +34,28 @@ class Subject:
         plan: of the application's own network; rows differ in paradigm, rule or steps.
         run: whether cells without records will be run; else they stay empty.
         share: of the recipe's steps that Overfit takes here.
+        portion: of what is missing, that is run here.
+        options: what was given of the options of tables and of the rule, by name.
     """
 
     def __init__(
-        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, design: Design | None = None
+        self,
+        plan: Plan,
+        *,
+        run: bool,
+        strict: bool,
+        share: float = 1.0,
+        portion: Portion = WHOLE,
+        options: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         """Look up nothing yet.
 
         Args:
-            plan, run, share: as the attributes.
+            plan, run, share, portion, options: as the attributes.
             strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
-            design: what the table of rules trains.
         """
-        self.plan, self.run, self.share = plan, run, share
-        self._strict, self._design = strict, design or Design()
+        self.plan, self.run, self.share, self.portion, self.options = plan, run, share, portion, options
+        self._strict = strict
         self._cells: dict[str, Cell] = {}
 
     @functools.cached_property
@@ -76,11 +86,6 @@ class Subject:
                 raise
             say(f"{error}")
             return plan
-
-    @functools.cached_property
-    def study(self) -> Study:
-        """What the table of rules is about."""
-        return Study(self.plan, self._design)
 
     @property
     def app(self) -> App:
@@ -163,7 +168,11 @@ class Subject:
     def command(self, which: str = "") -> str:
         """The command that fills a table for this application."""
         words = ["metapp", "evaluate", self.app.name, *(["--which", which] if which else []), *_shared(self.plan)]
-        return shlex.join([*words, *(["--overfit-share", f"{self.share:g}"] if self.share != 1 else [])])
+        words += ["--overfit-share", f"{self.share:g}"] if self.share != 1 else []
+        for name, value in self.options.items():
+            for one in value if isinstance(value, list) else [value]:
+                words += ["--" + name.replace("_", "-"), str(one)]
+        return shlex.join(words)
 
 
 def evenly(tasks: list[Task], count: int) -> list[Task]:

@@ -1,7 +1,4 @@
-"""The paper's figures, of any application: functions of a subject that draw, or return None where there is nothing.
-
-A figure is a function in `drawing` that FIGURES names, or STUDIES where it is of a table that trains.
-"""
+"""The figures of `metapp evaluate`, of any application."""
 
 from __future__ import annotations
 
@@ -9,28 +6,32 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metapp import door
+
 if TYPE_CHECKING:
     from metapp.evaluation.figures.style import Drawn
     from metapp.evaluation.subject import Subject
 
-FIGURES = ("plane", "ranks", "curves", "trajectories", "rates", "strips")
-STUDIES = ("rules",)  # of the tables of the same names
+
+def figure_names(table: str = "") -> list[str]:
+    """The figures of a study or, for "", the paper's."""
+    return [offer.name for offer in door.offers(door.Figure) if offer.table == table]
 
 
 def draw(name: str, subject: Subject) -> Drawn | None:
-    """The figure of that name, one of FIGURES or STUDIES; None where nothing was measured yet that it could show."""
+    """The figure of that name; None where nothing was measured yet that it could show."""
     from matplotlib import rc_context
 
-    from metapp.evaluation.figures import drawing
     from metapp.evaluation.figures.style import STYLE
 
+    (reference,) = (offer.figure for offer in door.offers(door.Figure) if offer.name == name)
     with rc_context(STYLE):
-        result: Drawn | None = getattr(drawing, name)(subject)
+        result: Drawn | None = door.load(reference)(subject)
         return result
 
 
-def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str] = FIGURES) -> list[Path]:
-    """Write figures as <app>-<name>.png and .pdf.
+def write_figures(subjects: Sequence[Subject], folder: Path, table: str = "") -> list[Path]:
+    """Write the figures of a study or, for "", the paper's, as <app>-<name>.png and .pdf.
 
     Returns:
         The PNG files.
@@ -40,7 +41,7 @@ def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str
 
     files = []
     for subject in subjects:
-        for name in names:
+        for name in figure_names(table):
             drawn = draw(name, subject)
             if drawn:
                 stem = f"{name_of(subject.app)} {name}".replace(" ", "-")

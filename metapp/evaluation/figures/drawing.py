@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
 from metapp.evaluation.figures.style import (
     BASELINE,
     COLOURS,
-    GRID,
     INK,
     MARKERS,
     MUTED,
@@ -25,13 +24,11 @@ from metapp.evaluation.figures.style import (
     line,
     new,
 )
-from metapp.evaluation.rows import Row, paired_of, values_of
-from metapp.evaluation.study import QUICKFT
+from metapp.evaluation.rows import values_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.baselines import baseline_rows
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_cell
 from metapp.evaluation.tables.results import result_row
-from metapp.evaluation.tables.rules import rows as rule_rows
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from metapp.runs.naming import factor_of
@@ -39,8 +36,6 @@ from metapp.runs.naming import factor_of
 OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 PATHS, STRIPS = 3, 4  # tasks
 BINS = 48
-BELOW, ABOVE, LEVEL = COLOURS["overfit"], COLOURS["meta"], "#999999"
-ROW = 0.21  # inches of a rule
 
 
 def _one_panel(subject: Subject, width: float, height: float) -> tuple[Figure, Axes]:
@@ -220,57 +215,3 @@ def strips(subject: Subject) -> Drawn | None:
     return Drawn(
         figure, f"{subject.title}: pictures after 0, 25, 50, 75 and 100 % of Meta's steps, and targets: {names}."
     )
-
-
-def rules(subject: Subject) -> Drawn | None:
-    """Error over QuickFT's with its 95 % interval; blue where it is below, orange above, grey where chance could be."""
-    compared = [row for row in rule_rows(subject) if paired_of(row, QUICKFT)]
-    if not compared:
-        return None
-    steps = sorted({row["steps"] for row in compared})
-    names = [name for name in subject.study.rules if any(row["rule"] == name for row in compared)]
-    figure, axes = new(2.3 * len(steps) + 1.7, ROW * len(names) + 1.1, 1, len(steps))
-    kind = "difference" if subject.presentation.logarithmic else "ratio"
-    for axis, count in zip(axes[0], steps, strict=True):
-        here = {row["rule"]: row for row in compared if row["steps"] == count}
-        axis.axvline(0 if kind == "difference" else 1, color=INK, linewidth=1)
-        for i, name in enumerate(names):
-            if name in here:
-                _mark(axis, -i, here[name])
-        if kind == "ratio":
-            _ratios(axis)
-        axis.set_yticks([-i for i in range(len(names))], names if axis is axes[0, 0] else [], fontsize=7)
-        axis.set_ylim(-len(names) + 0.4, 0.6)
-        axis.set_title(f"{count} steps")
-        axis.grid(axis="y", color=GRID, linewidth=0.4)
-    outer = subject.study.design.outer
-    figure.suptitle(f"{subject.title}: learned rules after {outer:,} outer steps", fontsize=10)
-    figure.supxlabel(f"error over tuned Adam's ({kind}, 95 % interval)", fontsize=8)
-    return Drawn(
-        figure, f"{subject.title}: mean error over that of a tuned Adam after as many steps. {_in_words(compared)}"
-    )
-
-
-def _mark(axis: Axes, height: float, row: Row) -> None:
-    pair = paired_of(row, QUICKFT)
-    assert pair is not None
-    colour = LEVEL if not row["apart"] else BELOW if pair.value < pair.level else ABOVE
-    axis.plot([pair.low, pair.high], [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
-    axis.plot(pair.value, height, "o", color=colour, markersize=4)
-
-
-def _ratios(axis: Axes) -> None:
-    """A logarithmic axis with plain numbers."""
-    axis.set_xscale("log")
-    axis.xaxis.set_major_locator(FixedLocator([0.25, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10, 20]))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.tick_params(axis="x", labelsize=7)
-
-
-def _in_words(compared: list[Row]) -> str:
-    best: dict[int, Row] = {}
-    for row in compared:
-        if row["steps"] not in best or row["error"] < best[row["steps"]]["error"]:
-            best[row["steps"]] = row
-    return " ".join(f"{steps} steps: lowest {row['rule']}, {row['error']:.3f}." for steps, row in best.items())

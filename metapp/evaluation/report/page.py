@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 
 from metapp.appearance.colour import to_srgb
-from metapp.evaluation.figures import FIGURES, draw
+from metapp.evaluation.figures import draw, figure_names
 from metapp.evaluation.figures.style import TITLES
 from metapp.evaluation.notes import carried, overfit_note, warned
 from metapp.evaluation.report.html import (
@@ -95,7 +95,7 @@ def _text(name: str) -> str:
 def section(subject: Subject, pictures: Pictures, tables: Sequence[str]) -> str:
     """All there is of one application, and these of its tables."""
     name = anchor(subject)
-    figures = {kind: draw(kind, subject) for kind in FIGURES if kind != "plane"}
+    figures = {kind: draw(kind, subject) for kind in figure_names() if kind != "plane"}
     drawn = {kind: drawn_html(d, f"{name}-{kind}", pictures, _kind(kind)) for kind, d in figures.items() if d}
     strips = drawn.pop("strips", "")
     gallery = gallery_html(subject, pictures)

@@ -17,12 +17,12 @@ from metapp import door
 from metapp.apps import recipes_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.show import rich_table
-from metapp.evaluation import study as studies
 from metapp.evaluation.figures import draw
-from metapp.evaluation.study import COMPOSED, QUICKFT, Case, Design, Study, training_for
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.rules import fit_cell, train_cell
+from metapp.extensions.rule_study import study as studies
+from metapp.extensions.rule_study.study import COMPOSED, QUICKFT, Case, Design, Study, training_for
+from metapp.extensions.rule_study.table import fit_cell, study_of, train_cell
 from metapp.learning.names import rule_names
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule as rule_table
@@ -80,7 +80,9 @@ def plan_of(**options: Any) -> Plan:
 
 
 def subject_of(data: Path, out: Path) -> Subject:
-    return Subject(plan_of(data=data, out=out), run=True, strict=False, design=Design(2, (2, 3), 2))
+    return Subject(
+        plan_of(data=data, out=out), run=True, strict=False, options={"train_steps": 2, "steps": [2, 3], "seeds": 2}
+    )
 
 
 # From one command
@@ -116,10 +118,10 @@ def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, da
         assert note in text
     assert "not run" not in text
     for steps in (2, 3):  # each case is trained through its own number of steps
-        prepared, info = load_checkpoint(Path(subject.study.checkpoint(Case("adam", steps, 1)).source))
+        prepared, info = load_checkpoint(Path(study_of(subject).checkpoint(Case("adam", steps, 1)).source))
         assert len(prepared.alpha["rate.w1"]) == info["inner_steps"] == steps
         assert (info["seed"], info["training"]["steps"]) == (1, 2)
-        adam = subject.study.checkpoint(Case(QUICKFT, steps, 1)).prepared
+        adam = study_of(subject).checkpoint(Case(QUICKFT, steps, 1)).prepared
         assert adam.encoder
         assert set(adam.alpha) == {"rate", "beta1", "beta2", "eps", "final"}
     table, console = load_table("rules"), Console(width=100)
@@ -211,7 +213,7 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
 
 
 def test_cases_of_few_steps_come_first() -> None:
-    cases = Study(plan_of(seed=4), Design(steps=(9, 2), seeds=2, rules=("adam",))).cases()
+    cases = Study(plan_of(seed=4), Design(steps=(9, 2), seeds=2, rule="adam")).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
 
 

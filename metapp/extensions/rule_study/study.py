@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from torch import Generator
 
@@ -19,7 +20,6 @@ from metapp.runs.surroundings import precision_of, versions
 from metapp.runs.training import Trained, general_of, train_checkpoint
 from metapp.storage.records import Record, load_checkpoint, tensor_digest
 
-INITIALISATIONS = get_args(Initialisation)
 ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none
 QUICKFT = "quickft"  # the reference line, among the names of rules
 # Beside all named rules, what one part adds to a rule or what its lack does.
@@ -43,18 +43,18 @@ class Design(NamedTuple):
     """What a study trains.
 
     Attributes:
-        outer: outer steps of each training.
+        train_steps: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
         seeds: how many seeds of training and fitting, from the plan's own on.
         initialisation: the first one of all rules. With "encoder", which is QuickFT's too, rules alone differ.
-        rules: what is trained; () for all named rules and COMPOSED.
+        rule: what is trained; "" for all named rules and COMPOSED.
     """
 
-    outer: int = 500
-    steps: tuple[int, ...] = (5, 10, 20, 40)
+    train_steps: int = 500
+    steps: Sequence[int] = (5, 10, 20, 40)
     seeds: int = 3
     initialisation: Initialisation = "encoder"
-    rules: tuple[str, ...] = ()
+    rule: str = ""
 
 
 class Case(NamedTuple):
@@ -95,7 +95,8 @@ class Study:
     def __init__(self, plan: Plan, design: Design) -> None:
         self.plan, self.design = plan, design
         theta = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
-        names = dict.fromkeys(rule_of(text).name for text in design.rules or (*rule_names(), *COMPOSED))
+        texts = [design.rule] if design.rule else [*rule_names(), *COMPOSED]
+        names = dict.fromkeys(rule_of(text).name for text in texts)
         reasons = {name: [part.refusal(plan.app, theta) for part in rule_of(name).parts] for name in names}
         self.refused = {name: next(filter(None, some)) for name, some in reasons.items() if any(some)}
         self.rules = [name for name in names if name not in self.refused]
@@ -116,7 +117,7 @@ class Study:
         request = self.plan.request
         name = f"{request.recipe}-{case.steps}steps"
         if case.rule != QUICKFT:
-            name += f"-{self.design.outer}outer-{self.design.initialisation}"
+            name += f"-{self.design.train_steps}outer-{self.design.initialisation}"
         request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
         paradigm = paradigms()[QUICKFT if case.rule == QUICKFT else "meta"]
         return Plan(request, paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
@@ -130,7 +131,7 @@ class Study:
         first = self.design.initialisation
         if first == "encoder" and training.initialisation != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, initialisation=first, steps=self.design.outer if training.steps else 0)
+        return replace(training, initialisation=first, steps=self.design.train_steps if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import paired_note, threads_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paired_of, row_of
-from metapp.evaluation.study import QUICKFT, Case
 from metapp.evaluation.subject import Subject
+from metapp.extensions.rule_study.study import QUICKFT, Case, Design, Study
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.runs.fits import fit_tasks
@@ -31,14 +32,27 @@ INITIALISATIONS = {
 A_STEP = 5e-3  # seconds of an outer step, for each gradient step, before any was measured
 
 
+@functools.cache
+def study_of(subject: Subject) -> Study:
+    """The study of an application, as the options of the table say."""
+    return Study(subject.plan, Design(**subject.options))
+
+
 def cells(subject: Subject) -> list[Cell]:
-    """A training and its fits for each case, one after the other."""
+    """A training and its fits for each case, one after the other.
+
+    Raises:
+        ValueError: parts of the table are to be run, and there is no General.
+    """
     if _lacks_general(subject):
-        none = subject.make_cell("rules", None, lambda tasks: iter(()), command=_command(subject))
+        none = subject.make_cell("rules", None, lambda tasks: iter(()))
         return [none._replace(tasks=[])]
+    if subject.portion.parts > 1 and study_of(subject).general is None:
+        remedy = "train it first: metapp general with --train"
+        raise ValueError(f"--shard: {subject.title} has no General yet, which all parts begin at; {remedy}.")
     by_path: dict[Path, Cell] = {}
     trainings: dict[Path, int] = {}  # QuickFT's search is the same for all seeds
-    for case in subject.study.cases():
+    for case in study_of(subject).cases():
         training, fits = train_cell(subject, case), fit_cell(subject, case)
         assert training.folder is not None
         number = trainings.setdefault(training.folder.path, len(trainings))
@@ -50,12 +64,12 @@ def cells(subject: Subject) -> list[Cell]:
 
 def _lacks_general(subject: Subject) -> bool:
     """Whether there can be no records, and none are to be made."""
-    return not subject.tasks or (not subject.run and subject.study.general is None)
+    return not subject.tasks or (not subject.run and study_of(subject).general is None)
 
 
 def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
-    study = subject.study
+    study = study_of(subject)
     settings = study.settings(case, subject.label)
     recipe, seed = study.plan_of(case).request.recipe, settings["seed"]
     words = [subject.label, recipe, f"seed{seed}", case.rule, subject.app.protocol]
@@ -67,30 +81,16 @@ def train_cell(subject: Subject, case: Case) -> Cell:
 
     title = f"rules: train {case.rule}, {case.steps} steps, seed {seed}"
     folder = RunFolder(path, settings, TRAINED)
-    cell = subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
+    cell = subject.make_cell(title, folder, measure, case.steps)
     outer = 0 if case.rule == QUICKFT else study.training(case.rule).steps
     return cell._replace(tasks=[Task(case.rule, {})], guess=case.steps * A_STEP * max(outer, 1))
-
-
-def _command(subject: Subject) -> str:
-    """The command of the whole study."""
-    design = subject.study.design
-    options: dict[str, Sequence[str | int]] = {
-        "--train-steps": [design.outer],
-        "--steps": design.steps,
-        "--seeds": [design.seeds],
-        "--initialisation": [design.initialisation],
-        "--rule": design.rules,
-    }
-    words = [f"{name} {value}" for name, values in options.items() for value in values]
-    return " ".join([subject.command("rules"), *words])
 
 
 def _trained(subject: Subject, case: Case) -> Record:
     """Train a case; a training that diverges is a result, too."""
     begin = time.process_time()
     try:
-        _, prepared, seconds = subject.study.train(case)
+        _, prepared, seconds = study_of(subject).train(case)
     except FloatingPointError as error:
         say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
         return {"error": None, "seconds": time.process_time() - begin, "step": None}
@@ -104,7 +104,7 @@ def _diverged(cell: Cell) -> bool:
 
 def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
-    study = subject.study
+    study = study_of(subject)
     trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
     plan = replace(study.plan_of(case), checkpoint=trained)
     settings = plan.settings(subject.label)
@@ -121,14 +121,14 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
 
     title = f"rules: {case.rule}, {case.steps} steps, seed {case.seed}"
     folder = RunFolder(plan.path(subject.label), settings, FIT)
-    return subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
+    return subject.make_cell(title, folder, measure, case.steps)
 
 
 def rows(subject: Subject) -> list[Row]:
     """A row for each rule and number of steps that has fits of all tasks, of all seeds that have."""
     if _lacks_general(subject):
         return []
-    study, all_rows = subject.study, []
+    study, all_rows = study_of(subject), []
     for steps in sorted(set(study.design.steps)):
         reference = [cell for _, cell in _complete(subject, QUICKFT, steps)]
         for rule in (QUICKFT, *study.rules):
@@ -139,7 +139,7 @@ def rows(subject: Subject) -> list[Row]:
 
 def _complete(subject: Subject, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
     """Training and fits of the seeds of a rule of which both are all done."""
-    cases = [case for case in subject.study.cases() if (case.rule, case.steps) == (rule, steps)]
+    cases = [case for case in study_of(subject).cases() if (case.rule, case.steps) == (rule, steps)]
     both = [(train_cell(subject, case), fit_cell(subject, case)) for case in cases]
     return [(training, fits) for training, fits in both if not fits.missing() and not training.missing()]
 
@@ -153,8 +153,8 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
         "seeds": len(done),
         "train_seconds": statistics.fmean(record["seconds"] for record in trainings),
         "validation": statistics.fmean(record["error"] for record in trainings),
-        "start": subject.study.design.initialisation,
-        "outer": None if of_quickft else subject.study.training(rule).steps,
+        "start": study_of(subject).design.initialisation,
+        "outer": None if of_quickft else study_of(subject).training(rule).steps,
     }
     cells, name = [fits for _, fits in done], QUICKFT if of_quickft else "meta"
     row = row_of(subject, name, cells, entries, against={QUICKFT: reference}, beside_paper=False)
@@ -163,11 +163,11 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
-    study = subject.study
+    study = study_of(subject)
     design, usual = study.design, study.plan.job.recipe.training(study.plan.job.rule).steps
     return [
-        f"each rule is trained for {design.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
-        f"{INITIALISATIONS[design.initialisation]}; its best state on validation tasks is kept",
+        f"each rule is trained for {design.train_steps:,} outer steps (the recipe: {usual:,}) at each number of steps, "
+        f"from {INITIALISATIONS[design.initialisation]}; its best state on validation tasks is kept",
         *(f"{steps} steps: {_winners(all_rows, steps)}" for steps in sorted({row["steps"] for row in all_rows})),
         "seconds: median of a fit; training s: mean processor time of one training, General's not counted; of "
         f"{QUICKFT} the search of its Adam at that number of steps",
@@ -195,7 +195,7 @@ def _winners(all_rows: list[Row], steps: int) -> str:
 
 def _not_run(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What the design holds that has no row, as it was not run or diverged."""
-    study, there = subject.study, {(row["rule"], row["steps"]) for row in all_rows}
+    study, there = study_of(subject), {(row["rule"], row["steps"]) for row in all_rows}
     seed = study.plan.request.seed
     lines = []
     for steps in sorted(set(study.design.steps)):
