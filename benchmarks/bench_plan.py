@@ -32,7 +32,7 @@ from metapp.baselines.baseline import Training
 from metapp.baselines.brdf import EPSILON, Space, _space
 from metapp.cli.console import run
 from metapp.evaluation.baseline_fits import training_of
-from metapp.evaluation.figures.style import COLOURS, MUTED, STYLE
+from metapp.evaluation.style import COLOURS, MUTED, STYLE
 from metapp.extensions.few.design import Limits, places_of
 from metapp.extensions.few.planning import plan_brdf
 from metapp.learning.task import Task

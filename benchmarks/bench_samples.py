@@ -23,7 +23,7 @@ from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Training
 from metapp.cli.console import run
 from metapp.evaluation.baseline_fits import allowed_for, training_of
-from metapp.evaluation.figures.style import COLOURS, MUTED, STYLE, new, save
+from metapp.evaluation.style import COLOURS, MUTED, STYLE, new, save
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.checkpoints import find_checkpoint

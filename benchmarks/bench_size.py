@@ -22,7 +22,7 @@ from torch import Generator
 
 from benchmarks.bench_growth import exponent
 from metapp.apps import app_of, recipes_of
-from metapp.evaluation.figures.style import STYLE, new, save
+from metapp.evaluation.style import STYLE, new, save
 from metapp.learning.app import App, stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam

@@ -21,7 +21,7 @@ LINES = """
 import json, sys
 from metapp.cli.commands import app
 from metapp.cli.console import run
-from metapp.evaluation.figures import style
+from metapp.evaluation import style
 style.DPI = 40  # nobody looks at these figures
 for line in sys.stdin:
     words = json.loads(line)

@@ -39,9 +39,6 @@ class Evaluation:
             metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all there are."
         ),
     ] = None
-    table: Annotated[
-        bool, typer.Option("--table/--no-table", help="Print the tables, or only write figures and report.")
-    ] = True
     which: Annotated[
         str,
         typer.Option(
@@ -62,10 +59,6 @@ class Evaluation:
             "command prints the table of all parts.",
         ),
     ] = ""
-    figures: Annotated[Path | None, typer.Option(help="Draw the figures there, as PNG and PDF.")] = None
-    report: Annotated[
-        Path | None, typer.Option(help="Write one HTML page there: tables, figures, pictures, records.")
-    ] = None
     overfit_share: Annotated[
         float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
     ] = 1.0
@@ -101,8 +94,11 @@ class Evaluation:
 # the options of tables, with the table's name
 _OWN = {option.name: (option, offer.name) for offer in door.offers(door.Table) for option in offer.options}
 _FIELDS: list[tuple[str, object, object]] = [
-    (name, annotated(option, given=True, rich_help_panel=f"Options of --which {table}"), field(default=None))
-    for name, (option, table) in _OWN.items()
+    *((offer.option.name, annotated(offer.option), field(default=None)) for offer in door.offers(door.Report)),
+    *(
+        (name, annotated(option, given=True, rich_help_panel=f"Options of --which {table}"), field(default=None))
+        for name, (option, table) in _OWN.items()
+    ),
 ]
 
 
@@ -112,31 +108,23 @@ def command(options: Evaluation) -> None:
 
     Example: metapp evaluate brdf --which quickft
     """
-    reported = (options.which,) if options.which in NAMES else NAMES
+    from metapp.cli.show import show
+
+    reported = NAMES if options.which in ("", ALL) else [options.which]
     options = check(options)
-    subjects = subjects_of(options)
-    names = NAMES if options.which == ALL else (options.which,)
-    drawn = NAMES if options.figures and options.which not in STUDIES else reported if options.report else ()
-    cells = cells_of([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects)
+    subjects, reports = subjects_of(options), reports_of(options)
+    names = NAMES if options.which == ALL else [options.which]
+    cells = cells_of([load_table(name) for name in (reported if reports else names)], subjects)
     if options.shard:
         fill_part(cells, subjects[0].portion, options)
         return
     fill(cells, subjects, options)
     if not options.quiet:
         draw(subjects, names)
-    if options.table or options.json:
-        from metapp.cli.show import show
-
-        show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
-    if options.figures:
-        from metapp.evaluation.figures import write_figures
-
-        for file in write_figures(subjects, options.figures, options.which if options.which in STUDIES else ""):
-            say(f"figure: {file}")
-    if options.report:
-        from metapp.evaluation.report.page import write_report
-
-        say(f"report: {write_report(subjects, options.report, reported)}")
+    show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
+    for offer, path in reports.items():
+        for file in door.load(offer.write)(subjects, path, reported):
+            say(f"{offer.option.name}: {file}")
 
 
 def check(options: Evaluation) -> Evaluation:
@@ -149,13 +137,20 @@ def check(options: Evaluation) -> Evaluation:
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
-    if options.shard and (options.no_run or options.figures or options.report):
-        raise typer.BadParameter("--shard: runs a part and prints no table; leave --no-run, --figures, --report out.")
+    flags = [*(["--no-run"] if options.no_run else []), *(offer.option.flag for offer in reports_of(options))]
+    if options.shard and flags:
+        raise typer.BadParameter(f"--shard: runs a part and prints no table; leave {', '.join(flags)} out.")
     for name in own_options(options):
         own, owner = _OWN[name]
         if owner != options.which:
             raise typer.BadParameter(f"{own.flag}: only with --which {owner}.")
     return options
+
+
+def reports_of(options: Evaluation) -> dict[door.Report, Path]:
+    """What is to be written of the tables, and where."""
+    paths = {offer: getattr(options, offer.option.name) for offer in door.offers(door.Report)}
+    return {offer: path for offer, path in paths.items() if path}
 
 
 def own_options(options: Evaluation) -> dict[str, Any]:

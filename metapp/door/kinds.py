@@ -389,7 +389,7 @@ class Figure(NamedTuple):
 
     Attributes:
         name: of its file.
-        figure: `figure(subject) -> metapp.evaluation.figures.style.Drawn`, or None where nothing was measured yet that
+        figure: `figure(subject) -> metapp.evaluation.style.Drawn`, or None where nothing was measured yet that
             it could show.
         table: the study that it is of, which it is drawn with alone; "" for one of the paper's.
     """
@@ -397,6 +397,18 @@ class Figure(NamedTuple):
     name: str
     figure: str
     table: str = ""
+
+
+class Report(NamedTuple):
+    """Files that `metapp evaluate` writes of what it has measured, where their option is given.
+
+    Attributes:
+        option: a path.
+        write: `write(subjects, path, tables) -> files`, of tables by name.
+    """
+
+    option: Option
+    write: str
 
 
 class Command(NamedTuple):

@@ -19,10 +19,10 @@ from metapp.baselines.baseline import Allowed, BaselineFit, Training, nearest
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
 from metapp.evaluation.cell import run_cells
-from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, picture_cells
+from metapp.extensions.report.figures import draw as draw_figure
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.plan import plan

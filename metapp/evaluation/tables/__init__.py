@@ -11,7 +11,6 @@ if TYPE_CHECKING:
 
 ALL = "all"  # all tables but those that train for themselves
 _HERE = "metapp.evaluation.tables"
-FIGURES = ("plane", "ranks", "curves", "trajectories", "rates", "strips")
 OFFERS = (
     door.Table("results", f"{_HERE}.results:RESULTS"),
     door.Table("quickft", f"{_HERE}.results:QUICKFT"),
@@ -21,7 +20,6 @@ OFFERS = (
     door.Table("samples", f"{_HERE}.storage:SAMPLES"),
     door.Table("convergence", f"{_HERE}.convergence:CONVERGENCE"),
     door.Table("baselines", f"{_HERE}.baselines:BASELINES"),
-    *(door.Figure(name, f"metapp.evaluation.figures.drawing:{name}") for name in FIGURES),
 )
 
 

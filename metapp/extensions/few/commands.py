@@ -53,7 +53,7 @@ def plan(options: Options) -> None:
       metapp meta brdf paint.csv
       metapp plan brdf --samples 8 --after paint.csv --out more.csv
     """
-    from metapp.evaluation.figures.style import save
+    from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
     from metapp.extensions.few.figure import directions
     from metapp.extensions.few.gonio import write_pairs

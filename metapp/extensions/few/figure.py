@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from metapp.evaluation.figures.style import COLOURS, INK, MUTED, STYLE, Drawn
+from metapp.evaluation.style import COLOURS, INK, MUTED, STYLE, Drawn
 
 NUMBERED = 32  # pairs up to which each has its number
 

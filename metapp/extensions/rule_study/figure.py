@@ -5,8 +5,8 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-from metapp.evaluation.figures.style import COLOURS, GRID, INK, Drawn, new
 from metapp.evaluation.rows import Row, paired_of
+from metapp.evaluation.style import COLOURS, GRID, INK, Drawn, new
 from metapp.evaluation.subject import Subject
 from metapp.extensions.rule_study.study import QUICKFT
 from metapp.extensions.rule_study.table import rows, study_of

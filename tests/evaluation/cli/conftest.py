@@ -37,16 +37,6 @@ def done(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def drawn(data: Path, done: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the figures and the report of these runs."""
-    folder = tmp_path_factory.mktemp("drawn")
-    words = ("--data", data, "--out", done / "runs", "--no-run", "--quiet", "--json")
-    with few_steps():
-        assert call("evaluate", "brdf", *words, "--report", folder / "report", "--figures", folder / "figures") == 0
-    return folder
-
-
 @pytest.fixture
 def evaluate(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
     """`metapp evaluate brdf` on the three materials, into a folder of this test."""

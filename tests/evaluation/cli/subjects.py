@@ -24,7 +24,7 @@ def few_steps() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.evaluation.tables.convergence.FURTHER", (2, 4))
-        patch.setattr("metapp.evaluation.figures.style.DPI", 40)
+        patch.setattr("metapp.evaluation.style.DPI", 40)
         shrink_spheres(patch)
         yield
 

@@ -17,9 +17,9 @@ from metapp import door
 from metapp.apps import recipes_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.show import rich_table
-from metapp.evaluation.figures import draw
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
+from metapp.extensions.report.figures import draw
 from metapp.extensions.rule_study import study as studies
 from metapp.extensions.rule_study.study import COMPOSED, QUICKFT, Case, Design, Study, training_for
 from metapp.extensions.rule_study.table import fit_cell, study_of, train_cell

@@ -1,4 +1,4 @@
-"""The figures of `metapp evaluate`, of any application."""
+"""The figures that are offered: drawn and written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from metapp import door
 
 if TYPE_CHECKING:
-    from metapp.evaluation.figures.style import Drawn
+    from metapp.evaluation.style import Drawn
     from metapp.evaluation.subject import Subject
 
 
@@ -22,7 +22,7 @@ def draw(name: str, subject: Subject) -> Drawn | None:
     """The figure of that name; None where nothing was measured yet that it could show."""
     from matplotlib import rc_context
 
-    from metapp.evaluation.figures.style import STYLE
+    from metapp.evaluation.style import STYLE
 
     (reference,) = (offer.figure for offer in door.offers(door.Figure) if offer.name == name)
     with rc_context(STYLE):
@@ -30,18 +30,19 @@ def draw(name: str, subject: Subject) -> Drawn | None:
         return result
 
 
-def write_figures(subjects: Sequence[Subject], folder: Path, table: str = "") -> list[Path]:
-    """Write the figures of a study or, for "", the paper's, as <app>-<name>.png and .pdf.
+def write_figures(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> list[Path]:
+    """Write the figures of a study, if the tables are one, else the paper's, as <app>-<name>.png and .pdf.
 
     Returns:
         The PNG files.
     """
-    from metapp.evaluation.figures.style import save
+    from metapp.evaluation.style import save
     from metapp.runs.naming import name_of
 
     files = []
+    names = [name for table in tables for name in figure_names(table)] or figure_names()
     for subject in subjects:
-        for name in figure_names(table):
+        for name in names:
             drawn = draw(name, subject)
             if drawn:
                 stem = f"{name_of(subject.app)} {name}".replace(" ", "-")

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,8 +14,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.evaluation.figures import figure_names
-from metapp.evaluation.report.html import EMBEDDED, Pictures, identifier
+from metapp import door
+from metapp.extensions.report.figures import figure_names
+from metapp.extensions.report.html import EMBEDDED, Pictures, identifier
 
 
 class Page(HTMLParser):
@@ -89,6 +91,16 @@ def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Pat
     parsed.feed((tmp_path / "report" / "index.html").read_text())
     assert parsed.open == []
     assert "not measured yet" in (tmp_path / "report" / "index.html").read_text()
+
+
+def test_without_the_extension_tables_are_printed_and_its_options_are_refused(data: Path, tmp_path: Path) -> None:
+    environment = os.environ | {door.WITHOUT: "report"}
+    command = [sys.executable, "-m", "metapp", "evaluate", "brdf", "--data", data, "--out", tmp_path, "--no-run"]
+    done = subprocess.run([*command, "--which", "storage"], capture_output=True, text=True, env=environment, check=True)
+    assert "BRDF" in done.stdout
+    refused = subprocess.run([*command, "--report", tmp_path], capture_output=True, text=True, env=environment)
+    assert refused.returncode == 2
+    assert "No such option" in refused.stderr
 
 
 def test_pictures_that_are_too_many_lie_beside_the_page(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
-from metapp.evaluation.figures.style import (
+from metapp.evaluation.rows import values_of
+from metapp.evaluation.style import (
     BASELINE,
     COLOURS,
     INK,
@@ -24,7 +25,6 @@ from metapp.evaluation.figures.style import (
     line,
     new,
 )
-from metapp.evaluation.rows import values_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.baselines import baseline_rows
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_cell

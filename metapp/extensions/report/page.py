@@ -11,10 +11,14 @@ from importlib import resources
 from pathlib import Path
 
 from metapp.appearance.colour import to_srgb
-from metapp.evaluation.figures import draw, figure_names
-from metapp.evaluation.figures.style import TITLES
 from metapp.evaluation.notes import carried, overfit_note, warned
-from metapp.evaluation.report.html import (
+from metapp.evaluation.rows import Row, paired_of, paper, values_of
+from metapp.evaluation.style import TITLES
+from metapp.evaluation.subject import Subject, evenly
+from metapp.evaluation.tables import load_table
+from metapp.evaluation.tables.results import result_row
+from metapp.extensions.report.figures import draw, figure_names
+from metapp.extensions.report.html import (
     Pictures,
     anchor,
     drawn_html,
@@ -25,10 +29,6 @@ from metapp.evaluation.report.html import (
     sortable_html,
     table_html,
 )
-from metapp.evaluation.rows import Row, paired_of, paper, values_of
-from metapp.evaluation.subject import Subject, evenly
-from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.results import result_row
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.reporter import number
@@ -61,13 +61,13 @@ HEADINGS = {
 }
 
 
-def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> Path:
+def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> list[Path]:
     """Write `index.html`, of what has been measured so far.
 
     Args:
         subjects: of which applications.
         folder: made if missing.
-        tables: that it has, of `table_names`.
+        tables: that it has, by name.
 
     Returns:
         The file.
@@ -85,11 +85,11 @@ def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str
         html.data_script("records", {anchor(subject): records_of(subject) for subject in subjects}),
         element("script", _text("page.js")),
     )
-    return html.write_page(pictures.place(page, folder), folder / "index.html")
+    return [html.write_page(pictures.place(page, folder), folder / "index.html")]
 
 
 def _text(name: str) -> str:
-    return (resources.files("metapp.evaluation.report") / name).read_text(encoding="utf-8")
+    return (resources.files("metapp.extensions.report") / name).read_text(encoding="utf-8")
 
 
 def section(subject: Subject, pictures: Pictures, tables: Sequence[str]) -> str:

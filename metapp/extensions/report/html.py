@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from metapp.evaluation.figures.style import Drawn, png_of
 from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Row, Table
+from metapp.evaluation.style import Drawn, png_of
 from metapp.evaluation.subject import Subject
 from metapp.runs.naming import name_of
 from metapp.storage.files import write_atomically
