@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers.brdf_task import brdf_task
@@ -22,6 +25,7 @@ from metapp.learning.task import Params, Task
 TURN = 0.7  # rad, azimuth of the axis along which the highlight reaches farthest
 ROUGHNESS = Roughness(0.4, 0.12)
 APP = Brdf(ANISOTROPIC.meta["ridge"].setup)
+VIEWERS = ((10, 0), (40, 70), (40, 200), (65, 310))  # degrees: theta, phi
 COLOUR = (0.9, 0.6, 0.3)
 
 
@@ -37,11 +41,27 @@ def brushed(angles: Tensor) -> Tensor:
     return torch.where(above_horizon(angles)[..., None], brushed_directions(wi, wo), 0.0).to(angles)
 
 
-def directions(count: int, seed: int) -> Tensor:
-    """Unit vectors above the surface, float64."""
+def direction(theta: Any, phi: Any) -> NDArray[np.float64]:
+    """Unit vectors [..., 3] of angles in rad."""
+    parts = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
+    return np.stack(parts, -1).astype(np.float64)
+
+
+def directions(count: int, seed: int, least: float = 0.05) -> Tensor:
+    """Unit vectors above the surface, float64; the smaller `least`, the more of them are along it."""
     vectors = torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
-    vectors[:, 2] = vectors[:, 2].abs() + 0.05
+    vectors[:, 2] = vectors[:, 2].abs() + least
     return vectors / vectors.norm(dim=1, keepdim=True)
+
+
+def seen_from(mi: Any, degrees: tuple[float, float], count: int) -> Any:
+    """Interactions of Mitsuba with a viewer at angles (theta, phi)."""
+    import drjit as dr
+
+    interaction = dr.zeros(mi.SurfaceInteraction3f, count)
+    interaction.wi = mi.Vector3f(*direction(*np.radians(degrees)).tolist())
+    dr.make_opaque(interaction.wi)
+    return interaction
 
 
 def measured(count: int, *, anisotropic: bool = True) -> Pairs:

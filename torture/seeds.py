@@ -121,7 +121,7 @@ def networks() -> list[Files]:
 
 def rgl_files() -> list[Files]:
     """A small file of the RGL database: few angles, a coarse grid."""
-    from data_tools.readers.rgl import write_tensor_file
+    from metapp.extensions.rgl.tensor_file import write_tensor_file
 
     grid, nodes = np.random.default_rng(0).random((1, 3, 4, 4)).astype("f4"), np.float32([0, 0.7, 1.4])
     fields = {"description": np.frombuffer(b"paint", np.uint8), "phi_i": np.zeros(1, "f4"), "theta_i": nodes,

@@ -123,7 +123,7 @@ def _read_nbrdf(folder: Path, file: Path) -> None:
 def _read_rgl(folder: Path, file: Path) -> None:
     import torch
 
-    from data_tools.readers import rgl
+    from metapp.extensions.rgl import rgl
 
     values = rgl.read_rgl(rgl.find([folder])[0][0])(torch.tensor([[0.1, 0.2, 0.3], [0.6, 0.9, 4.0]]))
     if values.shape != (2, 3) or not bool(values.isfinite().all()):

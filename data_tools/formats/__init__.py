@@ -11,14 +11,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from data_tools.formats import brdf, pictures, scenes, surfaces
+from data_tools.formats import brdf, pictures, scenes
 from metapp import door
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
 
 AUTO = "auto"  # the split by a rule: train and test tasks
-OFFERS = (*brdf.OFFERS, *pictures.OFFERS, *scenes.OFFERS, *surfaces.OFFERS)
+OFFERS = (*brdf.OFFERS, *pictures.OFFERS, *scenes.OFFERS)
 
 
 class Files(Protocol):
@@ -50,4 +50,5 @@ def inputs_of(app: str) -> tuple[door.Format, ...]:
 
 def exports_of(app: str) -> dict[str, door.Export]:
     """Return the forms that fits of an application can be written in, by name."""
-    return {form.name: form for form in door.offers(door.Export) if app in form.apps}
+    forms = (form for form in door.offers(door.Export) if app in form.apps)
+    return {form.name: form for form in sorted(forms, key=lambda form: form.name)}

@@ -29,25 +29,8 @@ Examples:
   metapp data nbrdf trained --out nbrdf
   metapp data nbrdf trained/gold trained/tin --split test --out metals
 """
-RGL = """Convert RGL measurements, BRDFs, isotropic or anisotropic.
-
-A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes
-samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon. Spectral files are refused.
-A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
-
-Examples:
-  metapp data bsdf chm_orange_rgb.bsdf --out rgl
-  metapp data bsdf measurements --split test --out rgl
-"""
 
 OFFERS = (
-    Format(
-        "bsdf",
-        "brdf",
-        "data_tools.readers.rgl",
-        "RGL .bsdf files",
-        command=Converter(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
-    ),
     Format(
         "merl",
         "brdf",
@@ -64,9 +47,7 @@ OFFERS = (
         "folders with an NBRDF network",
         command=Converter(NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", (SAMPLES,)),
     ),
-    Export("bsdf", ("brdf",), "data_tools.readers.rgl:export"),
     Export("merl", ("brdf",), "data_tools.readers.merl:export"),
-    Export("mitsuba", ("brdf",), "data_tools.assets.mitsuba:export"),
     Export("nbrdf", ("brdf",), "data_tools.readers.nbrdf:export", holds=("w1", "w2", "w3", "b1", "b2", "b3")),
     InMemory("brdf", "data_tools.readers.brdf_objects:from_object"),
 )

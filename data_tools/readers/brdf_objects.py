@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers import brdf_task, rgl
+from data_tools.readers import brdf_task
 from data_tools.readers.measured_pairs import LARGEST, Pairs, task_of_pairs
 from data_tools.readers.picture_objects import array_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
@@ -51,7 +52,7 @@ def from_object(source: Any, name: str, how: Mapping[str, Any]) -> Task:
             raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(values)} rows, expected as many of each.")
         return task_of_pairs(name, Pairs(wi, wo, values).above())
     if type(source).__module__.partition(".")[0] == "mitsuba":
-        return _evaluated(name, partial(rgl.evaluate, load_mitsuba(), source))
+        return _evaluated(name, partial(evaluated_by, load_mitsuba(), source))
     if callable(source):
         return _evaluated(name, partial(_called, name, source))
     raise ValueError(
@@ -62,6 +63,17 @@ def from_object(source: Any, name: str, how: Mapping[str, Any]) -> Task:
 
 def _evaluated(name: str, evaluate: brdf_task.Evaluate) -> Task:
     return brdf_task.measured_task(name, evaluate, SAMPLES, name, azimuths=brdf_task.is_anisotropic(evaluate))
+
+
+def evaluated_by(mitsuba: ModuleType, bsdf: Any, angles: Tensor) -> Tensor:
+    """A BSDF of Mitsuba, without the cosine: linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3 or 4] in rad."""
+    import drjit
+
+    light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, angles.shape[-1]).double())
+    interaction = drjit.zeros(mitsuba.SurfaceInteraction3f, len(light))
+    interaction.wi, outward = (mitsuba.Vector3f(direction.T.float().numpy()) for direction in (viewer, light))
+    value = torch.from_numpy(np.array(bsdf.eval(mitsuba.BSDFContext(), interaction, outward))).T
+    return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(*angles.shape[:-1], 3).to(angles)
 
 
 def _called(name: str, function: Function, angles: Tensor) -> Tensor:

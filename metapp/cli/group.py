@@ -17,7 +17,8 @@ class Group(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is named; a usage error names the extension that has it."""
-        if args and (extension := door.switched_off(door.Command, args[0])):
+        kinds = (door.Command, door.Format) if args else ()
+        for extension in filter(None, (door.switched_off(kind, args[0]) for kind in kinds)):
             raise typer.BadParameter(
                 f"'{args[0]}' is a command of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
             )

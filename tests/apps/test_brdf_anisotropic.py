@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import rgl
 from data_tools.readers.brdf_objects import from_object
 from data_tools.readers.brdf_task import as_measured, brdf_task, is_anisotropic
 from data_tools.readers.measured_pairs import task_of_pairs
@@ -161,8 +160,3 @@ def test_isotropic_tasks_are_fitted_at_random_azimuths() -> None:
     where = APP.prepare(task)["where"]
     assert float(where[:, 1].abs().max()) > 0.1
     torch.testing.assert_close(where[:, 6], Brdf().prepare(task)["where"][:, 6], rtol=0, atol=1e-5)
-
-
-def test_anisotropic_rgl_files_of_damaged_headers_say_nothing(tmp_path: Path) -> None:
-    (tmp_path / "a.bsdf").write_bytes(b"tensor_file\0")
-    assert not rgl.is_anisotropic(tmp_path)

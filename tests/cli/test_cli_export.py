@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from data_tools.formats import exports_of
-from tests.needs_mitsuba import needs_mitsuba
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -69,25 +65,6 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
     assert done.code == 0
     assert "distilled" in done.err
     assert Path(run, "nbrdf", "m0", "b3.npy").is_file()
-
-
-@pytest.mark.long
-@needs_mitsuba
-def test_scenes_load_and_show_the_same(metapp: Callable, run: Path) -> None:
-    """In a process of its own, as a user's script; with the fit and with the table that Mitsuba knows."""
-    assert metapp("export", run, "mitsuba").code == 0
-    lines = """
-import json, sys, numpy
-import metapp.mitsuba, mitsuba
-mitsuba.set_variant("llvm_ad_rgb")
-scenes = (mitsuba.load_file(name) for name in sys.argv[1:])
-print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for scene in scenes]))
-"""
-    scenes = [run / "mitsuba" / "m0" / f"m0{suffix}.xml" for suffix in ("", "_builtin")]
-    done = subprocess.run([sys.executable, "-c", lines, *scenes], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    fit, table = json.loads(done.stdout)
-    np.testing.assert_allclose(fit, table, rtol=0.01)
 
 
 def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:

@@ -32,8 +32,8 @@ from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.storage.html import write_page
-from tests.assets.surfaces import rock
 from tests.browser import Page, browsing
+from tests.surfaces import rock
 
 SIDE = 16  # of exemplars, and of fields; the maps of the first are four times as large
 STEP = 1 / 255

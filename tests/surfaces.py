@@ -1,4 +1,4 @@
-"""Surfaces for tests of exports: every map varies, colours of F0 too."""
+"""Surfaces and height fields for tests: every map varies, colours of F0 too."""
 
 from __future__ import annotations
 
@@ -41,3 +41,24 @@ def stored(file: Path) -> Tensor:
 def linear(file: Path) -> Tensor:
     """Values [C, H, W] of an image file of sRGB colours, linear."""
     return srgb_to_linear(stored(file))
+
+
+def grid(size: int) -> tuple[Tensor, Tensor]:
+    """x to the right and y up of texels' centres, in texels."""
+    rows, columns = torch.meshgrid(*2 * [torch.arange(size, dtype=torch.float64)], indexing="ij")
+    return columns + 0.5, size - 0.5 - rows
+
+
+def normal_of(along_x: Tensor, along_y: Tensor) -> Tensor:
+    vectors = torch.stack([-along_x, -along_y, torch.ones_like(along_x)])
+    return vectors / vectors.norm(dim=0)
+
+
+def waves(size: int) -> tuple[Tensor, Tensor]:
+    """A field of three waves, not alike along x and y, and its exact normals."""
+    x, y = (2 * math.pi * each / size for each in grid(size))
+    height = 3 * (2 * x).sin() + 2 * (x + 3 * y).cos() + (y + 0.3).sin()
+    scale = 2 * math.pi / size
+    along_x = scale * (6 * (2 * x).cos() - 2 * (x + 3 * y).sin())
+    along_y = scale * (-6 * (x + 3 * y).sin() + (y + 0.3).cos())
+    return height[None], normal_of(along_x, along_y)

@@ -12,8 +12,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from data_tools.assets.pictures import fitted_by, write_planes
 from metapp.appearance.surface import Surface, fitted_planes
+from metapp.extensions.assets.pictures import fitted_by, write_planes
 from metapp.storage.files import write_atomically
 
 VERSION = "1.39"

@@ -1,8 +1,7 @@
 """Files of the RGL material database (Dupuy and Jakob 2018): read by Mitsuba's `measured` BSDF, and written for it.
 
 Measurements in RGB, the files `*_rgb.bsdf` of the database: their spectral twins need another variant. They are
-tensor files, named arrays: "tensor_file" and a zero byte, the version 1.0, the number of fields; of each field its
-name, number of axes, type, offset in the file and shape; then the values. All little-endian, in C order.
+tensor files.
 
 For each angle of the viewer there is a grid over half vectors m, in u = sqrt(2 theta_m / pi), which is dense at the
 normal, and v = phi_m / (2 pi) + 1/2, the azimuth to the viewer's. Of an anisotropic material, whose viewers have
@@ -15,12 +14,10 @@ Mitsuba samples.
 from __future__ import annotations
 
 import math
-import struct
 import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,26 +26,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.brdf_objects import evaluated_by
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import (
     directions_to_four_angles,
     directions_to_full_circle,
-    rusinkiewicz_to_directions,
 )
+from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.files import suffixed, write_atomically
+from metapp.storage.files import suffixed
 
 if TYPE_CHECKING:
-    import mitsuba as mi
-
     from metapp.apps.brdf.app import Brdf
 
-MAGIC = b"tensor_file\0"
-VERSION = (1, 0)
-TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
-ALIGNMENT = 8
-MOST_FIELDS, MOST_AXES = 64, 8
 NODES = 40  # angles of the viewer
 GRID = 160  # half vectors along u and v
 TURNS, FEWER_NODES, FEWER = 17, 20, 96  # azimuths of the viewer, angles and half vectors of an anisotropic material
@@ -72,67 +63,6 @@ AXES = {
 UNITS = brdf_task.UNITS
 find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
-
-
-def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
-    """Read all arrays of a file.
-
-    Raises:
-        ValueError: it is none, is of another version, or is damaged.
-    """
-    content = Path(path).read_bytes()
-    if content[:12] != MAGIC:
-        raise ValueError(f"{path}: no tensor file, expected one that begins with tensor_file; not an RGL measurement.")
-    try:
-        *version, count = struct.unpack_from("<BBI", content, 12)
-        if tuple(version) != VERSION:
-            raise ValueError(f"{path}: version {version[0]}.{version[1]}, expected 1.0; download it again.")
-        if count > MOST_FIELDS:
-            raise _Damaged(f"{count} fields")
-        fields, start = {}, 18
-        for _ in range(count):
-            name, array, start = _field(content, start)
-            fields[name] = array
-    except (struct.error, UnicodeDecodeError, _Damaged) as error:
-        reason = str(error) if isinstance(error, _Damaged) else "a header that is cut off or no text"
-        raise ValueError(f"{path}: {reason}, expected a whole tensor file; download it again.") from None
-    return fields
-
-
-class _Damaged(Exception):
-    """A header that the file does not fit."""
-
-
-def _field(content: bytes, at: int) -> tuple[str, NDArray[np.number], int]:
-    """A field's name and values, and where the next one is."""
-    (length,) = struct.unpack_from("<H", content, at)
-    name = content[at + 2 : at + 2 + length].decode()
-    at += 2 + length
-    axes, kind, offset = struct.unpack_from("<HBQ", content, at)
-    if axes > MOST_AXES or kind not in TYPES or not name.isprintable():
-        raise _Damaged(f"a field of {axes} axes and type {kind}")
-    shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
-    if 0 in shape:  # numpy refuses some of these, in words of its own
-        raise _Damaged(f"a field {name[:20]} without values")
-    dtype, count = np.dtype(TYPES[kind]), math.prod(shape)
-    if offset + count * dtype.itemsize > len(content):
-        raise _Damaged(f"{len(content):,} bytes, too few for the field {name[:20]}")
-    return name, np.frombuffer(content, dtype, count, offset).reshape(shape), at + 11 + 8 * axes
-
-
-def write_tensor_file(path: str | Path, fields: Mapping[str, NDArray[np.number]]) -> None:
-    """Write arrays, whole or not at all."""
-    kinds = {np.dtype(word): kind for kind, word in TYPES.items()}
-    headers = {name: struct.pack("<H", len(name)) + name.encode() for name in fields}
-    offset = 18 + sum(len(headers[name]) + 11 + 8 * array.ndim for name, array in fields.items())
-    head, body = [MAGIC, struct.pack("<BBI", *VERSION, len(fields))], []
-    for name, array in fields.items():
-        pad = -offset % ALIGNMENT
-        head.append(headers[name] + struct.pack("<HBQ", array.ndim, kinds[array.dtype], offset + pad))
-        head.append(struct.pack(f"<{array.ndim}Q", *array.shape))
-        body.append(bytes(pad) + np.ascontiguousarray(array).tobytes())
-        offset += pad + array.nbytes
-    write_atomically(path, lambda target: target.write_bytes(b"".join((*head, *body))))
 
 
 def viewer_angles(count: int = NODES) -> NDArray[np.float64]:
@@ -220,8 +150,12 @@ def _area(half: Tensor, viewers: Tensor) -> NDArray[np.float64]:
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a file of the RGL database; `path` without .bsdf gets it."""
-    file = suffixed(path, SUFFIX)
-    write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp", azimuths=app.setup.anisotropic)
+    write_fit(app, theta, suffixed(path, SUFFIX), path.name)
+
+
+def write_fit(app: Brdf, theta: Params, file: Path, name: str) -> None:
+    """Write a fitted network as `write_rgl`, with its name in the description."""
+    write_rgl(file, partial(app.reflectance, theta), f"{name}: a fit of metapp", azimuths=app.setup.anisotropic)
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
@@ -261,27 +195,16 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
     mitsuba = load_mitsuba()
     bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
     if fields["phi_i"].size <= 2:
-        return partial(evaluate, mitsuba, bsdf)
+        return partial(evaluated_by, mitsuba, bsdf)
 
     def of_four(angles: Tensor) -> Tensor:
         if angles.shape[-1] != 4:
             raise ValueError(
                 f"{path}: anisotropic, expected an isotropic measurement where there is no phi_h, as in MERL tables."
             )
-        return evaluate(mitsuba, bsdf, angles)
+        return evaluated_by(mitsuba, bsdf, angles)
 
     return of_four
-
-
-def evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
-    """A BSDF of Mitsuba without the cosine, linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3 or 4] in rad."""
-    import drjit
-
-    light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, angles.shape[-1]).double())
-    interaction = drjit.zeros(mitsuba.SurfaceInteraction3f, len(light))
-    interaction.wi, outward = (mitsuba.Vector3f(direction.T.float().numpy()) for direction in (viewer, light))
-    value = torch.from_numpy(np.array(bsdf.eval(mitsuba.BSDFContext(), interaction, outward))).T
-    return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(*angles.shape[:-1], 3).to(angles)
 
 
 def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from data_tools.assets import usd
 from metapp.appearance.colour import linear_to_srgb
-from tests.assets.surfaces import PROVENANCE, rock, stored
+from metapp.extensions.assets import usd
+from tests.surfaces import PROVENANCE, rock, stored
 
 pxr = pytest.importorskip("pxr", reason='usd-core is not installed: pip install "metapp[export]"')
 from pxr import Usd, UsdShade, UsdValidation  # noqa: E402

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_tools.assets.pictures import fitted_by, write_plane
-from metapp.appearance.surface import Surface, all_planes
+from metapp.appearance.surface import Surface
+from metapp.extensions.assets.pictures import fitted_by, write_plane
+from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:

@@ -11,10 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import rgl
-from data_tools.readers.rgl import LAST_DEGREES, read_tensor_file, viewer_angles, write_rgl, write_tensor_file
 from metapp.appearance.geometry import cosines, directions_to_full_circle
 from metapp.appearance.reflection import microfacet_lobe
+from metapp.extensions.rgl import rgl
+from metapp.extensions.rgl.rgl import LAST_DEGREES, viewer_angles, write_rgl
+from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from tests.needs_mitsuba import needs_mitsuba
 
 

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.assets import mitsuba
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import brdf, camera, expose, positions, relightings, render
-from tests.assets.surfaces import PROVENANCE, rock
+from metapp.extensions.assets import mitsuba
 from tests.needs_mitsuba import needs_mitsuba
+from tests.surfaces import PROVENANCE, rock
 
 pytestmark = needs_mitsuba
 SIDE = 32

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.assets import gltf, pictures
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.surface import all_planes, from_metallic
-from tests.assets.surfaces import PROVENANCE, rock, stored
+from metapp.appearance.surface import from_metallic
+from metapp.extensions.assets import gltf, pictures
+from metapp.extensions.assets.planes import all_planes
+from tests.surfaces import PROVENANCE, rock, stored
 
 COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 

@@ -17,8 +17,9 @@ from pathlib import Path
 
 import torch
 
-from data_tools.assets.pictures import write_plane
-from metapp.appearance.surface import DIELECTRIC, Surface, all_planes
+from metapp.appearance.surface import DIELECTRIC, Surface
+from metapp.extensions.assets.pictures import write_plane
+from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import suffixed, write_atomically
 from metapp.storage.records import finite
 

@@ -9,14 +9,15 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.assets import pictures
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, unpack
-from metapp.appearance.relief import occlusion_from_height
-from metapp.appearance.surface import all_planes, from_metallic
-from tests.assets.surfaces import PROVENANCE, linear, rock, stored, texture
+from metapp.appearance.surface import from_metallic
+from metapp.extensions.assets import pictures
+from metapp.extensions.assets.occlusion import occlusion_from_height
+from metapp.extensions.assets.planes import all_planes
+from tests.surfaces import PROVENANCE, linear, rock, stored, texture
 
 STEP = 1 / 65535
 MAPS = ("basecolor", "diffuse", "specular", "metallic", "roughness", "normal_gl", "normal_dx", "height", "ao", "orm")

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from data_tools.assets import materialx
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from tests.assets.surfaces import PROVENANCE, rock, stored
+from metapp.extensions.assets import materialx
+from tests.surfaces import PROVENANCE, rock, stored
 
 
 @pytest.fixture

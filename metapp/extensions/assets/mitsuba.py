@@ -1,29 +1,21 @@
-"""Mitsuba 3: scenes that show what was fitted, a flat material or a BRDF, beside the files that they need.
+"""Mitsuba 3: scenes that show a fitted material, beside the pictures that they need.
 
-`<name>.xml` has the BSDF `neural_svbrdf` or `neural_brdf`, which shades as what was fitted; it needs `import
-metapp.mitsuba` before `mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `principled`, the nearest
-material of the metallic-roughness workflow, as its `specular` is one number; or `measured` on a table of the BRDF.
+`<name>.xml` has the BSDF `neural_svbrdf`, which shades as what was fitted; it needs `import metapp.mitsuba` before
+`mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `principled`, the nearest material of the
+metallic-roughness workflow, as its `specular` is one number.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from safetensors.torch import save
-
-from data_tools.assets.pictures import write_planes
-from data_tools.readers.rgl import write_rgl
 from metapp.appearance.flash import camera_distance
-from metapp.appearance.surface import Surface, all_planes
-from metapp.learning.task import Params
+from metapp.appearance.surface import Surface
+from metapp.extensions.assets.pictures import write_planes
+from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import write_atomically
-
-if TYPE_CHECKING:
-    from metapp.apps.brdf.app import Brdf
 
 VERSION = "3.0.0"
 FOV_DEGREES = 45
@@ -37,7 +29,6 @@ PLUGINS = {  # its textures by name, and other properties
 }
 SUFFIX = {"neural_svbrdf": "", "principled": "_builtin"}
 USED = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
-FILES = {"neural_brdf": ("", ".safetensors"), "measured": ("_builtin", ".bsdf")}  # of the scene, of its file
 
 
 def write_mitsuba(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
@@ -102,41 +93,6 @@ def _add_camera(root: ET.Element, surface: Surface) -> None:
     for key, value in zip(("height", "width"), surface.size, strict=True):
         ET.SubElement(film, "integer", name=key, value=str(value))
     ET.SubElement(ET.SubElement(sensor, "sampler", type="independent"), "integer", name="sample_count", value="64")
-
-
-def export(app: Brdf, theta: Params, path: Path) -> None:
-    """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
-    tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
-    write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))
-    description = f"{path.name}: a fit of metapp"
-    write_rgl(path / f"{path.name}.bsdf", partial(app.reflectance, theta), description, azimuths=app.setup.anisotropic)
-    for plugin, (suffix, ending) in FILES.items():
-        _write(brdf_scene(plugin, path.name, f"{path.name}{ending}"), path / f"{path.name}{suffix}.xml")
-
-
-def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
-    """A sphere with the material, a lamp above it to the left, a dim sky."""
-    root = _scene()
-    bsdf = ET.SubElement(root, "bsdf", type=plugin, id=name)
-    ET.SubElement(bsdf, "string", name="filename", value=file)
-    sphere = ET.SubElement(root, "shape", type="sphere")
-    ET.SubElement(sphere, "ref", id=name)
-    camera = ET.SubElement(root, "sensor", type="perspective")
-    ET.SubElement(camera, "float", name="fov", value="30")
-    ET.SubElement(
-        ET.SubElement(camera, "transform", name="to_world"), "lookat", origin="0, 0, 5", target="0, 0, 0", up="0, 1, 0"
-    )
-    film = ET.SubElement(camera, "film", type="hdrfilm")
-    for side in ("width", "height"):
-        ET.SubElement(film, "integer", name=side, value="256")
-    ET.SubElement(ET.SubElement(camera, "sampler", type="independent"), "integer", name="sample_count", value="64")
-    lamp = ET.SubElement(root, "shape", type="sphere")
-    ET.SubElement(lamp, "point", name="center", x="-4", y="5", z="5")
-    ET.SubElement(lamp, "float", name="radius", value="1")
-    ET.SubElement(ET.SubElement(lamp, "emitter", type="area"), "rgb", name="radiance", value="40, 40, 40")
-    sky = ET.SubElement(root, "emitter", type="constant")
-    ET.SubElement(sky, "rgb", name="radiance", value="0.3, 0.3, 0.3")
-    return root
 
 
 def _scene() -> ET.Element:

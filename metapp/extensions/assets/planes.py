@@ -1,0 +1,62 @@
+"""All maps of a surface that other programs take: those of the fit, of the metallic-roughness workflow, occlusion."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.surface import DIELECTRIC, Plane, Surface, fitted_planes
+from metapp.extensions.assets.occlusion import occlusion_from_height
+
+
+def all_planes(surface: Surface) -> dict[str, Plane]:
+    """The fit's own maps and derived ones: the metallic-roughness workflow, occlusion, DirectX normals."""
+    planes = fitted_planes(surface)
+    if surface.maps is None:
+        return planes
+    base, metallic = to_metallic(surface.maps.diffuse, surface.maps.specular)
+    occlusion = occlusion_from_height(planes["height"].values * surface.size[1], periodic=surface.tiles)
+    x, y, z = planes["normal_gl"].values.unbind()
+    packed = torch.cat([occlusion, surface.maps.roughness, metallic])
+    return planes | {
+        "basecolor": Plane(base, "srgb", "base colour of the metallic-roughness workflow"),
+        "metallic": Plane(metallic, "linear", "metallic of the metallic-roughness workflow"),
+        "normal_dx": Plane(torch.stack([x, 1 - y, z]), "linear", "normal, 0..1 for -1..1; x right, y down, z out"),
+        "ao": Plane(occlusion, "linear", "ambient occlusion, 1 is open"),
+        "orm": Plane(packed, "linear", "red ambient occlusion, green roughness, blue metallic"),
+    }
+
+
+class MetallicRoughness(NamedTuple):
+    """Colours of the workflow.
+
+    Attributes:
+        base: [..., 3, H, W] linear RGB in [0, 1].
+        metallic: [..., 1, H, W] in [0, 1].
+    """
+
+    base: Tensor
+    metallic: Tensor
+
+
+def to_metallic(diffuse: Tensor, specular: Tensor) -> MetallicRoughness:
+    """The workflow's maps of diffuse and specular colour.
+
+    Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s - c) = 0, linear in d and s: it is solved for their
+    means over the channels. The base colour is then d + s - c (1 - m). Both are exact where such maps exist
+    (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a specular colour below 0.04 or of another hue
+    than the body's is lost, which is why formats that can hold F0 itself get that.
+
+    Args:
+        diffuse: [..., 3, H, W] linear in [0, 1].
+        specular: [..., 1 or 3, H, W], reflectance at normal incidence in [0, 1].
+    """
+    d, s = diffuse.mean(-3, keepdim=True), specular.mean(-3, keepdim=True)
+    linear = d + s - 2 * DIELECTRIC
+    root = (linear * linear + 4 * DIELECTRIC * (s - DIELECTRIC)).clamp_min(0).sqrt()
+    metallic = ((root - linear) / (2 * DIELECTRIC)).clamp(0, 1)
+    metallic = metallic.where(s > DIELECTRIC, metallic.new_zeros(()))
+    base = (diffuse + specular - DIELECTRIC * (1 - metallic)).clamp(0, 1)
+    return MetallicRoughness(base, metallic)

@@ -1,0 +1,31 @@
+"""BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
+
+from __future__ import annotations
+
+from data_tools.formats.brdf import SAMPLES
+from metapp.door import Converter, Export, Format
+
+_HERE = "metapp.extensions.rgl"
+
+RGL = """Convert RGL measurements, BRDFs, isotropic or anisotropic.
+
+A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes
+samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon. Spectral files are refused.
+A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+Examples:
+  metapp data bsdf chm_orange_rgb.bsdf --out rgl
+  metapp data bsdf measurements --split test --out rgl
+"""
+
+OFFERS = (
+    Format(
+        "bsdf",
+        "brdf",
+        f"{_HERE}.rgl",
+        "RGL .bsdf files",
+        command=Converter(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
+    ),
+    Export("bsdf", ("brdf",), f"{_HERE}.rgl:export"),
+    Export("mitsuba", ("brdf",), f"{_HERE}.scene:export"),
+)

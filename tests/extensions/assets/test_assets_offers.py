@@ -1,0 +1,17 @@
+"""The core without the extension."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from metapp import door
+
+
+def test_without_it_surfaces_have_no_exports_and_brdfs_keep_theirs(
+    metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(door.WITHOUT, "assets")
+    assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
+    assert "brdf expects one of bsdf, merl, mitsuba, nbrdf" in metapp("meta", "brdf", "--export", "png16").misuse

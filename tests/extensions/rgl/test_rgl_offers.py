@@ -1,0 +1,46 @@
+"""The extension's exports of a run; and the core without it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metapp import door
+from tests.needs_mitsuba import needs_mitsuba
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+NETWORKS = 1
+
+
+@pytest.mark.long
+@needs_mitsuba
+def test_scenes_load_and_show_the_same(metapp: Callable, fitted: Callable) -> None:
+    """In a process of its own, as a user's script; with the fit and with the table that Mitsuba knows."""
+    run = fitted("meta", "--rule", "meta-curvature")
+    assert metapp("export", run, "mitsuba").code == 0
+    lines = """
+import json, sys, numpy
+import metapp.mitsuba, mitsuba
+mitsuba.set_variant("llvm_ad_rgb")
+scenes = (mitsuba.load_file(name) for name in sys.argv[1:])
+print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for scene in scenes]))
+"""
+    scenes = [run / "mitsuba" / "m0" / f"m0{suffix}.xml" for suffix in ("", "_builtin")]
+    done = subprocess.run([sys.executable, "-c", lines, *scenes], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    fit, table = json.loads(done.stdout)
+    np.testing.assert_allclose(fit, table, rtol=0.01)
+
+
+def test_without_it_its_command_is_refused_and_others_stay(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("a.bsdf").write_bytes(b"tensor_file")
+    monkeypatch.setenv(door.WITHOUT, "rgl")
+    assert "a command of the extension rgl" in metapp("data", "bsdf", "a.bsdf").misuse
+    assert "brdf expects one of merl, nbrdf" in metapp("meta", "brdf", "--export", "bsdf").misuse
+    assert "a.bsdf" in metapp("meta", "brdf", "a.bsdf").refusal
