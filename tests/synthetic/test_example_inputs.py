@@ -25,7 +25,12 @@ def test_example_inputs_are_small_files_of_the_names_that_are_listed(app, tmp_pa
 @pytest.mark.parametrize("app", [app for app in app_names() if app != "transport"])
 def test_example_inputs_are_read_by_formats_and_the_same_each_time(app, tmp_path):
     first, again = (
-        [form.read(file) for file in write_example(app, tmp_path) for form in inputs_of(app) if form.recognises(file)]
+        [
+            form.read(file, {})
+            for file in write_example(app, tmp_path)
+            for form in inputs_of(app)
+            if form.recognises(file)
+        ]
         for _ in range(2)
     )
     assert [task.name for task in first] == [file.partition(".")[0] for file in EXAMPLES[app].files]
@@ -41,7 +46,7 @@ def test_no_example_inputs_are_refused(tmp_path):
 def test_the_ball_of_the_example_is_found_to_be_a_mirror(tmp_path):
     _, ball = write_example("illumination", tmp_path)
     (form,) = inputs_of("illumination")
-    data = form.read(ball).data
+    data = form.read(ball, {}).data
     assert "seen" in data
     assert 0.2 < float((data["certain"] > 0).float().mean()) < 1
 
