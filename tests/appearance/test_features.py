@@ -84,13 +84,6 @@ def test_distances(rand: Callable[..., Tensor]) -> None:
     assert distance(black, black).tolist() == [0]
 
 
-def test_distances_broadcast_over_what_is_generated(rand: Callable[..., Tensor]) -> None:
-    found, target = rand(2, 4, 3, 3), rand(2, 3, 3)
-    each = distance([found], [target[:, None]])
-    assert each.shape == (2, 4)
-    torch.testing.assert_close(each[1, 2], distance([found[1, 2]], [target[1]]))
-
-
 def test_moments_are_means_and_root_mean_squares(rand: Callable[..., Tensor]) -> None:
     first, second = rand(2, 3, 4, 4), rand(2, 5, 2, 2)
     found = moments([first, second])

@@ -294,18 +294,6 @@ def test_nothing_is_left_on_another_device() -> None:
     assert flash_position(image).shape == (2, 2)
 
 
-def test_gradients_with_respect_to_normals_and_of_flat_heights() -> None:
-    height = torch.zeros(1, 4, 4, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(normal_from_height, (height,))
-    assert torch.autograd.gradcheck(lambda height: normal_from_height(height, 2.0, periodic=False), (height,))
-    normal = flat(size=(2, 2)).normal.clone().requires_grad_()  # light, viewer and normal in one direction
-
-    def picture(normal: Tensor) -> Tensor:
-        return render(flat(0.4, 0.2, size=(2, 2))._replace(normal=normal), grid(2, 2), at(0, 0), at(0, 0))
-
-    assert torch.autograd.gradcheck(picture, (normal,))
-
-
 # Exposure
 
 

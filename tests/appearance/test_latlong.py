@@ -122,15 +122,6 @@ def test_resampling_keeps_energy(source: tuple[int, int], target: tuple[int, int
     assert other.max() <= maps.max() + 1e-12
 
 
-def test_resampling_to_the_same_size_or_up_and_down_again_changes_nothing(rng: torch.Generator) -> None:
-    for size in SIZES:
-        maps = draw_maps(rng, *size).float()
-        assert torch.equal(resample(maps, *size), maps)
-    maps = draw_maps(rng, 7, 14)
-    assert torch.equal(resample(maps, 14, 42)[..., 1::2, 1::3], maps)  # a texel's children are what it was
-    torch.testing.assert_close(resample(resample(maps, 14, 42), 7, 14), maps)
-
-
 # Light on a sphere
 
 
@@ -182,14 +173,6 @@ def test_diffuse_light_of_spherical_harmonics(rng: torch.Generator) -> None:
     assert errors[8] < 0.05
     assert errors[64] < 0.05 / 64  # in proportion to a texel's area
     assert errors[8] > 2 * errors[16] > 4 * errors[32] > 8 * errors[64]
-
-
-def test_light_from_behind_does_not_count(rng: torch.Generator) -> None:
-    normals = draw_normals(rng, facing=True)
-    behind = normals @ directions(16, 32, dtype=torch.float64).flatten(1) < 0
-    assert (cosine_transfer(normals, 16, 32)[behind] == 0).all()
-    assert (glossy_transfer(normals, 0.5, 16, 32)[behind] == 0).all()
-    assert (glossy_transfer(-normals, 0.5, 16, 32) == 0).all()
 
 
 @pytest.mark.parametrize("roughness", [0.25, 0.7])

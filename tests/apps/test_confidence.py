@@ -11,14 +11,7 @@ from torch import Generator
 
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
-from metapp.apps.svbrdf_nonstationary.confidence import (
-    COARSE,
-    PARTS,
-    deviations,
-    scales,
-    surprise,
-    unknown,
-)
+from metapp.apps.svbrdf_nonstationary.confidence import COARSE, PARTS, deviations, scales, surprise, unknown
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from tests.apps.test_svbrdf_nonstationary import material

@@ -51,14 +51,6 @@ def tasks(app: ExemplarApp) -> Tasks:
     return stack(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
 
 
-def test_the_recipe() -> None:
-    """At 64 texels four layers are compared, at 128 three, at 256 two."""
-    setup = recipes_of("texture")["full"].setup
-    assert [setup.taps_of(octave) for octave in (0, 1, 2)] == [2, 3, 4]
-    assert [setup.maps_from(octave) for octave in (0, 1, 2)] == [9, 7, 4]
-    assert (setup.height, setup.width, setup.taps[-1]) == (256, 256, "relu4_1")
-
-
 @pytest.mark.parametrize(
     ("name", "steps", "tasks", "size"), [("texture", 15, 5, (192, 256)), ("svbrdf_stationary", 20, 3, (256, 256))]
 )

@@ -28,7 +28,6 @@ from metapp.apps.illumination.confidence import (
     init,
     off_by,
     predicted,
-    shipped,
     spread_of,
 )
 from metapp.apps.illumination.mirror import photographed
@@ -95,10 +94,6 @@ def test_the_network_makes_distributions_of_any_features() -> None:
         assert spread.scale.shape == spread.shape.shape == (3, ROWS, COLUMNS)
         assert spread.scale.min() > 0
         assert torch.isfinite(spread.quantile(0.9)).all()
-
-
-def test_what_ships_is_small() -> None:
-    assert shipped().stat().st_size < 10_000
 
 
 # What is told and drawn

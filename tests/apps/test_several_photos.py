@@ -14,7 +14,6 @@ from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_h
 from metapp.appearance.several import ASIDE, ERROR, FARTHEST, NEAREST, held_places
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
-from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
 from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
@@ -184,14 +183,6 @@ def test_augmented_tasks_have_as_many_photos(app: SvbrdfNonstationary, tasks: Ta
     assert data["others"].shape == (2, COUNT - 1, 3, SIDE, SIDE)
     assert data["places"].shape == (2, COUNT, 2, 3)
     assert not torch.equal(data["places"], tasks.data["places"])
-
-
-def test_each_photo_is_written_as_the_fit_sees_it(app: SvbrdfNonstationary) -> None:
-    task = several(0)
-    theta = {key: value[0] for key, value in started(app, stack(app, [task])).items()}
-    files = SvbrdfNonstationaryPresentation(app).files(theta, task)
-    assert [name for name in files if name.startswith("photo")] == ["photo_1", "photo_2", "photo_3"]
-    assert all(files[f"photo_{i}"].pixels.shape == (32, 32, 3) for i in (1, 2, 3))
 
 
 def test_places_are_as_people_hold_a_phone(rng: Generator) -> None:

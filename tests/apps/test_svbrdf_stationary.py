@@ -97,17 +97,6 @@ def flat(app: SvbrdfStationary, *raw: float, count: int = 1) -> Params:
 # Windows
 
 
-@pytest.mark.parametrize("size", [(16, 16), (8, 24)])
-def test_windows_of_constant_features_have_the_constants_products(size: tuple[int, int], rng: Generator) -> None:
-    colours = torch.rand(2, 5, generator=rng, dtype=torch.float64)
-    found = _grams(colours[..., None, None].expand(2, 5, *size), WINDOWS)
-    assert found.shape == (2, 9, 5, 5)
-    products = colours[:, :, None] * colours[:, None]
-    torch.testing.assert_close(found, products[:, None].expand(2, 9, 5, 5))
-    maps = torch.rand(2, 3, *size, generator=rng)  # some windows are those of all
-    torch.testing.assert_close(_grams(maps, [7, 2, 2]), _grams(maps, WINDOWS)[:, [7, 2, 2]])
-
-
 def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
     """How much each place counts in each window: half as wide as the picture, from edge to edge."""
     counts = []

@@ -15,7 +15,7 @@ from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.apps.texture.recipes import PAPER, QUICK
+from metapp.apps.texture.recipes import QUICK
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -114,24 +114,6 @@ def test_samples_and_losses(tasks: Tasks) -> None:
     torch.testing.assert_close(loss, torch.stack(each).mean(0))
 
 
-def test_an_exemplar_is_at_no_distance_from_itself(
-    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    app = tiny()
-    exemplars = app.exemplar(torch.stack([task.data["image"] for task in sources]) / 255)
-    monkeypatch.setattr(
-        app, "generate", lambda theta, noise, octave: exemplars[:, None].expand(-1, noise.shape[1], -1, -1, -1)
-    )
-    theta = app.init(seeded(), 4)
-    assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
-    assert app.errors(theta, tasks)["error"].max() < 1e-5
-    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll(1, 0)[:, None])
-    assert app.errors(theta, tasks)["error"].min() > 0.3
-    # statistics, not pixels
-    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
-    assert app.errors(theta, tasks)["error"].max() < 0.15
-
-
 def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
     app = tiny()
     theta = app.init(seeded(), 4)
@@ -140,15 +122,6 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
     noise = app.noise(seeded(), 1, JUDGED)
     batch = app.sample(tasks.select([2]), seeded(5), 1) | {"noise": noise}
     torch.testing.assert_close(app.loss(alone, batch, {}), errors[2:3])
-
-
-def test_the_exemplar_has_the_recipe_s_proportions(rng: Generator) -> None:
-    """The paper's is 192 rows of 256: the middle of a square picture, none of it stretched."""
-    app, images = Texture(PAPER.setup), torch.rand(2, 3, 256, 256, generator=rng)
-    large = images.repeat_interleave(2, 2).repeat_interleave(2, 3)
-    torch.testing.assert_close(app.exemplar(large), images[:, :, 32:-32])
-    square = Texture(QUICK.setup).exemplar(images)
-    torch.testing.assert_close(square, interpolate(images, scale_factor=0.25, mode="area"))
 
 
 # What is made up for training

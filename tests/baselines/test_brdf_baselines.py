@@ -19,7 +19,6 @@ from metapp.baselines.brdf import (
     Relative,
     RidgeOf,
     baselines,
-    coefficients,
     components,
     cosines_of,
     drawn,
@@ -78,30 +77,6 @@ def test_components_are_those_of_the_singular_value_decomposition(rng: Generator
     few = torch.randn(40, 4, generator=rng, dtype=torch.float64)
     for unit in (1e-4, 1, 1e4):
         assert components(unit * few, 20).axes.shape == (40, 3)  # and a mean
-
-
-@pytest.mark.parametrize("solves", [0, 1, 2])
-def test_a_material_in_the_span_is_recovered_exactly(stacked: Tasks, solves: int) -> None:
-    where, target = stacked.data["where"][0].double(), stacked.data["target"].double()
-    space = space_of(where, target)
-    seen = drawn(Tasks(stacked.names, {"where": where.expand(12, -1, -1), "target": target}, torch.tensor([4])),
-                 Generator().manual_seed(0), 400)  # fmt: skip
-    made = space.reflectance(coefficients(space.at(seen.rows), seen, 1e-14, solves))
-    torch.testing.assert_close(torch.log1p(made * where[:, 6:]), target[4], atol=1e-5, rtol=1e-4)
-
-
-def test_ridge_solves_the_penalised_normal_equations(rng: Generator) -> None:
-    axes = torch.randn(80, 6, generator=rng, dtype=torch.float64)
-    targets = torch.randn(80, 3, generator=rng, dtype=torch.float64)
-    weights, deviation = torch.rand(80, 3, generator=rng, dtype=torch.float64), torch.rand(6, generator=rng) + 0.1
-    found = ridge(axes, targets, weights, deviation, 0.7).requires_grad_()
-    cost = (weights * (axes @ found - targets) ** 2).sum() + 0.7 * ((found / deviation[:, None]) ** 2).sum()
-    cost.backward()
-    assert found.grad is not None
-    assert found.grad.abs().max() < 1e-9
-    torch.testing.assert_close(ridge(axes, targets, torch.ones(80, 3, dtype=torch.float64), deviation, 0.7),
-                               ridge(axes, targets, None, deviation, 0.7))  # fmt: skip
-    assert ridge(axes, targets, None, deviation, 1e12).abs().max() < 1e-9
 
 
 def test_reweighting_brings_least_squares_to_the_median(rng: Generator) -> None:
@@ -213,10 +188,3 @@ def test_lobes_fit_their_own_materials(at: lobes.Cosines) -> None:
     errors = [(seen(lobes.fit(target, count), at).target - target.target).abs().mean().item() for count in (1, 2)]
     assert errors[1] < 2e-4
     assert errors[1] < 0.1 * errors[0]
-
-
-def test_a_fit_is_a_brdf(at: lobes.Cosines, rng: torch.Generator) -> None:
-    target = lobes.CosineSamples(at, torch.rand(len(at.half), 3, generator=rng, dtype=torch.float64))
-    found = lobes.fit(target, 1)
-    assert len(found) == 3 + lobes.LOBE == 8
-    assert lobes.reflectance(found, at).min() >= 0

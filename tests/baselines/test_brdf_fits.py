@@ -85,20 +85,6 @@ def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Ge
     assert gradient.abs().max() < 1e-8 * cost.item() + 1e-8
 
 
-def test_more_solves_come_nearer_to_the_least_absolute_error(materials: Tasks, rng: Generator) -> None:
-    where, target = materials.data["where"][0], materials.data["target"]
-    whole = space_of(where, target[:8])
-    whole = whole._replace(components=whole.components.first(4))
-    seen = drawn(materials.select([11]), rng, 300)
-    space = whole.at(seen.rows)
-
-    def error(solves: int) -> float:
-        made = space.reflectance(coefficients(space, seen, 1e-9, solves))
-        return (torch.log1p(made * seen.cos) - seen.target).abs().mean().item()
-
-    assert error(30) < error(1)
-
-
 def test_a_penalty_is_judged_on_materials_that_components_do_not_know(rng: Generator) -> None:
     training, allowed, method = Training(APP, random_materials(12, rng)), Allowed(200, 2700), RidgeOf(4, True)
     known, validation = training.split

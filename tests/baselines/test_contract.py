@@ -156,20 +156,6 @@ def test_its_table_prints_them(
         assert baseline.matches or baseline.cannot in text
 
 
-def test_records_are_kept_and_not_made_again(
-    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    subject = subject_of("transport", "")
-    first, second = baselines_of(subject.app)
-    run_cells([baseline_cell(subject, first)], quiet=True)
-    records = baseline_cell(subject, first).records()
-    assert [record["name"] for record in records] == [task.name for task in subject.tasks]
-    monkeypatch.setattr("metapp.evaluation.tables.baselines.fit_baselines", lambda *_: pytest.fail("fitted again"))
-    run_cells([baseline_cell(subject, first)], quiet=True)
-    assert baseline_cell(subject, first).records() == records
-    assert baseline_cell(subject, second).records() == []
-
-
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
     subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,14 +208,6 @@ def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: s
     baseline = baselines_of(app)[0]
     with pytest.raises(ValueError, match=f"none with '{lacked}'"):
         baseline.prepare(Training(app, bare), Allowed(64, 1))
-
-
-def test_a_task_without_a_reference_is_fitted_but_not_judged(rng: Generator) -> None:
-    app = app_by("transport")
-    scenes = [random_task("transport", f"t{i}", rng, torch.zeros(0)) for i in range(3)]
-    prepared = baselines_of(app)[0].prepare(Training(app, scenes), Allowed(64, 1))
-    bare = stack(app, [Task("bare", {key: value for key, value in scenes[0].data.items() if key != "held"})])
-    assert app.errors_of(prepared.fit(bare, rng, Allowed(64, 1)).answer(), bare) == {}
 
 
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) -> None:
@@ -293,13 +271,6 @@ def test_no_fit_sees_what_another_method_predicts(rng: Generator) -> None:
     tasks = stack(app, [random_task(app.name, "t", rng, torch.zeros(0))])
     assert "predicted" in tasks.data
     assert "predicted" not in app.sample(tasks, rng, 1) | app.condition(tasks, rng)
-
-
-def test_an_application_without_baselines_has_none() -> None:
-    class Seventh:
-        name = "seventh"
-
-    assert baselines_of(Seventh()) == ()  # type: ignore[arg-type]
 
 
 def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Path], rng: Generator) -> None:

@@ -99,24 +99,6 @@ def test_strength_leads_from_the_samples_to_uniform_or_the_prior(numbers: np.ran
     np.testing.assert_allclose(np.exp(drawn_to), 16 * light / light.sum(), rtol=1e-4)
 
 
-def test_more_samples_come_nearer_to_the_true_density(numbers: np.random.Generator) -> None:
-    held = peaked(numbers, 4000)
-    strengths = np.full((4, 4), 4.0)
-    errors = [
-        -pair(peaked(numbers, n), 3, 4).counts_at(held).log_density(strengths).mean() for n in (200, 2000, 20_000)
-    ]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < -1  # of directions in 0.3^2, -2.4 is the best
-
-
-def test_a_mean_of_grids_is_no_worse_than_its_parts(numbers: np.random.Generator) -> None:
-    """By Jensen's inequality."""
-    points, held = peaked(numbers, 4000), peaked(numbers, 1000)
-    looked = [pair(points, 5, 5, shifts).counts_at(held) for shifts in numbers.random((4, 4))]
-    parts = [_mean([each], (5.0, -1.0, 0.0)).mean() for each in looked]
-    assert _mean(looked, (5.0, -1.0, 0.0)).mean() >= np.mean(parts)
-
-
 def _scene(numbers: np.random.Generator) -> Tasks:
     samples, held = (torch.from_numpy(peaked(numbers, count)).float()[None] for count in (3000, 500))
     image = torch.ones(1, 3, 32, 32)
@@ -162,13 +144,6 @@ def test_places_lead_down_from_the_whole_film(numbers: np.random.Generator) -> N
     whole = pair(points, 0, 3).counts_at(points).log_density(np.full((1, 3), 4.0))
     strengths = np.concatenate([np.full((1, 3), 4.0), np.full((2, 3), 1e12)])
     np.testing.assert_allclose(pair(points, 2, 3).counts_at(points).log_density(strengths), whole, rtol=1e-6, atol=1e-6)
-
-
-def test_the_finest_cells_hold_the_share_of_their_samples(numbers: np.random.Generator) -> None:
-    points = peaked(numbers, 400)
-    found = np.exp(pair(points, 0, 3).counts_at(points).log_density(np.full((1, 3), 1e-12)))
-    cells = morton(points[:, 2:], 3)
-    np.testing.assert_allclose(found, 64 * np.bincount(cells, minlength=64)[cells] / 400, rtol=1e-9)
 
 
 def test_cells_above_are_those_of_coarser_points(numbers: np.random.Generator) -> None:

@@ -82,15 +82,6 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     assert Path(document["out"]).is_dir()
 
 
-def test_the_same_seed_gives_the_same_errors_whatever_is_fitted_beside(fit: Callable, networks: Path) -> None:
-    errors = [
-        {task["name"]: task["error"] for task in fit("overfit", *inputs, "--json", "--quiet").document["tasks"]}
-        for inputs in ((networks / "m4", networks / "m5"), (networks / "m5",), (networks / "m5", "--seed", "1"))
-    ]
-    assert errors[0]["m5"] == errors[1]["m5"]
-    assert errors[0]["m5"] != errors[2]["m5"]
-
-
 def test_a_checkpoint_trained_on_this_data_is_found_again_or_named(fit: Callable) -> None:
     trained = fit("general", *STEPS, "--json")
     again = fit("general", "--json")
@@ -280,7 +271,7 @@ def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch
         return value * float("nan") if len(calls) > 2 else value
 
     # a class of its own, whose loss is not the one in C
-    monkeypatch.setattr(brdf, "APP", type("Exploding", (Brdf,), {"loss": staticmethod(exploding)}))
+    monkeypatch.setattr(brdf, "Brdf", type("Exploding", (Brdf,), {"loss": staticmethod(exploding)}))
     refuse(fit("overfit"), "m4", "not finite at step")
 
 
@@ -346,20 +337,12 @@ def test_the_version_is_said(metapp: Callable) -> None:
     ("words", "near"),
     [
         (("meta", "brfd"), "'brdf'"),
-        (("meta", "brdf", "--recipe", "ful"), "'full'"),
-        (("evaluate", "--which", "quikft"), "'quickft'"),
         (("mta",), "'meta'"),
         (("data", "mrl"), "'merl'"),
-        (("data", "synth", "textur"), "'texture'"),
-        (("evaluate", "textur"), "'texture'"),
-        (("plan", "brfd"), "'brdf'"),
         (("meta", "brdf", "--rule", "ridg"), "'ridge'"),
         (("meta", "brdf", "--rule", "adam+curvatur"), "'curvature'"),
         (("meta", "texture", "--export", "png61"), "'png16'"),
-        (("meta", "illumination", "--observe", "foto"), "'photo'"),
-        (("meta", "brdf", "--device", "cud"), "'cuda'"),
         (("baseline", "texture", "--method", "quiltin"), "'quilting'"),
-        (("evaluate", "--which", "rules", "--initialisation", "encodr"), "'encoder'"),
     ],
 )
 def test_a_name_that_is_nearly_right_is_suggested(metapp: Callable, words: tuple[str, ...], near: str) -> None:
@@ -377,7 +360,4 @@ def test_an_application_without_its_command_and_the_reverse_are_explained(metapp
 def test_a_fit_is_no_input_and_what_takes_it_is_said(metapp: Callable, tmp_path: Path) -> None:
     file = tmp_path / "fit.safetensors"
     file.write_bytes(b"")
-    line = metapp("meta", "brdf", file).error
-    assert "metapp view takes the file, metapp export the run's folder" in line
-    assert "Mitsuba's neural_brdf (import metapp.mitsuba) the file." in line
-    assert "neural_brdf" not in metapp("meta", "texture", file).error
+    assert metapp("meta", "brdf", file).error.endswith("; of a fit, metapp export takes the run's folder.")

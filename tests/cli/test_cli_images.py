@@ -198,22 +198,6 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert "nowhere: no such folder" in metapp(*convert, "--predicted", "nowhere").error
 
 
-def test_strips_that_share_all_their_materials(metapp: Callable) -> None:
-    for index in range(6):
-        strip(IN / f"{index};aXb;{index}X{index}.png")
-    strip(IN / "6;aXb;0X1.png")
-    result = metapp("data", "strips", IN, "--out", OUT, "--json")
-    assert result.code == 0
-    said = "warning: base materials are blended with all others: training and test strips show other presets of them."
-    assert result.err.splitlines()[0] == said
-    assert sorted(splits().values()).count("test") == 2
-    notes = read_manifest(OUT).notes
-    assert notes["split_by"] == "preset"
-    left_out = notes["left_out"]
-    assert (f"warning: {left_out} of 7 strips left out: they blend" in result.err) == (left_out > 0)
-    assert len(splits()) == 7 - left_out
-
-
 def test_maps_of_materials_become_a_data_set(metapp: Callable) -> None:
     for index in range(5):
         material(IN / f"m{index}", f"rock{index}", index)

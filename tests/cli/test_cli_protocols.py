@@ -19,16 +19,16 @@ from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination import recipes as illumination
 from metapp.apps.illumination.app import IlluminationSetup
-from metapp.apps.svbrdf_nonstationary import recipes as svbrdf
+from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.networks.field import LocalField
 from tests.marked import long
 from tests.pictures import write_planes
 
 SVBRDF = "svbrdf_nonstationary"
-RECIPES = {"illumination": illumination.RECIPES, SVBRDF: svbrdf.RECIPES}
+RECIPES = {"illumination": ILLUMINATION, SVBRDF: MATERIALS}
 
 
 class Inputs(NamedTuple):
@@ -154,24 +154,6 @@ def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, ref
         assert APPS[app].refusal in result.error
         assert len(result.err.strip().splitlines()) <= 2
         assert not any(path.read_text().strip() for path in Path("runs").rglob("record.jsonl"))
-
-
-@pytest.mark.long
-def test_checkpoints_of_both_protocols(app: str, metapp: Callable) -> None:
-    assert metapp("data", "synth", app, "--count", "20", "--out", "few").code == 0
-    common = (app, "--recipe", "quick", "--data", "few")
-    for observe in ("reference", "photo"):
-        for paradigm in ("meta", "quickft"):
-            assert metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", "2", "--json").done
-    (folder,) = Path("runs", app, "checkpoints").iterdir()
-    rules = {observe: recipes["quick"].rule for observe, recipes in RECIPES[app].items()}
-    names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
-    assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}
-    result = metapp("evaluate", *common, "--format", "markdown")
-    assert result.code == 0, result.err
-    assert f"{app} photo" in result.out
-    assert "gap closed" in result.out
-    assert "is no floor" in result.out or app == SVBRDF
 
 
 # Materials alone

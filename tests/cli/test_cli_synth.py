@@ -21,7 +21,7 @@ from metapp.cli.commands import app as cli
 from metapp.rendering.scenes.rules import scene_of
 from metapp.runs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.storage.manifest import read_manifest
-from metapp.storage.shards import check_shard, fingerprint, read_shard
+from metapp.storage.shards import check_shard, read_shard
 from tests.needs_mitsuba import needs_mitsuba
 
 FEW = ("--samples", "200", "--held", "50")
@@ -42,13 +42,6 @@ def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
     assert embedded_data("brdf", count=5, quiet=True) == folder
     assert check_shard(folder) == []
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
-
-
-@pytest.mark.usefixtures("small_spheres")
-def test_synth_depends_on_the_seed_alone(metapp: Callable) -> None:
-    for name, seed in (("a", "0"), ("b", "0"), ("c", "1")):
-        assert metapp("data", "synth", "brdf", "--count", "2", "--seed", seed, "--out", name, "-q").code == 0
-    assert fingerprint(Path("a")) == fingerprint(Path("b")) != fingerprint(Path("c"))
 
 
 @pytest.mark.usefixtures("small_spheres")
@@ -91,13 +84,6 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     result = metapp("data", "synth", "brdf", "--as", "merl", "--out", "out")
     assert "0.1 GB free, expected 3.5 GB for 100 MERL files" in result.refusal
-
-
-def test_a_cache_that_cannot_be_written(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    Path("file").write_text("")
-    monkeypatch.setenv("METAPP_CACHE", str(Path("file")))
-    expected = "Not a directory, expected a folder that can be written; set METAPP_CACHE"
-    assert expected in metapp("data", "synth", "brdf", "--count", "2").refusal
 
 
 def test_help_tells_how_many_tasks_a_set_has() -> None:

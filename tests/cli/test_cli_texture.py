@@ -15,7 +15,6 @@ import torch
 from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
-import metapp as api
 from data_tools.readers.material_maps import read_task
 from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
@@ -24,10 +23,9 @@ from metapp.appearance.flash import normal_from_height, unpack
 from metapp.apps import presentation_of, recipes_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.generators import Pyramid, UNet
+from metapp.networks.generators import UNet
 from metapp.storage.records import read_records
-from tests.marked import long
-from tests.pictures import photograph, write
+from tests.pictures import photograph
 from tests.quick import app_by
 
 APPS = ("texture", "svbrdf_stationary")
@@ -92,28 +90,6 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: str, met
     assert len(told["files"]) == {"texture": 1, "svbrdf_stationary": 10}[app]
 
 
-@pytest.mark.parametrize("app", ["texture"], indirect=True)
-def test_regular_structure_that_a_fit_loses_is_warned_of_by_all_that_shows_fits(
-    app: str, data: str, metapp: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where networks read layouts; this one was not trained, so it loses it; General takes no step."""
-    quick = recipes_of(app)["quick"]
-    network = Pyramid(4, 3, code=8, outputs=quick.setup.network.outputs, layout=3)
-    setup = ExemplarSetup(64, 64, network, "vgg16", ("relu1_1", "relu2_1", "relu3_1"), octaves=2, shares=(0.6,))
-    monkeypatch.setitem(recipes_of(app), "quick", replace(quick, setup=setup))
-    at = np.arange(64)
-    tiles = np.where((at[:, None] % 16 < 5) | (at % 16 < 5), 190, 60).astype(np.uint8)
-    write(Path("tiles.png"), np.repeat(tiles[..., None], 3, 2))
-    done = metapp("general", app, "tiles.png", "--data", data, "--train", "--json")
-    warning = done.done["tasks"][0]["warning"]
-    assert warning.startswith("keeps 0.")
-    assert f"warning: tiles: {warning}" in " ".join(done.err.split())
-    (record,) = read_records(Path(done.document["out"], "record.jsonl"))
-    assert (record["warning"], record["settings"]["steps"]) == (warning, 0)
-    with pytest.warns(UserWarning, match="tiles: keeps 0"):
-        assert api.fit(app, "tiles.png", paradigm="general", data=Path(data)).warning == warning
-
-
 @pytest.mark.usefixtures("with_bfloat16")
 def test_fits_in_bfloat16_are_runs_of_their_own(
     app: str, metapp: Callable, wall: Path, monkeypatch: pytest.MonkeyPatch
@@ -174,23 +150,6 @@ def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, 
     height = low + height * (high - low)
     torch.testing.assert_close(height, wanted["height"], rtol=0, atol=(high - low) / 509)
     torch.testing.assert_close(normal_from_height(height[None])[0], wanted["normal"] * 2 - 1, rtol=0, atol=0.05)
-
-
-@pytest.mark.parametrize("app", ["texture", long("svbrdf_stationary")], indirect=True)
-def test_all_paradigms_and_their_table(app: str, data: Path, metapp: Callable) -> None:
-    common = (app, "--data", data)
-    rule = recipes_of(app)["quick"].rule
-    assert metapp("meta", *common, "--train", "--quiet").code == 0
-    table = metapp("evaluate", *common)
-    assert table.code == 0, table.err
-    assert "random filters" in table.out
-    assert "no Adam was tuned" in table.err
-    (picture,) = (Path("runs") / app).glob("comparison-*.png")
-    assert picture.stat().st_size > 10_000
-    rows = metapp("evaluate", *common, "--json", "--no-run").document["rows"]
-    assert [row["paradigm"] for row in rows[:5]] == ["general", "overfit", "finetune", "quickft", "meta"]
-    assert rows[4]["rule"] == rule
-    assert all(row["tasks"] == 1 for row in rows[:5])
 
 
 def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, metapp: Callable) -> None:

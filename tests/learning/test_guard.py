@@ -185,15 +185,6 @@ def test_learned_loss_parameters_hide_nothing(start: Params, tasks: Tasks) -> No
         assert found.guarded.tolist() == [acts] * 5
 
 
-def test_tasks_side_by_side_equal_each_alone(start: Params, tasks: Tasks) -> None:
-    each = (FAST, DIVERGING, SLOW, DIVERGING, 1e200)
-    together, _ = fit(rates(*each), start, tasks, guard=Guard(ADAM, 0.5, 2.0))
-    for i in range(5):
-        alone, _ = fit(rates(each[i]), {"x": start["x"][[i]]}, tasks.select([i]), guard=Guard(ADAM, 0.5, 2.0))
-        assert bool(alone.guarded[0]) == bool(together.guarded[i])
-        torch.testing.assert_close(together.theta["x"][i], alone.theta["x"][0], rtol=1e-12, atol=0)
-
-
 @pytest.mark.parametrize(
     "rule", ["meta-sgd", "meta-curvature", "tied+loss+betas+average", "adam+curvature+average", "tied+betas"]
 )

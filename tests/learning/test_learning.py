@@ -148,17 +148,6 @@ def test_a_descent_goes_on_from_any_of_its_steps(tasks: Tasks) -> None:
     assert torch.equal(final.theta["x"], expected["x"])
 
 
-def failing(names: tuple[str, ...], at: int, bad: float) -> Loss:
-    steps = iter(range(1000))
-
-    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
-        i, picked = next(steps), tasks.picked_names()
-        values = [bad if i >= at and name in names else 0.0 for name in picked]
-        return Drawn(picked, {"c": torch.tensor(values, dtype=torch.float64)[:, None]})
-
-    return Loss(draw, parabola)
-
-
 @pytest.mark.parametrize(("every", "expected"), [(0, [0]), (1, list(range(10))), (4, [0, 4, 8, 9]), (50, [0, 9])])
 def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
     """Counted from 0: every so many, and the last, unless it is the first alone."""
@@ -168,12 +157,6 @@ def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
         message = rf"^felt: the loss is not finite at step {bad}; lower the learning rate or clip earlier\.$"
         with pytest.raises(FloatingPointError, match=message) if bad in expected else nullcontext():
             last(checked(iter(descent), every))
-
-
-def test_the_last_step_is_always_checked(tasks: Tasks, rng: Generator) -> None:
-    loss = failing(NAMES, 3, math.nan)
-    with pytest.raises(FloatingPointError, match=r"^brass, chalk, felt: the loss is not finite at step 9;"):
-        learn(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng)
 
 
 # Combinators

@@ -124,15 +124,11 @@ SMALL: dict[str, Small] = {
     "illumination": Small(
         map_tasks, IlluminationSetup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
     ),
-    "svbrdf_nonstationary": Small(
-        material_tasks,
-        MaterialSetup(field_of(16, hidden=8)._replace(code=3), width=2),
-    ),
+    "svbrdf_nonstationary": Small(material_tasks, MaterialSetup(field_of(16, hidden=8)._replace(code=3), width=2)),
     "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
     "texture": Small(picture_tasks, small_setup(3)),
     "transport": Small(
-        path_tasks,
-        TransportSetup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)),
+        path_tasks, TransportSetup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))
     ),
 }
 

@@ -184,21 +184,6 @@ def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
         torch.testing.assert_close(tuned.alpha[key], value)
 
 
-@pytest.mark.parametrize("app", ["texture"], indirect=True)
-@pytest.mark.parametrize("steps", [5, 30])
-def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, tasks: Tasks) -> None:
-    """A rule that was prepared for fewer or more steps takes no other mean than one prepared for these."""
-    job = job._replace(rule="meta-basis")
-    single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
-    fits = []
-    for count in (15, steps):
-        alpha = rule_of("meta-basis").alpha(job.app, single, count, Adam(1e-3))
-        start = MetaParameters(single, alpha)
-        fits.append(paradigms()["meta"].fit(job._replace(steps=steps), start, tasks.select([0]), rng()))
-    for key, value in fits[0].items():
-        torch.testing.assert_close(value, fits[1][key])
-
-
 # What an application makes of tasks
 
 
@@ -223,19 +208,6 @@ def test_made_up_tasks_do_what_tasks_do(job: Job, tasks: Tasks) -> None:
     assert not all(torch.equal(other.data[key], value) for key, value in made.data.items())
     app.augment(tasks, rng())
     assert all(torch.equal(tasks.data[key], value) for key, value in before.items())
-
-
-def test_tasks_beside_each_other_are_independent(job: Job, tasks: Tasks) -> None:
-    """The loss and the errors of a task are the same, whatever is fitted beside it."""
-    app, few = job.app, tasks.select([3, 0])
-    theta, batch = app.init(rng(), 2), app.sample(few, rng(), 2)
-    together = app.loss(theta, batch, {})
-    for i in (0, 1):
-        own = {key: value[i : i + 1] for key, value in theta.items()}
-        alone = app.loss(own, {key: value[i : i + 1] for key, value in batch.items()}, {})
-        torch.testing.assert_close(alone, together[i : i + 1])
-        for key, value in app.errors(theta, few).items():
-            torch.testing.assert_close(app.errors(own, few.select([i]))[key], value[i : i + 1])
 
 
 def test_a_recipe_is_no_part_of_the_application(app: App) -> None:

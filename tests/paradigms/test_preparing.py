@@ -198,14 +198,3 @@ def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monke
     assert tuned.phi.encoder is encoder.encoder
     errors = [error for _, _, error in tuned.curve]
     assert errors == sorted(errors, reverse=True)
-
-
-@ONE_APP
-def test_a_preparation_says_how_it_came_about(job: Job, tasks: Tasks) -> None:
-    prepared = look("general", job, tasks, steps=4)
-    header = prepare.describe(job, "general", prepared)
-    assert header["app"] == job.app.name
-    assert header["checkpoint"] == "general"
-    assert header["validation_error"] == prepared.validation
-    assert header["best_step"] == prepared.step
-    assert header["training"] == asdict(job.recipe.general)

@@ -146,14 +146,6 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
     assert looked == [count] * 3
 
 
-@pytest.mark.parametrize("looks", [1, 4, 11, 30])
-def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[..., Search]) -> None:
-    searching = search(Adam(1e-2))
-    tuned = result(searching.run(looks))
-    assert len(searching.looked) == looks
-    assert tuned.validation == min(bowl(each) for each in searching.looked)
-
-
 @pytest.mark.parametrize("app", ["texture"], indirect=True)
 @pytest.mark.parametrize("outer", [0, 2])
 @pytest.mark.parametrize("rule", ["meta-axes", "meta-basis"])

@@ -247,68 +247,35 @@ UNIT = RGB / 255
     ("from_object", "source", "line"),
     [
         (texture, 3, r"object: int, expected a path, a picture .* or a function f\(xy\)"),
-        (texture, {"a": RGB}, "object: dict, expected a path, a picture"),
         (texture, RGB / 1.0, "display values from 0 to 255, expected 0 to 1; clip them, divide by 255"),
         (texture, holed(UNIT), "3 values are NaN or infinite, expected finite display values"),
-        (
-            texture,
-            RGB.transpose(2, 0, 1),
-            r"an array \[3, 48, 48\], expected .*; put the channels last",
-        ),
+        (texture, RGB.transpose(2, 0, 1), r"an array \[3, 48, 48\], expected .*; put the channels last"),
         (texture, np.dstack([RGB, RGB])[..., :4], r"an array \[48, 48, 4\], expected .*; leave alpha out"),
         (texture, RGB[None], r"an array \[1, 48, 48, 3\], expected \[H, W, 3\] or gray \[H, W\]"),
-        (texture, RGB[:0], r"an array \[0, 48, 3\], expected"),
         (texture, RGB.astype(int), "values of type int64, expected uint8, uint16 or floating point"),
         (texture, RGB > 9, "an array of bool, expected an array of numbers"),
-        (texture, Image.fromarray(RGB[..., 0].astype(np.float32)), "display values from 0 to 255"),
         (texture, lambda xy: xy, r"values \[262144, 2\], expected \[262144, 3\]"),
         (texture, lambda xy: "red", "object's values: str, expected an array of numbers"),
-        (texture, lambda xy: None, "object's values: NoneType, expected an array of numbers"),
-        (texture, lambda xy: xy[:, 0] - 1, "display values from -0.999 to -0.0009766, expected 0 to 1"),
         (material, "maps", r"object: str, expected .*, maps \(a dictionary of such\) or a function f\(xy\)"),
         (material, {}, "object: maps none, expected diffuse, normal, roughness"),
         (material, {"diffuse": UNIT, "height": UNIT}, "object: maps diffuse, height, expected diffuse"),
         (material, {"diffuse": UNIT, "nrmal": FLAT}, "object: a map 'nrmal', expected diffuse, normal"),
         (material, {"diffuse": 2 * UNIT, "normal": FLAT}, "object: diffuse: linear values from 0 to 2, expected 0"),
         (material, {"diffuse": holed(UNIT), "normal": FLAT}, "object: diffuse: 3 values are NaN or infinite"),
-        (
-            material,
-            {"diffuse": UNIT, "normal": FLAT / 2 + 0.5},
-            r"vectors of length 1.22 .*; of values in \[0",
-        ),
+        (material, {"diffuse": UNIT, "normal": FLAT / 2 + 0.5}, r"vectors of length 1.22 .*; of values in \[0"),
         (material, {"diffuse": UNIT, "normal": 3}, r"object: normal: an array \[\], expected \[H, W, 3\]"),
         (material, lambda xy: xy, "object: returned ndarray, expected a dictionary of maps"),
-        (material, lambda xy: {"diffuse": xy}, r"object: diffuse: values \[262144, 2\], expected"),
         (light, 3, r"object: int, expected a path, .* or a function f\(directions\)"),
+        (light, holed(LIGHT), "3 values are NaN or infinite, expected finite radiance"),
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
-        (light, lambda d: d[:, :2], r"values \[524288, 2\], expected"),
-        (
-            scene,
-            3,
-            "object: int, expected a path, a scene as Mitsuba's load_dict takes it, or XML text",
-        ),
+        (scene, 3, "object: int, expected a path, a scene as Mitsuba's load_dict takes it, or XML text"),
         (scene, {"type": "scene", "a": object()}, "object: object as 'a', expected numbers"),
-        (scene, {"type": "scene", "a": RGB}, "object: ndarray as 'a', expected numbers"),
     ],
 )
 def test_what_is_none_is_refused_in_a_line(from_object: Callable, source: object, line: str) -> None:
     with pytest.raises(ValueError, match=line) as caught:
         read(from_object, source, "reference")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("values", "line"),
-    [
-        (holed(LIGHT), "3 values are NaN or infinite, expected finite radiance"),
-        (-LIGHT, "radiance down to -20 at a mean of -10"),
-        (0 * LIGHT, "black all over"),
-        (1e300 * LIGHT.astype(np.float64), "6,144 values are NaN or infinite"),
-    ],
-)
-def test_bad_light_is_refused_as_of_files(values: np.ndarray, line: str) -> None:
-    with pytest.raises(ValueError, match=line):
-        read(light, values, "reference")
 
 
 def test_what_a_function_raises_is_not_hidden() -> None:

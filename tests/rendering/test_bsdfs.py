@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
 
-import metapp
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.networks import network_of
-from metapp.rendering.scenes.rules import box_film
 from metapp.storage.tensors import read_tensors
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
@@ -101,14 +99,6 @@ def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str,
         assert error[np.minimum(light[2], viewer[2]) > 0.02].max() < 1e-5
         assert error.max() < 2e-4
     assert expected.max() > 1
-
-
-def test_a_fit_called_in_python_is_what_it_is_in_a_scene(mi: Any, tmp_path: Path) -> None:
-    fit = metapp.fit("brdf", lambda wi, wo: 0.1 + (wi * wo) ** 2, paradigm="general", recipe="quick")
-    light, viewer = directions(500, 1), directions(500, 2)
-    bsdf = mi.load_dict({"type": "neural_brdf", "filename": str(fit.save(tmp_path / "fit.safetensors"))})
-    found = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, 500), mi.Vector3f(light)))
-    np.testing.assert_allclose(fit(light.T, viewer.T).T * light[2], found, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.long
@@ -197,28 +187,6 @@ def test_lobes_follow_the_material() -> None:
     flat = fit_lobes(lambda angles: angles * 0 + 0.2)
     assert flat.shares[:-4, 0].min() > 0.9
     assert np.isfinite(fit_lobes(lambda angles: angles * 0).shares).all()  # of a black material
-
-
-def lit(mi: Any, bsdf: Any, integrator: str = "path", size: int = 16) -> Any:
-    """A sphere in white light from everywhere."""
-    pose = mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])
-    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -9]), "bsdf": {"type": "diffuse"}}
-    return mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": integrator},
-        "sensor": {"type": "perspective", "fov": 20, "to_world": pose, "film": box_film(size, size)},
-        "light": {"type": "constant"},
-        "sphere": {"type": "sphere", "bsdf": bsdf},
-        "floor": floor,
-    })  # fmt: skip
-
-
-@pytest.mark.parametrize("network", BOTH)
-def test_a_furnace_stays_below_white(mi: Any, neural: Neural, network: str) -> None:
-    picture = np.array(mi.render(lit(mi, neural(network)), spp=256))
-    assert np.isfinite(picture).all()
-    assert picture[4:12, 4:12].max() < 1.02  # noise
-    assert picture[4:12, 4:12].min() > 0.005
 
 
 def test_it_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, neural: Neural) -> None:

@@ -223,18 +223,6 @@ def no_files_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[N
 
 
 @pytest.mark.usefixtures("vgg", "no_files_stay")
-def test_a_texture_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
-    pixels = pictures.noise(64, 80)
-    file = pictures.write(tmp_path / "object.png", pixels)
-    fit = by_general("texture", file)
-    assert_same(by_general("texture", pixels), fit)
-    assert_same(by_general("texture", Image.open(file)), fit)
-    assert fit.maps.keys() == {"basecolor"}
-    assert fit.maps["basecolor"].shape == (256, 256, 3)
-    assert fit.maps["basecolor"].dtype == np.float32
-
-
-@pytest.mark.usefixtures("vgg", "no_files_stay")
 def test_a_flash_photo_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
     pixels = pictures.noise(64, 64)
     fit = by_general("svbrdf_stationary", pixels)
@@ -277,17 +265,6 @@ def test_a_photo_in_memory_is_fitted_alone(tmp_path: Path) -> None:
     assert (fit.error, fit.picture().width) == (None, fit.picture().height * 2)  # a sheet without a reference
 
 
-@pytest.mark.usefixtures("scene", "no_files_stay")
-def test_light_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
-    light = np.random.default_rng(0).uniform(0.1, 9, (32, 64, 3)).astype(np.float32)
-    fit = by_general("illumination", light)
-    assert_same(fit, by_general("illumination", pictures.write(tmp_path / "object.exr", light)))
-    assert fit.maps["radiance"].shape == (32, 64, 3)
-    assert fit.maps["radiance"].mean() == pytest.approx(light.mean(), rel=0.5)  # at its own scale
-    with pytest.raises(ValueError, match=r"object: a photo of a sphere, expected an HDR map .* --observe photo"):
-        by_general("illumination", pictures.noise(64, 64))
-
-
 BALL = """<scene version="3.0.0">
   <sensor type="perspective"><float name="fov" value="40"/>
     <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform></sensor>
@@ -326,20 +303,6 @@ def test_of_what_is_in_memory_errors_name_no_file() -> None:
         with pytest.raises(ValueError, match=line) as caught:
             by_general(app, source)
         assert tempfile.gettempdir() not in str(caught.value)
-
-
-def test_options_that_do_not_fit_what_is_in_memory_are_refused() -> None:
-    pixels = pictures.noise(40, 40)
-    for app, options, line in (
-        ("texture", {"observe": "photo"}, "--observe 'photo': texture has one protocol"),
-        ("illumination", {"observe": "picture"}, "--observe 'picture': illumination expects one of reference, photo"),
-        ("texture", {"fov": 30.0}, "--fov: texture has no such option"),
-        ("svbrdf_nonstationary", {"recipe": "several"}, "--recipe 'several': expected one of"),
-        ("texture", {"scene_root": ["."]}, "--scene-root: texture has no such option, only transport"),
-        ("textures", {}, "'textures' is not an application"),
-    ):
-        with pytest.raises(ValueError, match=line):
-            api.fit(app, pixels, **options)
 
 
 def test_sources_are_all_paths_or_none() -> None:

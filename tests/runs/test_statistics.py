@@ -51,22 +51,6 @@ def test_an_interval_holds_95_percent_of_the_values() -> None:
     assert interval_of(values) == (pytest.approx(0.025), pytest.approx(0.975))
 
 
-@pytest.mark.parametrize("over", ["tasks", "seeds"])
-def test_the_bootstrap_of_many_is_normal(over: str) -> None:
-    """Half the errors 0 and half 2: their mean has a standard error of 1 / sqrt(N), by the central limit theorem."""
-    count = {"tasks": 400, "seeds": 100}[over]
-    seeds = [[0.0, 2.0] * (count // 2)] if over == "tasks" else [[value] * 20 for value in [0.0, 2.0] * (count // 2)]
-    low, _, high = interval(*seeds, groups=None if over == "tasks" else GROUPS)
-    # 4,000 draws place a quantile to 0.04 standard errors, and means come in steps of 0.1
-    assert (low - 1) * count**0.5 == pytest.approx(-1.96, abs=0.15)
-    assert (high - 1) * count**0.5 == pytest.approx(1.96, abs=0.15)
-
-
-def test_the_interval_covers_seeds_that_differ() -> None:
-    """All tasks alike: what is left is the spread over seeds; of two, a quarter of draws takes either one twice."""
-    assert interval([1.0] * 20, [3.0] * 20, groups=GROUPS) == (1.0, 2.0, 3.0)
-
-
 def test_what_is_a_little_better_on_every_task_is_apart_though_intervals_overlap() -> None:
     ours = [0.95 * error * (1 + 0.02 * (-1) ** i) for i, error in enumerate(HARD)]
     assert interval(HARD)[0] < interval(ours)[2]  # each one's own intervals overlap by far

@@ -25,13 +25,7 @@ from data_tools.synthetic.environments.scene import (
     cast,
     view,
 )
-from data_tools.synthetic.environments.sky import (
-    Sky,
-    black_sky,
-    clear_sky,
-    cloudy,
-    sun_irradiance,
-)
+from data_tools.synthetic.environments.sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
 from data_tools.synthetic.environments.sources import sources
 from metapp.appearance.latlong import cosine_transfer, directions, solid_angles
 

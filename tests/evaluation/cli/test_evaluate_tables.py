@@ -115,19 +115,6 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
             assert table.columns[0].text(row) in text, name
 
 
-def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable, done: Path) -> None:
-    common = ("--out", done / "runs", "--no-run")
-    short = evaluate(*common, "--overfit-share", "0.5")
-    assert "20 of the recipe's 40 steps" in " ".join(short.out.split())
-    assert short.err.splitlines()[0] == "brdf: 3 of 15 records missing: overfit"
-    assert "--overfit-share 0.5" in short.err
-    tasks = {
-        row["paradigm"]: row["tasks"] for row in evaluate(*common, "--overfit-share", "0.5", "--json").document["rows"]
-    }
-    assert tasks == {"general": 3, "overfit": 0, "finetune": 3, "quickft": 3, "meta": 3}
-    assert "of the recipe's" not in evaluate(*common).out
-
-
 @pytest.mark.long
 def test_parts_make_the_records_of_one_program(evaluate: Callable, done: Path, tmp_path: Path) -> None:
     """All tables in two parts: the same records, the same tables; each part by itself, nothing twice."""

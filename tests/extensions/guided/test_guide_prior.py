@@ -29,7 +29,6 @@ from metapp.extensions.guided.histogram import (
 from metapp.extensions.guided.prior import (
     CHANNELS,
     ENTRY_PRIOR_PATHS,
-    FEATURES,
     FirstHits,
     LearnedPrior,
     SurveyFeatures,
@@ -38,7 +37,6 @@ from metapp.extensions.guided.prior import (
     histogram_features,
     init,
     read_prior,
-    shipped,
 )
 from metapp.learning.learn import MetaParameters
 from metapp.rendering.scenes.loading import load_scene
@@ -219,13 +217,6 @@ def test_untrained_it_returns_what_paths_have_found() -> None:
     torch.testing.assert_close(densities(init(Generator()), features).double(), expected, rtol=1e-4, atol=0)
 
 
-def test_densities_have_a_floor_and_sum_to_one() -> None:
-    theta = {key: torch.randn(value.shape) for key, value in init(Generator()).items()}
-    found = densities(theta, torch.randn(5, FEATURES, SIDE, SIDE))
-    torch.testing.assert_close(found.sum(1), torch.ones(5))
-    assert found.min() >= 1 / DEFENSIVE / BINS * (1 - 1e-5)
-
-
 def test_entries_without_features_are_as_without_a_prior() -> None:
     nothing = SurveyFeatures.of(torch.zeros(0, 4, dtype=torch.long), torch.zeros(0, len(CHANNELS), SIDE, SIDE))
     squares, counts = drawn(2, SIDE, SIDE), drawn(2, SIDE, SIDE)
@@ -284,28 +275,6 @@ def tracer() -> Any:
     from metapp.extensions.guided.path_tracer import PathTracer
 
     return PathTracer(6, 5)
-
-
-def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.ndarray[Any, Any]:
-    from metapp.extensions.guided.picture import GuidedPicture
-
-    sensor, path = scene.sensors()[0], mi.load_dict({"type": "path", "max_depth": 6})
-    made = GuidedPicture(path, tracer(), scene, sensor, seed, prior)
-    made.render(spp)
-    return np.array(sensor.film().develop(), np.float64)[..., :3]
-
-
-@pytest.mark.long
-@needs_mitsuba
-def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.extensions.guided.picture.PAYS", math.inf)
-    mi, scene, _ = load_scene(random_room("board", 5000))  # of no training
-    noise = []
-    for prior in (read_prior(shipped()), None):
-        made = [picture_of(mi, scene, prior, seed) for seed in range(4)]
-        mean = sum(made) / 4
-        noise.append(np.mean([np.abs(picture - mean) / (mean + 1e-2) for picture in made]))
-    assert noise[0] < 0.95 * noise[1]
 
 
 @needs_mitsuba

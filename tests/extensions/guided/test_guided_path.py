@@ -107,16 +107,6 @@ def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp:
     assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) < 3
 
 
-@pytest.mark.long
-def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.extensions.guided.cache import GuideCache
-
-    density = GuideCache.density
-    monkeypatch.setattr(GuideCache, "density", lambda *arguments: 0.8 * density(*arguments))
-    scene = loaded(mi, random_scene(1))
-    assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) > 5
-
-
 @pytest.mark.parametrize(("emitter_sampling", "at_most"), [long(True, 0.85), long(False, 0.6)])
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_sampling: bool, at_most: float) -> None:
     from metapp.extensions.guided.cache import GuideCache
@@ -186,13 +176,7 @@ def test_within_another_integrator_it_is_path_and_some_properties_exclude_each_o
         mi.load_dict({"type": "metapp_guided_path", "hide_emitters": True, "emitter_sampling": False})
 
 
-OTHERS = {
-    "budgetType": "spp",
-    "sppPerPass": 4,
-    "sTreeThreshold": 12_000,
-    "bsdf_sampling_fraction": 0.5,
-    "nee": "never",
-}
+OTHERS = {"budgetType": "spp", "sppPerPass": 4, "sTreeThreshold": 12_000, "bsdf_sampling_fraction": 0.5, "nee": "never"}
 
 
 @pytest.mark.parametrize("name", OTHERS)

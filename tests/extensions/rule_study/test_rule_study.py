@@ -180,12 +180,6 @@ def test_a_training_that_diverges_is_said_once_and_ends_nothing(
     assert "2 steps: training diverged: adam" in shown.out
 
 
-def test_options_of_studies_are_refused_elsewhere(metapp: Callable) -> None:
-    done = metapp("evaluate", "brdf", "--which", "quickft", "--seeds", "2")
-    assert done.code == 2
-    assert "--seeds: only with --which rules" in " ".join(done.err.replace("│", "").split())
-
-
 # What is studied
 
 

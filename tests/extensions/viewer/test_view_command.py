@@ -67,14 +67,6 @@ def test_a_page_of_one_task_is_small(metapp: Callable, fitted: Callable, opened:
     assert len(groups_of(Path("fewer.html"))) == 1
 
 
-def test_the_page_lies_beside_its_run(metapp: Callable, fitted: Callable) -> None:
-    run = Path("copy")
-    shutil.copytree(fitted("meta"), run)
-    result = metapp("view", run, "--no-open")
-    assert result.code == 0
-    assert f"page: {run / PAGE}, " in result.err
-
-
 def test_without_what_was_fitted_there_are_no_references(
     metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:

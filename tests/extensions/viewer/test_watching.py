@@ -51,10 +51,7 @@ def test_the_page_is_drawn_at_most_so_often_and_the_last_step_is(monkeypatch: py
     assert all(after - before >= watching.EVERY for before, after in itertools.pairwise(times))
     watched.finish()
     last = "step 39 of 40"
-    assert drawn[5:] == [
-        (now, "BRDF, meta", last, False),
-        (now, "BRDF, meta", f"{last}; the fit is over", True),
-    ]
+    assert drawn[5:] == [(now, "BRDF, meta", last, False), (now, "BRDF, meta", f"{last}; the fit is over", True)]
 
 
 def test_time_of_pictures_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
