@@ -17,7 +17,7 @@ from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.choosing import chosen_recipe
 from metapp.runs.fits import Fitter, Result
-from metapp.runs.inputs import SOURCED, Source, sources_to_fit
+from metapp.runs.inputs import SOURCED, Source, content_of, sources_to_fit
 from metapp.runs.naming import name_of, observe_of
 from metapp.runs.options import outputs_of, watchers_of
 from metapp.runs.outputs import OUTPUTS, write_fit, write_outputs
@@ -176,7 +176,7 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     loop = _Loop(fitter, folder)
     known = loop.known(mine)
     if not request.resumes and len(known) == len(mine):
-        known = {}  # a finished run is run anew, one that was cut off is completed
+        known, loop.anew = {}, True  # a finished run is run anew, one that was cut off is completed
     if not request.quiet:
         _announce(plan, folder, len(sources), len(mine), len(known) if request.resumes else 0)
     for line in loop.lines:
@@ -210,10 +210,15 @@ def _first_error(failures: Sequence[Failure], count: int) -> Exception:
     return ValueError(f"none of {count} inputs could be fitted; the first: {failures[0].reason}")
 
 
+def is_batched(plan: Plan) -> bool:
+    """Whether inputs are fitted side by side."""
+    return plan.request.batch not in ("", "1")
+
+
 def _folder(plan: Plan, label: str) -> RunFolder:
     """The folder of a run; seconds of fits side by side are shares: those have one of their own."""
     settings, path = plan.settings(label), plan.path(label)
-    if plan.request.batch not in ("", "1"):
+    if is_batched(plan):
         settings, path = settings | {"batched": True}, path.with_name(f"{path.name}-batch")
     return RunFolder(path, settings, FIT | SOURCED, plan.origin())
 
@@ -231,6 +236,7 @@ class _Loop:
     """Reads, fits and keeps sources, batch by batch.
 
     Attributes:
+        anew: whether inputs are fitted although there is a record of the same content.
         count: how many were fitted.
         failures: what was not.
         remarks: what outputs say of themselves.
@@ -247,16 +253,22 @@ class _Loop:
         self.size = BatchSize(check_batch(plan.request.batch or "1"), plan.device)
         self.failures: list[Failure] = []
         self.remarks: list[str] = []
-        self.count = 0
+        self.anew, self.count = False, 0
         self._columns: dict[str, Column] = {}
+        self._touched: set[str] = set()  # places of files with another time, and the content of their record
+
+    def _finished(self) -> dict[str, Document]:
+        """All records of the folder, by the places of their sources."""
+        return {record.get("source", name): record for name, record in self.folder.finished().items()}
 
     def known(self, sources: Sequence[Source]) -> dict[str, Document]:
         """Records of sources that have not changed since, by their places."""
-        finished = {record.get("source", name): record for name, record in self.folder.finished().items()}
+        finished = self._finished()
+        there = [source for source in sources if source.place in finished]
         return {
             source.place: finished[source.place]
-            for source in sources
-            if source.place in finished and finished[source.place].get("stamp", "") == source.stamp
+            for source in there
+            if source.place in self._touched or finished[source.place].get("stamp", "") == source.stamp
         }
 
     def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
@@ -296,9 +308,13 @@ class _Loop:
         self.failures.append(Failure(source.place, error.with_traceback(None), source.named))
 
     def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
+        finished = {} if self.anew else self._finished()
         for source in sources:
             try:
                 task = source.task()
+                if source.stamp and finished.get(source.place, {}).get("content") == content_of([task]):
+                    self._touched.add(source.place)
+                    continue
                 self.fitter.check([task])
                 yield source, task
             except (ValueError, OSError) as error:
@@ -335,8 +351,9 @@ class _Loop:
                 write_thumbnail(plan.app, task, theta, self.folder.path)
             if len(self._columns) < COMPARED:
                 self._keep_column(source, task, theta)
-        record = record | ({"batch": beside} if beside > 1 else {})
-        record |= {"source": source.place, "stamp": source.stamp} if source.stamp else {}
+        record = record | ({"batch": beside} if is_batched(plan) else {})
+        of_file = {"source": source.place, "stamp": source.stamp, "content": content_of([task])}
+        record |= of_file if source.stamp else {}
         self.folder.add(record, theta)
         self.count += 1
         return record

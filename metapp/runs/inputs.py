@@ -29,7 +29,7 @@ from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.text import as_text
 
 SIZES = 6  # hex digits of a stamp that are of sizes
-SOURCED = {"source?": str, "stamp?": str}  # what the record of a file's fit holds of it
+SOURCED = {"source?": str, "stamp?": str, "content?": str}  # what the record of a file's fit holds of it
 
 
 class Source(NamedTuple):
@@ -155,7 +155,7 @@ def _sources_of_files(plan: Plan) -> list[Source]:
 
 def label_of(tasks: Sequence[Task]) -> str:
     """A name of tasks that are no data set's: that of the first, how many more there are, a digest of their content."""
-    return _label(tasks[0].name, len(tasks), _content(tasks))
+    return _label(tasks[0].name, len(tasks), content_of(tasks))
 
 
 def _label(first: str, count: int, digest: str) -> str:
@@ -252,7 +252,7 @@ def _same(task: Task) -> Task:
     return task
 
 
-def _content(tasks: Sequence[Task]) -> str:
+def content_of(tasks: Sequence[Task]) -> str:
     """6 hex digits of names and values."""
     total = hashlib.sha256()
     for task in tasks:
