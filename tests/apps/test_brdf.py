@@ -118,13 +118,6 @@ def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> 
         np.testing.assert_allclose(float(weighted[task]), expected, rtol=1e-4)
 
 
-def test_initial_loss_parameters_are_gentle() -> None:
-    learned = APP.loss_parameters(10)
-    assert {key: tuple(value.shape) for key, value in learned.items()} == {"smoothing": (10,), "weights": (10, KNOTS)}
-    torch.testing.assert_close(learned["smoothing"].exp(), torch.full((10,), 0.05))
-    assert not learned["weights"].any()
-
-
 def test_same_as_the_published_network(theta: Params, materials: list[Task], tasks: Tasks, tmp_path: Path) -> None:
     """Through an export to files and back: the formula of Sztrajman et al., and the same errors."""
     angles, errors = materials[0].data["angles"], APP.errors(theta, tasks)["error"]

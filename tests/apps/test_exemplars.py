@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import RANDOM, gram, load_features
-from metapp.apps import app_of, class_of, recipes_of
+from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import Doubtful, stack
@@ -211,13 +211,6 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
     assert torch.equal(theta["layout"], layout)
     assert torch.equal(encoded["layout"], layout)
     assert not app.init(rng, 2)["layout"].any()
-
-
-def test_networks_without_layout_know_none(app: ExemplarApp) -> None:
-    plain = class_of(app.name)(recipes_of(app.name)["quick"].setup)
-    assert isinstance(plain, ExemplarApp)
-    assert not plain.known(Tasks((), {}, torch.arange(0)))
-    assert "layout" not in plain.init(Generator().manual_seed(0), 1)
 
 
 def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: ExemplarApp, paved: Tasks) -> None:

@@ -9,11 +9,11 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
-from metapp.appearance.quilting import beyond_cut, block_of
+from metapp.appearance.quilting import beyond_cut
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.baselines import svbrdf_nonstationary as codec
 from metapp.baselines.baseline import Allowed, BaselineFit, Training
-from metapp.baselines.svbrdf_nonstationary import _settings, baselines, flat_maps, maps_of, sheets
+from metapp.baselines.svbrdf_nonstationary import baselines, flat_maps, maps_of, sheets
 from metapp.baselines.texture import quilt, random_patches
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
@@ -57,15 +57,6 @@ def test_maps_come_back_from_their_pictures_and_png_loses_nothing_but_bits(smoot
     assert codec.decoded(codec.png(picture[..., :1], 8), ".png").shape == (16, 48, 1)
 
 
-def test_a_better_jpeg_is_larger_and_nearer(smooth_maps: Maps) -> None:
-    picture = sheets(smooth_maps).colours
-    files = [codec.jpeg(picture, quality) for quality in (10, 60, 95)]
-    errors = [np.abs(codec.decoded(each, ".jpg") - picture).mean() for each in files]
-    assert [len(each) for each in files] == sorted(len(each) for each in files)
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 0.01
-
-
 @pytest.mark.parametrize("size", [2000, 4000, 12_000, 10**6])
 def test_the_search_meets_the_budget_of_bytes(smooth_maps: Maps, size: int) -> None:
     found = fits(smooth_maps, Allowed(1, size, 0.1))
@@ -98,13 +89,6 @@ def test_the_search_meets_an_error_with_the_fewest_bytes(smooth_maps: Maps) -> N
     assert not fits(smooth_maps, Allowed(1, 10**6, 1e-9))["jpeg@meta"].reached
 
 
-def test_settings_grow_from_few_texels_to_16_bits() -> None:
-    found = _settings(64)
-    assert found[0].side == 4
-    assert found[-2:] == [(64, 8), (64, 16)]
-    assert [each.side for each in found] == sorted(each.side for each in found)
-
-
 # Patches
 
 
@@ -122,14 +106,6 @@ def test_pictures_are_made_of_the_exemplars_pixels(make: object, exemplar: np.nd
     assert not np.array_equal(found, exemplar)
     other = make(exemplar, np.random.default_rng(1))  # type: ignore[operator]
     assert not np.array_equal(found, other)
-
-
-def test_patches_are_whole(exemplar: np.ndarray) -> None:
-    block, _ = block_of(exemplar)
-    found = random_patches(exemplar, np.random.default_rng(0))
-    corner = found[:block, :block]
-    places = [(i, j) for i in range(32 - block + 1) for j in range(32 - block + 1)]
-    assert any(np.array_equal(corner, exemplar[i : i + block, j : j + block]) for i, j in places)
 
 
 def test_quilting_hides_seams() -> None:

@@ -10,7 +10,6 @@ import torch
 from scipy.fft import dctn
 from scipy.special import sph_harm_y
 
-from metapp.appearance.latlong import directions, solid_angles
 from metapp.baselines.illumination import (
     COSINES,
     HAAR,
@@ -110,23 +109,6 @@ def test_texels_tell_so_many_orders_apart(height: int, width: int, count: int) -
         harmonics(np.zeros((1, height, width)), count)
     with pytest.raises(ValueError, match=f"order {count} .* at most {count - 1}"):
         from_harmonics(np.zeros((1, (count + 1) ** 2)), height, width)
-
-
-def test_harmonics_of_large_maps_have_an_inverse(numbers: np.random.Generator) -> None:
-    wanted = numbers.normal(size=(2, 128**2))
-    np.testing.assert_allclose(harmonics(from_harmonics(wanted, 128, 256), 127), wanted, atol=1e-12)
-
-
-def test_harmonics_are_orthonormal_and_exact_for_low_orders() -> None:
-    height, width, order = 64, 128, 6
-    basis = from_harmonics(np.eye((order + 1) ** 2), height, width).reshape(-1, height * width)
-    weights = np.repeat(solid_angles(height, width, dtype=torch.float64).numpy()[:, 0], width)
-    np.testing.assert_allclose((basis * weights) @ basis.T, np.eye((order + 1) ** 2), atol=2e-3)
-    x, y, z = directions(16, 32, dtype=torch.float64).numpy()
-    wanted = (0.3 + 0.5 * x - y * z + (x * x - z * z))[None]  # order 2
-    for order, exact in ((1, False), (2, True), (9, True)):
-        found = from_harmonics(harmonics(wanted, order), 16, 32)
-        assert np.allclose(found, wanted, atol=1e-10) == exact
 
 
 def _task(radiance: np.ndarray) -> Tasks:

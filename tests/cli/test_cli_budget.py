@@ -62,11 +62,6 @@ def test_a_fit_takes_the_steps_that_fit(fit: Callable, steps: list[float]) -> No
     assert [record["steps"] for record in read_records(file)] == [9, 9]
 
 
-def test_no_more_steps_than_asked_for(fit: Callable, steps: list[float]) -> None:
-    assert [task["steps"] for task in fit("2min").document["tasks"]] == [40, 40]
-    assert [task["steps"] for task in fit("2min", "--steps", "3").document["tasks"]] == [3, 3]
-
-
 def test_without_time_for_a_step_the_initialisation_comes_back_and_it_is_said(
     fit: Callable, steps: list[float]
 ) -> None:

@@ -122,20 +122,6 @@ def test_bad_inputs_are_one_line_and_write_nothing(metapp: Callable, gold: Path)
     assert not Path("out").exists()
 
 
-def test_check_refuses_what_is_no_data_set(metapp: Callable) -> None:
-    for content, message in (
-        (None, "no manifest.json"),
-        ("{", "not readable as JSON"),
-        ('{"schema": 7}', "schema 7, written by a newer"),
-    ):
-        if content:
-            Path("manifest.json").write_text(content)
-        assert message in metapp("data", "check", ".").refusal
-        result = metapp("data", "check", ".", "--json")
-        assert (result.code, result.document["app"]) == (1, None)
-        assert message in result.document["problems"][0]
-
-
 BAD_USAGE = """
 merl in --out out --split valid    | 'valid' is not one of 'train', 'test', 'auto'
 merl in --out file                 | a file, expected a folder to write to

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from metapp.storage.manifest import fingerprint, read_manifest
+from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
 from tests.pictures import environment, noise, photograph, text, write
 
@@ -47,19 +46,6 @@ def shapes_of(split: str, app: str) -> dict[str, tuple[int, ...]]:
 
 
 # Of all of them
-
-
-def test_the_same_files_give_the_same_data(metapp: Callable) -> None:
-    makers = {"images": ("jpg", photograph), "flash": ("jpg", photograph), "laval": ("exr", environment)}
-    for command, (form, make) in makers.items():
-        paths = [make(IN / command / f"{name}.{form}", seed) for seed, name in enumerate("abcdef")]
-        digests = []
-        for out, inputs in (("one", [IN / command]), ("two", paths[::-1])):
-            assert metapp("data", command, *inputs, "--out", f"{command}/{out}").code == 0
-            files = Path(command, out).glob("*.safetensors")
-            digests.append({file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files})
-        assert digests[0] == digests[1], command
-        assert fingerprint(Path(command, "one")) == fingerprint(Path(command, "two")), command
 
 
 BAD: dict[str, tuple[Callable[[], object], str]] = {

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,38 +117,3 @@ def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command], number: signa
     assert said.splitlines()[-1].startswith("interrupted; the same command goes on")
     assert list(stopped.out.rglob("general.interrupted.safetensors"))
     assert "going on from step" in stopped.run()
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 16 MB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(folder)], capture_output=True)
-    if mounted.returncode:
-        pytest.skip("needs root")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
-    """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
-    trained = command("disk/runs")
-    trained.run()
-    before = trained.starts()
-    (file,) = (trained.out / each for each in before)
-    running = stopped_once_kept(trained)  # with no file half written, whose space would be free again later
-    with suppress(OSError), open(small_disk / "filler", "wb", buffering=0) as filler:
-        while True:
-            filler.write(bytes(4096))
-    os.kill(running.process.pid, signal.SIGCONT)
-    code, said = running.end()
-    assert code == 1
-    assert "Traceback" not in said
-    assert said.splitlines()[-1].startswith(f"error: {file.parent}: No space left on device; {file.name} was not")
-    assert f"warning: no training checkpoint: {file.parent}: No space left" in said
-    assert trained.starts() == before
-    assert not list(trained.out.rglob(".partial-*"))
-    (small_disk / "filler").unlink()
-    assert "going on from step" in trained.run()
-    assert trained.starts() == before  # the same training again

@@ -183,15 +183,6 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     assert not Path("runs").exists()
 
 
-def test_the_field_of_view_counts(metapp: Callable, shot: Path) -> None:
-    common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
-    data = {fov: metapp(*common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
-    assert len(set(data.values())) == 3  # read otherwise, the same files are other data
-    misuse = metapp("overfit", "texture", shot, "--fov", "60").misuse
-    only = "only illumination, svbrdf_nonstationary, svbrdf_stationary; leave it out."
-    assert f"--fov: texture has no such option, {only}" in misuse
-
-
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--exposure", stops).document for stops in ("0", "-1")}

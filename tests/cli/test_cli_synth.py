@@ -122,21 +122,6 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
 
 
 @needs_mitsuba
-def test_a_box_that_was_written_can_be_read(metapp: Callable, tmp_path: Path) -> None:
-    from data_tools.readers.mitsuba_scenes import find, read_task
-
-    more = ("--dimensions", "6", "--split", "test")
-    assert metapp("data", "cornell", "--count", "1", *FEW, *more, "--out", tmp_path, "-q").code == 0
-    (entry,) = read_manifest(tmp_path).tasks
-    assert (entry.split, entry.beside) == ("test", "cornell-0-000.json")
-    (path,) = find([tmp_path])[0]
-    (task,) = read_shard(tmp_path)
-    read = read_task(path, 200, 50, 6)
-    assert torch.equal(read.data["scene"], task.data["scene"])
-    assert read.data["samples"].shape == task.data["samples"].shape == (200, 6)
-
-
-@needs_mitsuba
 def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     def few(split: str, count: int, seed: int) -> object:
         return synthetic_tasks(split, count, seed, samples=100, held=20)  # type: ignore[arg-type]

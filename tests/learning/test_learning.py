@@ -270,15 +270,6 @@ def test_stacked_tasks_keep_what_they_show_together() -> None:
     assert stacked.groups == ("wood", "wood", "c")
 
 
-def test_spread_copies_nothing() -> None:
-    value = torch.arange(6.0).reshape(2, 3)
-    for axis in (0, 1):
-        wide = spread({"x": value}, 4, axis)["x"]
-        assert wide.shape == ((4, 2, 3), (2, 4, 3))[axis]
-        assert wide.data_ptr() == value.data_ptr()
-        assert all(torch.equal(wide.select(axis, i), value) for i in range(4))
-
-
 # Clipping
 
 

@@ -8,14 +8,13 @@ import pytest
 import torch
 
 from metapp.appearance.presentation import KINDS, Fitted, Presentation
-from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
+from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.storage.records import file_name
 from tests.paradigms.small import rng
-from tests.quick import app_by
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
@@ -51,11 +50,6 @@ def test_what_tables_say(presentation: Presentation, sources: list[Task]) -> Non
         assert visible.samples >= 1
         assert visible.size > 0
         assert visible.encoder >= 0
-
-
-def test_titles_differ() -> None:
-    titles = {presentation_of(app_by(name)).title for name in app_names()}
-    assert len(titles) == len(app_names())
 
 
 def test_pictures_of_a_fit_and_of_its_reference(

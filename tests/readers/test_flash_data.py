@@ -99,11 +99,6 @@ def test_every_fifth_material_is_for_tests_whole(tmp_path: Path, layout: str) ->
     assert splits_of(tmp_path) == split
 
 
-def test_photographs_without_material_are_split_alone(tmp_path: Path) -> None:
-    touch(tmp_path, *(f"{name}.png" for name in "abcdefghijk"))
-    assert [name for name, side in splits_of(tmp_path).items() if side == "test"] == ["e", "j"]
-
-
 def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
     touch(tmp_path, "test_a_1.jpg", "test_a_2.jpg", "train_b_1.jpg", "test/c/1.jpg", "train/d.jpg", "metadata.json")
     assert splits_of(tmp_path) == {"a_1": "test", "a_2": "test", "b_1": "train", "c_1": "test", "d": "train"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.merl import FILE_BYTES, find, read_merl, read_task, write_merl
+from data_tools.readers.merl import FILE_BYTES, find, read_merl, write_merl
 from data_tools.readers.merl_table import SCALE, merl_centres, merl_evaluate, merl_index, merl_valid, tabulate
 from metapp.appearance.geometry import above_horizon
 
@@ -73,19 +73,6 @@ def test_index_inverts_centres_with_worked_bins() -> None:
     )
     assert merl_index(angles).tolist() == [0, 90 * 90 * 180 - 1, 180 * (45 + 90 * 45), 179, 0]
     assert torch.equal(merl_index(centres).reshape(-1), torch.arange(90 * 90 * 180))
-
-
-def test_evaluate_is_exact_at_centres(merl_file: Path) -> None:
-    table = read_merl(merl_file)
-    rows = torch.randint(90 * 90 * 180, (2000,), generator=torch.Generator().manual_seed(0))
-    angles = merl_centres().reshape(-1, 3)[rows].double()
-    flat = table.reshape(-1, 3)[rows.numpy()]
-    valid = merl_valid(table).reshape(-1)[rows.numpy()]
-    result = merl_evaluate(table, angles).numpy()
-    # Neighbours differ by many orders of magnitude here, and centres are rounded to float32.
-    assert np.median(np.abs(result - flat)[valid] / flat[valid].clip(1e-9)) < 1e-4
-    smooth = np.broadcast_to(np.linspace(0.1, 1, 90)[:, None, None, None], (90, 90, 180, 3)).copy()
-    np.testing.assert_allclose(merl_evaluate(smooth, angles).numpy(), smooth.reshape(-1, 3)[rows.numpy()], rtol=1e-5)
 
 
 def test_evaluate_interpolates_wraps_phi_and_holds_the_ends() -> None:
@@ -160,14 +147,6 @@ def test_bad_contents(merl_file: Path, tmp_path: Path) -> None:
             read_merl(path)
 
 
-def test_refuse_to_write(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"table \(90, 90, 180\), expected \(90, 90, 180, 3\)"):
-        write_merl(tmp_path / "a.binary", np.ones((90, 90, 180)))
-    with pytest.raises(ValueError, match="4,374,000 values are NaN"):
-        write_merl(tmp_path / "a.binary", np.full((90, 90, 180, 3), math.nan))
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_find(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "brdfs").mkdir()
     (tmp_path / "brdfs" / "b.binary").symlink_to(merl_file)
@@ -187,9 +166,3 @@ def test_find(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "empty" / "gold.binary").write_bytes(merl_file.read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"gold.binary: 1,000 bytes, .* incomplete"):
         find([tmp_path / "empty"])
-
-
-def test_a_task_is_named_by_its_file(merl_file: Path, tmp_path: Path) -> None:
-    (tmp_path / "silver.binary").symlink_to(merl_file)
-    with pytest.warns(UserWarning, match=r"silver\.binary: 6 times the light"):
-        assert read_task(tmp_path / "silver.binary").name == "silver"

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from data_tools.readers.nbrdf import SHAPES, find, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
-from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -186,50 +185,3 @@ def test_refuse_to_write(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"b3.npy: holds NaN"):
         write_nbrdf(tmp_path, {**weights, "b3": np.full(3, np.nan)})
     assert list(tmp_path.iterdir()) == []
-
-
-def plugin_inputs(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    """Half and difference vectors [N, 6] of directions [N, 3] as the Mitsuba plugin of the paper has them.
-
-    As the reader of MERL's data does: wi is turned by -phi_h about the normal and by -theta_h about the binormal.
-    Nothing folds phi_d by reciprocity.
-    """
-    half = wi + wo
-    half = half / np.linalg.norm(half, axis=1, keepdims=True)
-    theta_h, phi_h = np.arccos(half[:, 2].clip(-1, 1)), np.arctan2(half[:, 1], half[:, 0])
-    x = np.cos(phi_h) * wi[:, 0] + np.sin(phi_h) * wi[:, 1]
-    y = np.cos(phi_h) * wi[:, 1] - np.sin(phi_h) * wi[:, 0]
-    turned = np.stack([np.cos(theta_h) * x - np.sin(theta_h) * wi[:, 2], y], 1)
-    up = np.sin(theta_h) * x + np.cos(theta_h) * wi[:, 2]
-    return np.stack([np.sin(theta_h), 0 * theta_h, np.cos(theta_h), *turned.T, up], 1)
-
-
-def plugin_evaluate(folder: Path, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    """Reflectance [N, 3] in 1/sr of the network in a folder, evaluated as the plugin does."""
-    w = {part: np.load(folder / f"{part}.npy").astype(np.float64) for part in SHAPES}
-    x = np.maximum(plugin_inputs(wi, wo) @ w["fc1"] + w["b1"], 0)
-    x = np.maximum(x @ w["fc2"] + w["b2"], 0)
-    return np.maximum(np.expm1(x @ w["fc3"] + w["b3"]), 0)
-
-
-def random_directions(count: int) -> tuple[torch.Tensor, np.ndarray, np.ndarray]:
-    """Angles [N, 3] with phi_d in [0, pi), their directions, turned about the normal at random."""
-    rng = torch.Generator().manual_seed(5)
-    extent = torch.tensor([math.pi / 2, math.pi / 2, math.pi], dtype=torch.float64)
-    angles = torch.rand(count, 3, generator=rng, dtype=torch.float64) * extent
-    angles = angles[above_horizon(angles)]
-    turn = 2 * math.pi * torch.rand(len(angles), generator=rng, dtype=torch.float64)
-    wi, wo = (
-        torch.stack([turn.cos() * x - turn.sin() * y, turn.sin() * x + turn.cos() * y, z], 1).numpy()
-        for x, y, z in (each.unbind(-1) for each in rusinkiewicz_to_directions(angles))
-    )
-    return angles, wi, wo
-
-
-def test_the_plugin_sees_what_fits_see(tmp_path: Path) -> None:
-    weights = read_nbrdf(make_network(tmp_path))
-    angles, wi, wo = random_directions(500)
-    swapped = angles + torch.tensor([0, 0, math.pi], dtype=angles.dtype)  # its difference vector is on the other side
-    for direction, other, at in ((wi, wo, angles), (wo, wi, swapped)):
-        found = plugin_evaluate(tmp_path, direction, other)
-        np.testing.assert_allclose(found, nbrdf_evaluate(weights, at).numpy(), rtol=1e-6, atol=1e-9)

@@ -14,8 +14,7 @@ from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import IMAGE, Guide, Tracer, path_samples, reference, render
 from metapp.rendering.scenes.loading import brightness, load_scene
 from metapp.rendering.scenes.rules import box_film, scene_bytes, scene_of
-from metapp.rendering.variant import load_mitsuba
-from tests.needs_mitsuba import MISSING, needs_mitsuba
+from tests.needs_mitsuba import needs_mitsuba
 
 CELLS = 8  # of the film, per side
 
@@ -175,14 +174,6 @@ def test_a_wide_film_counts_in_its_central_square() -> None:
         for size in ((64, 64), (160, 64))
     )
     torch.testing.assert_close(square, wide, rtol=1e-3, atol=1e-3)
-
-
-def test_mitsuba_can_be_loaded_or_says_why() -> None:
-    if MISSING:
-        with pytest.raises(ValueError, match="expected 19 or newer"):
-            load_mitsuba()
-    else:
-        assert load_mitsuba().variant() in ("llvm_ad_rgb", "cuda_ad_rgb")
 
 
 # Pictures

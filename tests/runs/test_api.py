@@ -393,7 +393,3 @@ def test_other_fits_have_no_reflectance() -> None:
     fit = by_general("svbrdf_nonstationary", pictures.noise(64, 64), observe="photo")
     with pytest.raises(ValueError, match="object: a fit of svbrdf_nonstationary, expected one of brdf"):
         fit(*directions(2))
-
-
-def test_names_of_the_api_are_listed() -> None:
-    assert {"fit", "fit_all", "Fit"} <= set(dir(api))

@@ -209,15 +209,6 @@ def test_a_cut_off_line_gives_way_to_the_next(tmp_path: Path, keep: int) -> None
     assert list(run.finished()) == ["gold", "tin", *(["zinc"] if keep == -1 else [])]
 
 
-def test_strange_lines_count_as_absent(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path, {})
-    run.add(record("gold"), THETA)
-    line = run.file.read_bytes()
-    run.file.write_bytes(b'\n[1]\n3\nnull\n{"error": 1}\n' + line + b'{"name": "tin"}\n\xff\xfe\n')
-    with pytest.warns(UserWarning, match=r"record\.jsonl: lines 2, 3, 4, 5, 7, \.\.\.: no record"):
-        assert list(run.finished()) == ["gold"]
-
-
 def test_a_task_that_runs_again_replaces_its_line_alone(tmp_path: Path) -> None:
     run = fit_folder(tmp_path)
     nan = {"ssim": float("nan"), "curve": [(1, float("inf"))]}  # JSON has no such numbers

@@ -74,15 +74,6 @@ def test_texts_are_files_beside(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"silver.safetensors", "silver.json", "manifest.json"}
 
 
-def test_views_of_one_tensor_and_any_layout(tmp_path: Path) -> None:
-    whole = torch.arange(12.0).reshape(4, 3).requires_grad_()
-    with ShardWriter(tmp_path, "brdf", UNITS) as writer:
-        writer.add(Task("a", {"angles": whole.T, "reflectance": whole[1:]}), "train")
-    read = read_shard(tmp_path)[0].data
-    assert torch.equal(read["angles"], whole.detach().T)
-    assert torch.equal(read["reflectance"], whole.detach()[1:])
-
-
 def test_names_become_safe_file_names(tmp_path: Path) -> None:
     names = ("../../escape", "a b", "a/b", "A_B", "..", "rost\udcff")
     folder = make_shard(tmp_path / "data", names)

@@ -24,17 +24,6 @@ def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1
     return GuideCache(list(low), list(high))
 
 
-def test_about_a_normal_along_an_axis_the_frame_is_of_axes(mi: Any) -> None:
-    """Each axis has another one for its tangent, the same on both sides."""
-    normals = np.concatenate([np.eye(3), -np.eye(3)], 1).astype(np.float32)
-    frame = empty().locate(mi.Point3f(0, 0, 0), mi.Vector3f(normals)).frame
-    tangent = frame.s.numpy()
-    assert np.array_equal(np.abs(tangent).max(0), np.ones(6))
-    assert np.array_equal(np.abs(tangent).sum(0), np.ones(6))
-    assert sorted(np.abs(tangent[:, :3]).argmax(0)) == [0, 1, 2]
-    assert np.array_equal(tangent[:, :3], tangent[:, 3:])
-
-
 def test_frames_of_an_entry_are_turned_alike(mi: Any) -> None:
     """Normals that differ by little have tangents that differ by little, also near the axes."""
     rng = np.random.default_rng(0)

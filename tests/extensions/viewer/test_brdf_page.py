@@ -149,11 +149,6 @@ def test_samples_beyond_the_fit_are_on_the_grid() -> None:
     assert float(left[inside].abs().mean()) < 0.1 * float(lacks[inside].abs().mean())
 
 
-def test_fits_of_unknown_tasks_have_no_reference() -> None:
-    for shown in views("anisotropic") + views("featured"):
-        assert "residual" not in shown.view.arrays
-
-
 def test_a_reference_takes_less_than_a_megabyte_of_the_page() -> None:
     grid = views("anisotropic", task=anisotropic.task())[0].view.arrays["residual"]
     assert grid.shape == (*AZIMUTHAL, 4)
