@@ -72,13 +72,12 @@ def _with_mutated(rng: random.Random, document: Any, parts: Sequence[Any]) -> st
 def read_run(folder: Path, file: Path) -> None:
     """As `metapp rerun`."""
     from metapp.cli.console import print_json
-    from metapp.cli.rerun import _document, _table
-    from metapp.evaluation.repeat import repeat_of
-    from metapp.runs.rerun import Instead, rerun
+    from metapp.extensions.reruns.rerun import Instead, rerun
+    from metapp.extensions.reruns.rerun_command import _document, _table
 
     with contextlib.chdir(folder):  # the records' data set is "."
         try:
-            rows = rerun(file, "", Instead(), repeat_of, quiet=True)
+            rows = rerun(file, "", Instead(), quiet=True)
         except (ValueError, OSError) as error:
             raise ValueError(f"{file}: {error}") from None  # most name the task
     _table(rows)

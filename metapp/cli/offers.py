@@ -10,8 +10,6 @@ OFFERS = (
     Command("evaluate", f"{_HERE}.evaluate:command"),
     Command("baseline", f"{_HERE}.baseline:command"),
     Command("export", f"{_HERE}.export:command"),
-    Command("rerun", f"{_HERE}.rerun:command"),
-    Command("compare", f"{_HERE}.compare:command"),
     Command("synth", f"{_HERE}.data_synth:synth", under="data", bare_is_help=True),
     Command("cornell", f"{_HERE}.data_sets:cornell", under="data", bare_is_help=True),
     Command("join", f"{_HERE}.data_sets:join", under="data", bare_is_help=True),

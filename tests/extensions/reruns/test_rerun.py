@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from metapp.runs.rerun import ELSEWHERE, ROUNDING
+from metapp.extensions.reruns.rerun import ELSEWHERE, ROUNDING
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.conftest import Result
@@ -95,8 +95,8 @@ def test_data_that_changed_are_named_with_a_remedy(
 ) -> None:
     (networks / "m1").rename(networks / "other")
     line = error_of(metapp("rerun", run))
-    assert line.startswith("error: m0: data ")
-    assert "as recorded; give what was fitted after RECORD, or --data." in line
+    assert line.startswith("error: m1: no such task in networks-")
+    assert line.endswith("; give what was fitted after RECORD, or --data.")
     assert metapp("rerun", run, neural_fits(2), "--quiet").code == 0
 
 

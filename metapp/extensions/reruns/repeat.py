@@ -7,22 +7,17 @@ from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import ablation, baselines
 from metapp.runs.plan import Plan
-from metapp.runs.rerun import Repeat
 from metapp.storage.records import Record
 
 
-def repeat_of(plan: Plan, settings: Record) -> Repeat | None:
-    """What measures the row of a record again, kept nowhere; None where no table has such a row.
+def cell_of(plan: Plan, settings: Record) -> Cell | None:
+    """The cell of a table that a record is of; None where no table has such a row.
 
     Args:
         plan: that the record was made by, of General.
         settings: of the record.
     """
-    cell = _cell(Subject(plan, run=True, strict=False), settings)
-    return Repeat(cell.folder.settings, list(cell.tasks), cell.measure) if cell and cell.folder else None
-
-
-def _cell(subject: Subject, settings: Record) -> Cell | None:
+    subject = Subject(plan, run=True, strict=False)
     if "peer" in settings:
         known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
         return baselines.baseline_cell(subject, known[0]) if known else None

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 
 from metapp.appearance.precision import FLOAT32
+from metapp.extensions.reruns.repeat import cell_of
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
@@ -84,17 +85,13 @@ class Repeat(NamedTuple):
     fit: Callable[[list[Task]], Iterator[tuple[Document, Params | None]]]
 
 
-Tables = Callable[[Plan, Document], Repeat | None]  # what repeats a record that a table alone makes, if anything
-
-
-def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: bool) -> list[Repeated]:
+def rerun(record: Path, task: str, instead: Instead, *, quiet: bool) -> list[Repeated]:
     """Repeat the records of a file; what is measured now is kept nowhere.
 
     Args:
         record: the file, or a run's folder.
         task: the one to repeat; "" for all.
         instead: what to use in place of what records say.
-        tables: a plan and a record's settings -> what repeats it, where no paradigm's command made it.
         quiet: no progress.
 
     Raises:
@@ -107,13 +104,13 @@ def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: b
     done = []
     with progress("rerun", len(records), quiet=quiet) as bar:
         for of_run in runs.values():
-            for row in _repeated(folder, of_run, instead, tables):
+            for row in _repeated(folder, of_run, instead):
                 done.append(row)
                 bar.advance(row.name)
     return done
 
 
-def _repeated(folder: Path, records: list[Document], instead: Instead, tables: Tables) -> Iterator[Repeated]:
+def _repeated(folder: Path, records: list[Document], instead: Instead) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
     if "study" in first["settings"] or "error" not in first or not first["settings"].keys() >= OF_FIT:
@@ -129,7 +126,7 @@ def _repeated(folder: Path, records: list[Document], instead: Instead, tables: T
     # more threads than processors wait for each other, by minutes where a record says a thousand
     count = min(first["threads"], os.cpu_count() or 1) if "threads" in first else threads_of(plan.app)
     with threads(count), _as_precise(first["settings"]):
-        repeat = _repeat(plan, records, instead, tables)
+        repeat = _repeat(plan, records, instead)
         around = _changed(first, repeat.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(plan.device)})
         by_name = {task.name: task for task in repeat.tasks}
@@ -165,7 +162,7 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     )
 
 
-def _repeat(plan: Plan, records: list[Document], instead: Instead, tables: Tables) -> Repeat:
+def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
     settings = records[0]["settings"]
     if settings.get("paradigm") in paradigms():
         if plan.request.inputs:
@@ -175,10 +172,10 @@ def _repeat(plan: Plan, records: list[Document], instead: Instead, tables: Table
             tasks, label = tasks_to_fit(plan)
         plan = find_checkpoint(plan)
         return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
-    repeat = tables(plan, settings)
-    if repeat is None:
+    cell = cell_of(plan, settings)
+    if cell is None or cell.folder is None:
         raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("peer")))
-    return repeat
+    return Repeat(cell.folder.settings, cell.tasks, cell.measure)
 
 
 def _differing(then: Document, now: Document) -> dict[str, tuple[Any, Any]]:

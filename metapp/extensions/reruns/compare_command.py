@@ -14,7 +14,7 @@ from metapp.runs.reporter import number, say
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from metapp.runs.compare import Comparison
+    from metapp.extensions.reruns.compare import Comparison
 
 
 def command(
@@ -37,7 +37,7 @@ def command(
 
     Example: metapp compare RUN OTHER_RUN
     """
-    from metapp.runs.compare import compare, draw
+    from metapp.extensions.reruns.compare import compare, draw
 
     compared = compare(first, second, task, inputs or [], data)
     picture = draw(compared, out_file or compared.sides[0].folder / "comparison.png", quiet=quiet)

@@ -15,7 +15,7 @@ from metapp.storage import Document
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from metapp.runs.rerun import Repeated
+    from metapp.extensions.reruns.rerun import Repeated
 
 
 def command(
@@ -42,10 +42,9 @@ def command(
 
     Example: metapp rerun RUN
     """
-    from metapp.evaluation.repeat import repeat_of
-    from metapp.runs.rerun import Instead, rerun
+    from metapp.extensions.reruns.rerun import Instead, rerun
 
-    rows = rerun(record, task, Instead(inputs or [], data, checkpoint, tolerance), repeat_of, quiet=quiet)
+    rows = rerun(record, task, Instead(inputs or [], data, checkpoint, tolerance), quiet=quiet)
     failed = [row.name for row in rows if not row.agrees]
     if not (quiet or json):
         out().print(_table(rows))
