@@ -110,16 +110,6 @@ def write_pack(path: Path, pack: Pack) -> int:
 _PRESET = 9 | lzma.PRESET_EXTREME
 
 
-def read_pack(path: Path) -> Pack:
-    """Read all that `write_pack` wrote.
-
-    Raises:
-        ValueError: as `opened_pack`, and as `PackFile.read`.
-    """
-    with opened_pack(path) as pack:
-        return pack.read()
-
-
 @contextlib.contextmanager
 def opened_pack(path: Path) -> Iterator[PackFile]:
     """A pack whose header is read and checked.

@@ -11,10 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.colours import colour_science, spectra_to_rgb
+from data_tools.readers.colours import colour_science
 from data_tools.readers.measured_pairs import FEW, Pairs
 from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.extensions.few import gonio
+from metapp.extensions.few.spectra import spectra_to_rgb
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
