@@ -28,9 +28,9 @@ from metapp.appearance.latlong import sphere_normals
 from metapp.appearance.metrics import si_rmse
 from metapp.apps.illumination.app import READ, Illumination
 from metapp.apps.illumination.spheres import SIZE, SPHERES, lit_spheres, toned
-from metapp.baselines import baselines_of
-from metapp.baselines.baseline import Training
-from metapp.evaluation.baseline_fits import allowed_for
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import Training
+from metapp.extensions.baselines.fits import allowed_for
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.checkpoints import find_checkpoint

@@ -28,11 +28,11 @@ from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
 from metapp.appearance.noise import factors
 from metapp.apps.brdf.app import Brdf
-from metapp.baselines.baseline import Training
-from metapp.baselines.brdf import EPSILON, Space, _space
 from metapp.cli.console import run
-from metapp.evaluation.baseline_fits import training_of
 from metapp.evaluation.style import COLOURS, MUTED, STYLE
+from metapp.extensions.baselines.baseline import Training
+from metapp.extensions.baselines.brdf import EPSILON, Space, _space
+from metapp.extensions.baselines.fits import training_of
 from metapp.extensions.few.design import Limits, places_of
 from metapp.extensions.few.planning import plan_brdf
 from metapp.learning.task import Task

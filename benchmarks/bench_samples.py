@@ -19,11 +19,11 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
 from data_tools.readers.brdf_task import as_measured
-from metapp.baselines import baselines_of
-from metapp.baselines.baseline import Training
 from metapp.cli.console import run
-from metapp.evaluation.baseline_fits import allowed_for, training_of
 from metapp.evaluation.style import COLOURS, MUTED, STYLE, new, save
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import Training
+from metapp.extensions.baselines.fits import allowed_for, training_of
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.checkpoints import find_checkpoint

@@ -20,8 +20,8 @@ from metapp.appearance.order import lattice_of, order_kept
 from metapp.apps import presentation_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
-from metapp.baselines.svbrdf_stationary import quilted_maps
-from metapp.baselines.texture import quilt
+from metapp.extensions.baselines.svbrdf_stationary import quilted_maps
+from metapp.extensions.baselines.texture import quilt
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.networks.presentation import ExemplarPresentation

@@ -47,9 +47,9 @@ TESTS = {
     "metapp/extensions/guided/histogram.py": ["guide_prior"],
     "metapp/rendering/scenes/plugins.py": ["scene_attacks", "scene_files", "scene_limits"],
     "metapp/rendering/scenes/rules.py": ["scene_attacks", "scene_limits"],
-    "metapp/baselines/brdf.py": ["brdf_baselines", "brdf_fits"],
-    "metapp/baselines/lobes.py": ["brdf_baselines", "brdf_fits"],
-    "metapp/baselines/transport.py": ["histogram"],
+    "metapp/extensions/baselines/brdf.py": ["brdf_baselines", "brdf_fits"],
+    "metapp/extensions/baselines/lobes.py": ["brdf_baselines", "brdf_fits"],
+    "metapp/extensions/baselines/transport.py": ["histogram"],
     "metapp/runs/statistics.py": ["statistics"],
 }
 COMPARES = {

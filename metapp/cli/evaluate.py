@@ -134,6 +134,10 @@ def check(options: Evaluation) -> Evaluation:
         BadParameter: there is no such table or format, or an option is of another table.
     """
     options = replace(options, which=options.which or "results")
+    if extension := door.switched_off(door.Table, options.which):
+        raise typer.BadParameter(
+            f"--which {options.which}: a table of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
+        )
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
@@ -254,8 +258,6 @@ def _say_missing(subject: Subject, cells: list[Cell], which: str) -> str:
 
 def draw(subjects: list[Subject], names: Sequence[str]) -> None:
     """Draw fits side by side, as tables of these names compare them."""
-    from metapp.evaluation.pictures import draw_baselines, draw_paradigms
-
-    for name, draw_one in (("results", draw_paradigms), ("baselines", draw_baselines)):
-        for file in filter(None, map(draw_one, subjects) if name in names else ()):
+    for name in names:
+        for file in filter(None, map(load_table(name).picture, subjects)):
             say(f"picture: {file}")

@@ -24,8 +24,13 @@ def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str,
     """The first commands of an application on input files in a folder, and what each makes."""
     place = shlex.quote(str(folder))
     of_outputs = [example for output in door.offers_of(door.Output, app) for example in output.examples]
-    examples = [*application_of(app).examples, *of_outputs][:most]
-    return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples]
+    examples = [example for example in (*application_of(app).examples, *of_outputs) if not _left_out(example[0])]
+    return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
+
+
+def _left_out(line: str) -> bool:
+    """Whether a command is of an extension that is left out."""
+    return any(door.switched_off(door.Command, word) for word in line.split()[:2])
 
 
 def command(

@@ -8,7 +8,6 @@ OFFERS = (
     Command("examples", f"{_HERE}.examples:command"),
     Command("doctor", f"{_HERE}.doctor:command"),
     Command("evaluate", f"{_HERE}.evaluate:command"),
-    Command("baseline", f"{_HERE}.baseline:command"),
     Command("export", f"{_HERE}.export:command"),
     Command("synth", f"{_HERE}.data_synth:synth", under="data", bare_is_help=True),
     Command("cornell", f"{_HERE}.data_sets:cornell", under="data", bare_is_help=True),

@@ -113,9 +113,9 @@ def _left_out(text: str) -> frozenset[str]:
 
 @functools.cache
 def _installed() -> tuple[Extension, ...]:
-    """The extensions of all installed packages, those of metapp first, else by package and name."""
+    """The extensions of all installed packages, those of metapp first, else by package and module."""
     points = importlib.metadata.entry_points(group=GROUP)
-    by_place = sorted(points, key=lambda point: (_package(point) != SHIPPED, _package(point), point.name))
+    by_place = sorted(points, key=lambda point: (_package(point) != SHIPPED, _package(point), point.value))
     return tuple(map(_opened, by_place))
 
 

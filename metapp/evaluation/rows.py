@@ -7,6 +7,7 @@ import json
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from metapp.appearance.presentation import measures_of
@@ -36,9 +37,19 @@ class Column(NamedTuple):
     left: bool = False
 
 
-def no_cells(subject: Subject) -> list[Cell]:
-    """Those of a table for which nothing has to be run."""
+def _none(subject: Subject) -> list[Any]:
+    """No cells and no rows: of a table for which nothing has to be run, or that no figure shows."""
     return []
+
+
+def no_picture(subject: Subject) -> Path | None:
+    """The picture of a table without one."""
+    return None
+
+
+def no_repeat(subject: Subject, settings: Record) -> Cell | None:
+    """The cell that repeats a record of a table that makes none but those of fits."""
+    return None
 
 
 class Table(NamedTuple):
@@ -51,6 +62,10 @@ class Table(NamedTuple):
         rows: of what has been measured so far.
         notes: what must be said below it.
         cells: what must have been measured.
+        heading: above it in the report; "" for its name.
+        picture: draws the fits that it compares side by side, where there are any.
+        plane: further rows of the quality-speed plane.
+        repeat: the cell that measures a record of these settings again; None where it makes no such record.
     """
 
     name: str
@@ -58,7 +73,11 @@ class Table(NamedTuple):
     columns: tuple[Column, ...]
     rows: Callable[[Subject], list[Row]]
     notes: Callable[[Subject, list[Row]], list[str]]
-    cells: Callable[[Subject], list[Cell]] = no_cells
+    cells: Callable[[Subject], list[Cell]] = _none
+    heading: str = ""
+    picture: Callable[[Subject], Path | None] = no_picture
+    plane: Callable[[Subject], list[Row]] = _none
+    repeat: Callable[[Subject, Record], Cell | None] = no_repeat
 
 
 # Columns

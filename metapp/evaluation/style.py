@@ -21,7 +21,7 @@ COLOURS = {
 }
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
 TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
-BASELINE, MUTED = "x", "#666666"
+BESIDE, MUTED = "x", "#666666"
 DPI = 160
 INK, GRID = "#222222", "#d9d9d9"
 STYLE: Any = {

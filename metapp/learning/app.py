@@ -117,7 +117,7 @@ class App(ABC):
         """
 
     def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """The same measures of an answer that need not come from the network, as those of `metapp.baselines` do not.
+        """The same measures of an answer that need not come from the network, as those of baselines do not.
 
         Args:
             answer: what `errors` makes of parameters before it measures; the application says what that is.

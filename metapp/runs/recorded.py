@@ -22,7 +22,7 @@ from metapp.storage.text import meant, path_of
 # what settings and origins of records hold: plans are made of them, and anybody may have written them
 SETTINGS = {
     **{"app": str, "data": str, "recipe": str},
-    **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "peer")},
+    **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "method")},
     **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "options?": dict, "versions?": {...: str}},
 }
 ORIGIN = {**{f"{name}?": str for name in ("machine", "data", "checkpoint")}, "inputs?": [str]}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from metapp.appearance.geometry import (
 )
 from metapp.apps.brdf.anisotropic import axes_of, inputs_of, turned
 from metapp.apps.brdf.app import Brdf
-from metapp.baselines import anisotropic_lobes
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from tests import anisotropic
@@ -88,16 +86,6 @@ def test_a_fit_is_reciprocal_finite_and_nearer_than_any_isotropic_one() -> None:
     near = torch.cdist(where[:2000, [2, 3, 4, 5]], where[:2000, [2, 3, 4, 5]]).topk(20, largest=False).indices
     spread = float((target[:2000][near].median(1).values - target[:2000]).abs().mean())
     assert error < 0.6 * spread
-
-
-def test_anisotropic_ggx_is_found_by_its_baseline() -> None:
-    prepared = APP.prepare(anisotropic.task())
-    numbers = anisotropic_lobes.fit(prepared["where"][:2048], prepared["target"][:2048], 1)
-    first, second, turn = numbers[3:6].tolist()
-    found = sorted([(math.exp(first), turn), (math.exp(second), turn + math.pi / 2)], reverse=True)
-    assert found[0][0] == pytest.approx(0.4, rel=0.1)
-    assert found[1][0] == pytest.approx(0.12, rel=0.1)
-    assert math.sin(found[0][1] - TURN) == pytest.approx(0, abs=0.03)
 
 
 def test_synthetic_materials_are_reciprocal_and_lose_energy() -> None:

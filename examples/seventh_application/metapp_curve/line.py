@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Generator
 
-from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 

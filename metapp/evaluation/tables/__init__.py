@@ -19,7 +19,6 @@ OFFERS = (
     door.Table("storage", f"{_HERE}.storage:STORAGE"),
     door.Table("samples", f"{_HERE}.storage:SAMPLES"),
     door.Table("convergence", f"{_HERE}.convergence:CONVERGENCE"),
-    door.Table("baselines", f"{_HERE}.baselines:BASELINES"),
 )
 
 

@@ -235,4 +235,4 @@ COLUMNS = columns(
     *(words("of its steps", "part"), words("step", "step")),
     *("error", "interval", numbers("paper further steps", "paper_further", "d"), "median", "worst"),
 )
-CONVERGENCE = Table("convergence", "error{factor} along Meta's steps", COLUMNS, rows, notes, cells)
+CONVERGENCE = Table("convergence", "error{factor} along Meta's steps", COLUMNS, rows, notes, cells, "Convergence")

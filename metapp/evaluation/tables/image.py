@@ -114,4 +114,4 @@ COLUMNS = columns(
     numbers("paper share", "paper_share", ".0%"),
     *("interval", "worst"),
 )
-IMAGE = Table("image", "measures in image space", COLUMNS, rows, notes, cells)
+IMAGE = Table("image", "measures in image space", COLUMNS, rows, notes, cells, "In image space")

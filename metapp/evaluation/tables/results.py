@@ -13,6 +13,7 @@ from metapp.evaluation.notes import (
     verdict,
     warned,
 )
+from metapp.evaluation.pictures import draw_paradigms
 from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
@@ -109,10 +110,25 @@ COLUMNS = columns(
     *("paradigm", "error", "seconds", "paper error", "paper seconds"),
     *("vs quickft", "interval", "steps", "median", "worst"),
 )
-RESULTS = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, rows, notes, cells)
+RESULTS = Table(
+    "results",
+    "mean error{factor}, median seconds of inference",
+    COLUMNS,
+    rows,
+    notes,
+    cells,
+    heading="Error and time",
+    picture=draw_paradigms,
+)
 EQUAL_COLUMNS = columns(
     *("paradigm", "error", "vs quickft", "paper error", "interval", "steps", "seconds", "median", "worst")
 )
 QUICKFT = Table(
-    "quickft", "mean error{factor} after as many steps", EQUAL_COLUMNS, equal_rows, equal_notes, equal_cells
+    "quickft",
+    "mean error{factor} after as many steps",
+    EQUAL_COLUMNS,
+    equal_rows,
+    equal_notes,
+    equal_cells,
+    heading="Against as many steps of fine-tuning",
 )

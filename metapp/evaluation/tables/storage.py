@@ -105,7 +105,7 @@ COLUMNS = columns(
     numbers("networks", "networks", ".2f"),
     numbers("pays from", "pays_from", "d"),
 )
-STORAGE = Table("storage", "bytes for m exemplars", COLUMNS, rows, notes)
+STORAGE = Table("storage", "bytes for m exemplars", COLUMNS, rows, notes, heading="Storage")
 SAMPLE_COLUMNS = columns(
     "paradigm",
     numbers("seen", "seen", ",d"),
@@ -117,4 +117,11 @@ SAMPLE_COLUMNS = columns(
     numbers("steps", "steps", ",d"),
     numbers("batch", "batch", ",d"),
 )
-SAMPLES = Table("samples", "samples and bytes of a task that a fit sees", SAMPLE_COLUMNS, sample_rows, sample_notes)
+SAMPLES = Table(
+    "samples",
+    "samples and bytes of a task that a fit sees",
+    SAMPLE_COLUMNS,
+    sample_rows,
+    sample_notes,
+    heading="Samples seen",
+)

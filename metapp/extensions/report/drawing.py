@@ -14,7 +14,7 @@ from torch import Tensor
 from metapp.appearance.colour import to_srgb
 from metapp.evaluation.rows import values_of
 from metapp.evaluation.style import (
-    BASELINE,
+    BESIDE,
     COLOURS,
     INK,
     MARKERS,
@@ -26,7 +26,7 @@ from metapp.evaluation.style import (
     new,
 )
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables.baselines import baseline_rows
+from metapp.evaluation.tables import load_table, table_names
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_cell
 from metapp.evaluation.tables.results import result_row
 from metapp.learning.rules import rule_of
@@ -45,7 +45,7 @@ def _one_panel(subject: Subject, width: float, height: float) -> tuple[Figure, A
 
 
 def plane(subject: Subject) -> Drawn | None:
-    """Mean error with its 95 % interval over median seconds, crosses are baselines; best is top right."""
+    """Mean error with its 95 % interval over median seconds; crosses are other methods, best is top right."""
     rows = {name: result_row(subject, name) for name in COLOURS}
     rows = {name: row for name, row in rows.items() if None not in (row["error"], row["seconds"])}
     if not rows:
@@ -56,9 +56,10 @@ def plane(subject: Subject) -> Drawn | None:
         size, place = 12 if name == "meta" else 7, (row["seconds"], row["error"])
         axis.errorbar(*place, yerr=reach, capsize=2, fmt=MARKERS[name], color=COLOURS[name], markersize=size)
         axis.annotate(TITLES[name], place, OFFSETS.get(name, (6, 6)), textcoords="offset points", fontsize=8)
-    others = [row for row in baseline_rows(subject) if None not in (row["error"], row["seconds"])]
+    beside = [row for name in table_names() for row in load_table(name).plane(subject)]
+    others = [row for row in beside if None not in (row["error"], row["seconds"])]
     for row in others:
-        axis.plot(row["seconds"], row["error"], BASELINE, color=MUTED, markersize=5)
+        axis.plot(row["seconds"], row["error"], BESIDE, color=MUTED, markersize=5)
         # turned, so that names of neighbours part
         look: dict[str, Any] = {"fontsize": 6, "color": MUTED, "rotation": 40, "rotation_mode": "anchor"}
         axis.annotate(row["paradigm"], (row["seconds"], row["error"]), (2, 3), textcoords="offset points", **look)

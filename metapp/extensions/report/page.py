@@ -49,16 +49,6 @@ DIALOG = (
     '<dialog id="record" aria-label="The record behind a picture"><form method="dialog"><button>Close</button></form>'
     '<div id="shown"></div></dialog>'
 )
-HEADINGS = {
-    "results": "Error and time",
-    "quickft": "Against as many steps of fine-tuning",
-    "image": "In image space",
-    "ablation": "Ablation: initialisation and rule",
-    "storage": "Storage",
-    "samples": "Samples seen",
-    "convergence": "Convergence",
-    "baselines": "Methods without a network",
-}
 
 
 def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> list[Path]:
@@ -122,7 +112,7 @@ def _kind(figure: str) -> str:
 def _table(name: str, subject: Subject) -> str:
     table = load_table(name)
     rows = table.rows(subject)
-    return f"<h3>{HEADINGS[name]}</h3>{table_html(table, subject, rows)}" if rows else ""
+    return f"<h3>{escape(table.heading or name)}</h3>{table_html(table, subject, rows)}" if rows else ""
 
 
 def colophon(subjects: Sequence[Subject], tables: Sequence[str]) -> str:

@@ -1,11 +1,10 @@
-"""Repeat rows of tables that no paradigm's command makes: baselines, and halves of a learned rule's row."""
+"""Repeat rows of tables that no paradigm's command makes."""
 
 from __future__ import annotations
 
-from metapp.baselines import baselines_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import ablation, baselines
+from metapp.evaluation.tables import load_table, table_names
 from metapp.runs.plan import Plan
 from metapp.storage.records import Record
 
@@ -18,12 +17,5 @@ def cell_of(plan: Plan, settings: Record) -> Cell | None:
         settings: of the record.
     """
     subject = Subject(plan, run=True, strict=False)
-    if "peer" in settings:
-        known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
-        return baselines.baseline_cell(subject, known[0]) if known else None
-    names = (settings.get("paradigm"), settings.get("rule"))
-    if names[0] not in (ablation.RULE_ALONE.name, ablation.INITIALISATION_ALONE.name):
-        return None
-    halves = [cell for name in ablation.learned(subject) for _, _, cell in ablation.combined(subject, name)]
-    of = {(cell.folder.settings["paradigm"], cell.folder.settings["rule"]): cell for cell in halves if cell.folder}
-    return of.get(names)
+    cells = (load_table(name).repeat(subject, settings) for name in table_names())
+    return next((cell for cell in cells if cell), None)

@@ -148,15 +148,15 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     a_fit = settings.get("paradigm") in paradigms()
     known = {key: path_of(origin[key]) for key in ("data", "checkpoint") if key in origin}
     inputs = list(instead.inputs) or ([] if instead.data else [path_of(path) for path in origin.get("inputs", [])])
-    above = [*folder.resolve().parents, *[Path("runs")] * 4]
+    above = (parent.parent for parent in folder.resolve().parents if parent.name == settings["app"])
     device = str(settings.get("device", "cpu")).split(":")[0]
     return plan_as(
         settings if a_fit else settings | {"paradigm": "general"},
-        inputs=inputs if a_fit else (),
+        inputs=inputs,
         steps=settings.get("steps") or None if a_fit else None,
-        data=instead.data or (None if instead.inputs or origin.get("inputs") else known.get("data")),
+        data=instead.data or (None if inputs and a_fit else known.get("data")),
         checkpoint=instead.checkpoint or known.get("checkpoint"),
-        out=above[3 if "peer" in settings else 2],
+        out=next(above, Path("runs")),
         seed=settings["seed"],
         device=device if device != "cuda" or torch.cuda.is_available() else "cpu",
     )
@@ -174,7 +174,7 @@ def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
         return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
     cell = cell_of(plan, settings)
     if cell is None or cell.folder is None:
-        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("peer")))
+        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("method")))
     return Repeat(cell.folder.settings, cell.tasks, cell.measure)
 
 

@@ -10,7 +10,7 @@ import torch
 from scipy.fft import dctn
 from scipy.special import sph_harm_y
 
-from metapp.baselines.illumination import (
+from metapp.extensions.baselines.illumination import (
     COSINES,
     HAAR,
     _harmonics,

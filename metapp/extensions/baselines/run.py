@@ -1,23 +1,20 @@
-"""Run one method of the baselines table on a user's own files."""
+"""One method of the baselines table on a user's own files."""
 
 from __future__ import annotations
 
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from metapp.appearance.presentation import DrawsAnswers
 from metapp.apps import presentation_of
-from metapp.baselines import baselines_of
-from metapp.evaluation.baseline_fits import FORM, allowed_for, fit_baselines, training_folder, training_of
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.fits import FORM, fit_baselines, settings_of, training_folder, training_of
 from metapp.runs import BadOption
-from metapp.runs.inputs import data_label, tasks_to_fit
-from metapp.runs.naming import observe_of
-from metapp.runs.options import name_parts, recorded_options
+from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.options import name_parts
 from metapp.runs.outputs import OUTPUTS, write_pictures
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import progress
-from metapp.runs.surroundings import versions
 from metapp.storage.records import Record, RunFolder, file_name
 from metapp.storage.text import meant
 
@@ -59,25 +56,10 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     source = training_folder(plan) if baseline.learns else None
     if baseline.learns and source is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
-    options = recorded_options(app.name, plan.options)
-    settings = {
-        "app": app.name,
-        **observe_of(app),
-        "method": method,
-        "data": label,
-        "training": source and data_label(source),
-        "allowed": allowed_for(plan)._asdict(),
-        "recipe": request.recipe,
-        **({"options": options} if options else {}),
-        "seed": request.seed,
-        "versions": versions() | {"scipy": metadata.version("scipy")},
-        **app.conditions(),
-    }
     ways = name_parts(app.name, plan.options)
     words = [label, request.recipe, f"seed{request.seed}", *ways, method, app.protocol]
-    folder = RunFolder(
-        request.out / app.name / "baseline" / "-".join(filter(None, words)), settings, FORM, plan.origin()
-    )
+    path = request.out / app.name / "baseline" / "-".join(filter(None, words))
+    folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM, plan.origin())
     records, shown = [], presentation_of(app)
     with progress(method, len(tasks), quiet=request.quiet) as bar:
         fits = fit_baselines(plan, baseline, training_of(app, source), tasks, {}, warm=False)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from metapp.appearance.reflection import fresnel_schlick
 from metapp.apps.brdf.anisotropic import axes_of
-from metapp.baselines.lobes import FEW, NARROWEST, WIDEST, Floats, descended
+from metapp.extensions.baselines.lobes import FEW, NARROWEST, WIDEST, Floats, descended
 
 LOBE = 7  # numbers of one: logs of both roughnesses, azimuth of the first, Schlick's F0, a colour
 ALPHAS = {1: (((0.1, 0.03),), ((0.4, 0.1),)), 2: (((0.15, 0.04), (0.4, 0.4)), ((0.3, 0.1), (0.1, 0.3)))}

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
-from metapp.baselines.mirror_balls import answer
+from metapp.extensions.baselines.mirror_balls import answer
 
 LAMP = torch.tensor([0.6, 0.0, 0.8])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from metapp.baselines.transport import (
+from metapp.extensions.baselines.transport import (
     DIRECTIONS,
     FIRST,
     GRIDS,

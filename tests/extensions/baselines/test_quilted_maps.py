@@ -12,9 +12,9 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import Maps, camera, relightings
 from metapp.apps import presentation_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.baselines import baselines_of
-from metapp.baselines.baseline import Allowed, BaselineFit, Training
-from metapp.baselines.svbrdf_stationary import quilted_maps
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training
+from metapp.extensions.baselines.svbrdf_stationary import quilted_maps
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
 from metapp.networks.exemplar import JUDGED

@@ -18,7 +18,15 @@ from torch.nn.functional import conv2d, interpolate, pad
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
 from metapp.appearance.quilting import Picture, block_of, quilted
-from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training, bytes_of, nearest
+from metapp.extensions.baselines.baseline import (
+    Allowed,
+    Baseline,
+    BaselineFit,
+    PreparedBaseline,
+    Training,
+    bytes_of,
+    nearest,
+)
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.mirror import photographed
-from metapp.baselines.baseline import Allowed, BaselineFit, PreparedBaseline, Training
+from metapp.extensions.baselines.baseline import Allowed, BaselineFit, PreparedBaseline, Training
 from metapp.learning.task import Batch, Tasks
 
 GAIN = "light over what clips"

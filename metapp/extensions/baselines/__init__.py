@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 from metapp import door
 
 if TYPE_CHECKING:
-    from metapp.baselines.baseline import Baseline
+    from metapp.extensions.baselines.baseline import Baseline
     from metapp.learning.app import App
 
-_HERE = "metapp.baselines"
+_HERE = "metapp.extensions.baselines"
 _COMPONENTS = tuple(f"pca_{count}{weighted}" for weighted in ("", "w") for count in (20, 66, 150))
 OFFERS = (
+    door.Command("baseline", f"{_HERE}.commands:baseline"),
+    door.Table("baselines", f"{_HERE}.table:BASELINES"),
     door.Baselines("brdf", (*_COMPONENTS, "ggx_1", "ggx_2", "nearest"), f"{_HERE}.brdf:baselines"),
     door.Baselines(
         "illumination",

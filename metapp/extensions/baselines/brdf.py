@@ -8,14 +8,15 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import Cosines
-from metapp.baselines import anisotropic_lobes, lobes
-from metapp.baselines.baseline import (
+from metapp.extensions.baselines import anisotropic_lobes, lobes
+from metapp.extensions.baselines.baseline import (
     Allowed,
     Baseline,
     BaselineFit,
@@ -35,7 +36,7 @@ DELTA = 0.3  # of the mean residual: smaller ones weigh no more
 COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
 SOLVES = (1, 2)  # of a weighted fit
-NAMES = {1: "one GGX lobe", 2: "two GGX lobes"}
+NAMES = {1: "one {} lobe", 2: "two {} lobes"}
 
 
 class Relative(NamedTuple):
@@ -203,14 +204,14 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         for count in COUNTS:
             ridge_of = RidgeOf(count, weighted)
             entries.append(Baseline(f"pca_{count}{'w' if weighted else ''}", title, cannot, ridge_of.prepare))
+    kinds = {"": (ISOTROPIC, "GGX"), **({"a": (ANISOTROPIC, "anisotropic GGX")} if app.setup.anisotropic else {})}
     for count, name in NAMES.items():
-        title = f"a Lambertian body and {name}, by least squares on the table's error"
-        lobes_of = functools.partial(_lobes, count)
-        entries.append(Baseline(f"ggx_{count}", title, "be more than a sum of such lobes", lobes_of, learns=False))
-        if app.setup.anisotropic:
-            title = title.replace("GGX", "anisotropic GGX")
-            lobes_of = functools.partial(_anisotropic_lobes, count)
-            entries.append(Baseline(f"ggx_{count}a", title, "be more than a sum of such lobes", lobes_of, learns=False))
+        for letter, (kind, lobe) in kinds.items():
+            title = f"a Lambertian body and {name.format(lobe)}, by least squares on the table's error"
+            lobes_of = functools.partial(_lobes, kind, count)
+            entries.append(
+                Baseline(f"ggx_{count}{letter}", title, "be more than a sum of such lobes", lobes_of, learns=False)
+            )
     title = "the training material with the least error on the samples"
     return (*entries, Baseline("nearest", title, "be a material that is not in its set", _nearest))
 
@@ -323,33 +324,39 @@ def coefficients(space: Space, samples: Samples, penalty: float, solves: int) ->
     return kept
 
 
-def _lobes(count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
+class LobeModel(NamedTuple):
+    """Sums of GGX lobes.
+
+    Attributes:
+        fit: (places [n, 7], targets [n, 3], lobes) -> numbers.
+        reflectance: (numbers, places [n, 7]) -> BRDF [n, 3] in 1/sr.
+    """
+
+    fit: Callable[[Tensor, Tensor, int], Tensor]
+    reflectance: Callable[[Tensor, Tensor], Tensor]
+
+
+ISOTROPIC = LobeModel(
+    lambda where, target, count: lobes.fit(lobes.CosineSamples(cosines_of(where), target.double()), count),
+    lambda numbers, where: lobes.reflectance(numbers, cosines_of(where)),
+)
+ANISOTROPIC = LobeModel(
+    anisotropic_lobes.fit,
+    lambda numbers, where: anisotropic_lobes.reflectance(numbers, anisotropic_lobes.pairs_of(where)),
+)
+
+
+def _lobes(kind: LobeModel, count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
     """GGX lobes: nothing is shared."""
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         samples = drawn(tasks, rng, allowed.samples)
-        numbers = lobes.fit(lobes.CosineSamples(cosines_of(samples.where), samples.target.double()), count).float()
+        numbers = kind.fit(samples.where, samples.target, count).float()
         return BaselineFit(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
 
     def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
         where, _ = _of_one(tasks)
-        return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
-
-    return PreparedBaseline(fit)
-
-
-def _anisotropic_lobes(count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
-    """GGX lobes of two roughnesses each: nothing is shared."""
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        samples = drawn(tasks, rng, allowed.samples)
-        numbers = anisotropic_lobes.fit(samples.where, samples.target, count).float()
-        return BaselineFit(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
-
-    def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
-        where, _ = _of_one(tasks)
-        pairs = anisotropic_lobes.pairs_of(where[len(where) // 2 :])
-        return anisotropic_lobes.reflectance(numbers.double(), pairs).float().T[None]
+        return kind.reflectance(numbers.double(), where[len(where) // 2 :]).float().T[None]
 
     return PreparedBaseline(fit)
 

@@ -11,8 +11,8 @@ from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.appearance.order import high_passed
 from metapp.appearance.quilting import Picture, block_of, quilted
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
-from metapp.baselines.texture import nearest_exemplar, picture_of
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
+from metapp.extensions.baselines.texture import nearest_exemplar, picture_of
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import JUDGED

@@ -12,9 +12,9 @@ from torch import Generator, Tensor
 from metapp.appearance.geometry import cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 from metapp.apps.brdf.app import Brdf
-from metapp.baselines import lobes
-from metapp.baselines.baseline import Allowed, Training
-from metapp.baselines.brdf import (
+from metapp.extensions.baselines import lobes
+from metapp.extensions.baselines.baseline import Allowed, Training
+from metapp.extensions.baselines.brdf import (
     EPSILON,
     Relative,
     RidgeOf,

@@ -17,7 +17,7 @@ from tests.pictures import environment, photograph
 def test_a_method_makes_a_picture_and_a_record_of_a_file(
     metapp: Callable, method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metapp.baselines.texture.DESCENT", 10)  # of 150 steps, which take seconds
+    monkeypatch.setattr("metapp.extensions.baselines.texture.DESCENT", 10)  # of 150 steps, which take seconds
     photograph(Path("wall.png"), 9, 80)
     done = metapp("baseline", "texture", "wall.png", "--method", method, "--recipe", "quick", "--json")
     assert done.code == 0, done.err
@@ -29,6 +29,8 @@ def test_a_method_makes_a_picture_and_a_record_of_a_file(
     spec = oiio.ImageBuf(str(out / "outputs" / "wall" / "texture.png")).spec()
     assert (spec.width, spec.height) == (64, 64)
     assert "cannot" in done.err
+    (row,) = metapp("rerun", out, "--json").done["tasks"]
+    assert (row["name"], row["found"]) == ("wall", record["error"])
 
 
 def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:

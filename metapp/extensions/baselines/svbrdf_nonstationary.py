@@ -15,7 +15,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
 
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
-from metapp.baselines.baseline import (
+from metapp.extensions.baselines.baseline import (
     Allowed,
     Baseline,
     BaselineFit,

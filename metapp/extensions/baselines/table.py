@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
+import functools
 import statistics
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
-from metapp.baselines import baselines_of
-from metapp.baselines.baseline import Baseline
-from metapp.evaluation.baseline_fits import (
-    FORM,
-    allowed_for,
-    fit_baselines,
-    own_parameters,
-    training_folder,
-    training_of,
-)
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import compared_text, measures_note, overfit_note, paired_note, threads_note
+from metapp.evaluation.pictures import draw_cells
 from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.storage import size, stored
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import Baseline
+from metapp.extensions.baselines.fits import (
+    FORM,
+    fit_baselines,
+    own_parameters,
+    settings_of,
+    training_folder,
+    training_of,
+)
 from metapp.learning.task import Params, Task
-from metapp.runs.inputs import data_label
-from metapp.runs.naming import caption_of, name_of, observe_of
+from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.naming import caption_of, name_of
 from metapp.runs.reporter import say
 from metapp.runs.statistics import apart
-from metapp.runs.surroundings import versions
-from metapp.storage.records import Record
+from metapp.storage.records import Record, RunFolder
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
@@ -60,41 +60,51 @@ def _all_hold(subject: Subject, tensor: str) -> bool:
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     """The fits of a baseline; those that match Meta's errors come after Meta's."""
-    plan, meta = subject.plan, subject.cell("meta")
-    source = training_folder(plan) if baseline.learns and subject.tasks else None
-    missing = not subject.tasks or (baseline.learns and source is None) or (baseline.matches and meta.folder is None)
+    source = training_folder(subject.plan) if baseline.learns and subject.tasks else None
+    missing = (baseline.learns and source is None) or (baseline.matches and subject.cell("meta").folder is None)
     folder = None
-    if not missing:
-        folder = subject.folder(f"baselines/{baseline.name}", _settings(subject, baseline, source), FORM)
-
-    def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
-        errors = {record["name"]: record["error"] for record in meta.records()} if baseline.matches else {}
-        try:
-            for fitted in fit_baselines(plan, baseline, training_of(subject.app, source), tasks, errors):
-                yield fitted.record, fitted.kept
-        except ValueError as error:
-            say(f"{name_of(subject.app)} {baseline.name}: {error}")
-
-    cell = subject.make_cell(baseline.name, folder, measure)
+    if subject.tasks and not missing:
+        settings = _settings(subject, baseline, source, subject.label)
+        folder = subject.folder(f"baselines/{baseline.name}", settings, FORM)
+    cell = subject.make_cell(baseline.name, folder, functools.partial(_measured, subject, baseline, source))
     return cell._replace(stage=int(baseline.matches), guess=GUESS)
 
 
-def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> Record:
-    """Everything that a baseline's figures depend on; `source`: the data set that it learns from."""
-    app, request, meta = subject.app, subject.plan.request, subject.cell("meta")
-    return {
-        "app": app.name,
-        **observe_of(app),
-        "peer": baseline.name,  # as baselines were called when the first records were kept
-        "data": subject.label,
-        "training": source and data_label(source),
-        "allowed": allowed_for(subject.plan)._asdict(),
-        "recipe": request.recipe,
-        "seed": request.seed,
-        "versions": versions() | {"scipy": metadata.version("scipy")},
-        **app.conditions(),
-        **({"meta": meta.folder.key} if baseline.matches and meta.folder else {}),
-    }
+def _settings(subject: Subject, baseline: Baseline, source: Path | None, label: str) -> Record:
+    """Everything that a baseline's figures depend on: also Meta's errors, where it matches them."""
+    meta = subject.cell("meta").folder if baseline.matches else None
+    return settings_of(subject.plan, baseline, source, label) | ({"meta": meta.key} if meta else {})
+
+
+def _measured(
+    subject: Subject, baseline: Baseline, source: Path | None, tasks: list[Task]
+) -> Iterator[tuple[Record, Params | None]]:
+    """The record and the picture of each task, as far as it can be fitted."""
+    metas = subject.cell("meta").records() if baseline.matches else []
+    errors = {record["name"]: record["error"] for record in metas}
+    try:
+        for fitted in fit_baselines(subject.plan, baseline, training_of(subject.app, source), tasks, errors):
+            yield fitted.record, fitted.kept
+    except ValueError as error:
+        say(f"{name_of(subject.app)} {baseline.name}: {error}")
+
+
+def repeat(subject: Subject, settings: Record) -> Cell | None:
+    """The cell that measures records of a baseline again, those of the table and those of `metapp baseline`."""
+    plan, named = subject.plan, {baseline.name: baseline for baseline in baselines_of(subject.app)}
+    baseline = named.get(settings.get("method", ""))
+    if baseline is None:
+        return None
+    source, (tasks, label) = training_folder(plan) if baseline.learns else None, tasks_to_fit(plan)
+    path = plan.request.out / plan.app.name / "baselines" / baseline.name
+    folder = RunFolder(path, _settings(subject, baseline, source, label), FORM)
+    return Cell(baseline.name, tasks, folder, functools.partial(_measured, subject, baseline, source), 0, "")
+
+
+def picture(subject: Subject) -> Path | None:
+    """Draw Meta's fits and those of baselines that are pictures; None where either is missing."""
+    meta, others = subject.cell("meta"), picture_cells(subject)
+    return draw_cells(subject, {"meta": meta} | others, "baselines") if others and meta.whole else None
 
 
 def picture_cells(subject: Subject) -> dict[str, Cell]:
@@ -124,7 +134,7 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
     fit = subject.fits[name]
     theta = own_parameters(fit.app)
     entries = {
-        "peer": False,
+        "baseline": False,
         "matches": False,
         "numbers": sum(value.numel() for value in theta.values()),
         "size": size(theta),
@@ -139,7 +149,7 @@ def _row_of_baseline(subject: Subject, baseline: Baseline) -> Row:
     records = cell.records()
     counts = [record["numbers"] for record in records if record["numbers"] is not None]
     entries = {
-        "peer": True,
+        "baseline": True,
         "matches": baseline.matches,
         "numbers": statistics.fmean(counts) if counts else None,
         "size": statistics.fmean(record["size"] for record in records) if records else None,
@@ -197,7 +207,7 @@ def _matched(row: Row, meta: Row) -> str:
 
 def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What has no records, and how to make them."""
-    absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["peer"]]
+    absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
     able = {baseline.name for baseline in _able(subject)}
     others = [baseline for baseline in baselines_of(subject.app) if baseline.name not in able]
@@ -226,4 +236,6 @@ COLUMNS = columns(
     *("interval", "median", "worst"),
 )
 TITLE = "mean error{factor} and what is kept, of paradigms and of methods without a network"
-BASELINES = Table("baselines", TITLE, COLUMNS, rows, notes, cells)
+BASELINES = Table(
+    "baselines", TITLE, COLUMNS, rows, notes, cells, "Methods without a network", picture, baseline_rows, repeat
+)

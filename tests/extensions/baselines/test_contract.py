@@ -14,14 +14,14 @@ from torch import Generator, Tensor
 
 from metapp.appearance.presentation import DrawsAnswers
 from metapp.apps import app_names, class_of, presentation_of, protocols_of
-from metapp.baselines import baselines_of
-from metapp.baselines.baseline import Allowed, BaselineFit, Training, nearest
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, picture_cells
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training, nearest
+from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
 from metapp.extensions.report.figures import draw as draw_figure
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -127,8 +127,8 @@ def pretend_meta(subject: Subject, error: float) -> None:
 def test_its_table_prints_them(
     name: str, protocol: str, subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metapp.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
-    monkeypatch.setattr("metapp.baselines.texture.DESCENT", 2)  # and so does a descent
+    monkeypatch.setattr("metapp.extensions.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
+    monkeypatch.setattr("metapp.extensions.baselines.texture.DESCENT", 2)  # and so does a descent
     subject, table = subject_of(name, protocol), load_table("baselines")
     assert {row["tasks"] for row in table.rows(subject)} == {0}
     pretend_meta(subject, 0.2 * subject.app.traits.scale)
@@ -159,14 +159,14 @@ def test_its_table_prints_them(
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
     subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metapp.baselines.texture.DESCENT", 2)  # takes its time
+    monkeypatch.setattr("metapp.extensions.baselines.texture.DESCENT", 2)  # takes its time
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
     folder = RunFolder(subject.plan.request.out / "meta", {"of": "meta"})
     for task in subject.tasks:
         folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
-    made = subject.plan.request.out / "texture" / f"baselines-{subject.label}-quick.png"
+    made = subject.plan.request.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
     draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)

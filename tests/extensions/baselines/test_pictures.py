@@ -11,10 +11,10 @@ from torch.nn.functional import interpolate, normalize
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.quilting import beyond_cut
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
-from metapp.baselines import svbrdf_nonstationary as codec
-from metapp.baselines.baseline import Allowed, BaselineFit, Training
-from metapp.baselines.svbrdf_nonstationary import baselines, flat_maps, maps_of, sheets
-from metapp.baselines.texture import quilt, random_patches
+from metapp.extensions.baselines import svbrdf_nonstationary as codec
+from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training
+from metapp.extensions.baselines.svbrdf_nonstationary import baselines, flat_maps, maps_of, sheets
+from metapp.extensions.baselines.texture import quilt, random_patches
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 

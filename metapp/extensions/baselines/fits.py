@@ -6,6 +6,7 @@ import functools
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +14,17 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
-from metapp.baselines.baseline import Allowed, Baseline, PreparedBaseline, Training, bytes_of
+from metapp.extensions.baselines.baseline import Allowed, Baseline, PreparedBaseline, Training, bytes_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.embedded import embedded_data, embedded_exists
 from metapp.runs.fits import rng_of
-from metapp.runs.inputs import data_folder
+from metapp.runs.inputs import data_folder, data_label
+from metapp.runs.naming import observe_of
+from metapp.runs.options import recorded_options
 from metapp.runs.pictures import PICTURE
 from metapp.runs.plan import Plan
+from metapp.runs.surroundings import versions
 from metapp.storage.records import NUMBER, OPTIONAL, Record
 from metapp.storage.shards import read_manifest, read_shard
 
@@ -62,6 +66,25 @@ def allowed_for(plan: Plan) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
     recipe = plan.job.recipe
     return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(plan.app).values()))
+
+
+def settings_of(plan: Plan, baseline: Baseline, source: Path | None, label: str) -> Record:
+    """Everything that figures of a baseline on data of this name depend on; `source`: the data set it learns from."""
+    app, request = plan.app, plan.request
+    options = recorded_options(app.name, plan.options)
+    return {
+        "app": app.name,
+        **observe_of(app),
+        "method": baseline.name,
+        "data": label,
+        "training": source and data_label(source),
+        "allowed": allowed_for(plan)._asdict(),
+        "recipe": request.recipe,
+        **({"options": options} if options else {}),
+        "seed": request.seed,
+        "versions": versions() | {"scipy": metadata.version("scipy")},
+        **app.conditions(),
+    }
 
 
 def own_parameters(app: App) -> Params:

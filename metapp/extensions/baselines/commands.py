@@ -62,13 +62,13 @@ _WHOLE = make_dataclass(
 
 
 @takes(_WHOLE)
-def command(options: Any) -> None:
+def baseline(options: Any) -> None:
     """Run a baseline without a neural network and evaluate it in the same way as fits.
 
     Example: metapp baseline texture wall.jpg --method quilting
     """
     from metapp.cli.fitting import table_of
-    from metapp.evaluation.baseline_run import run_baseline
+    from metapp.extensions.baselines.run import run_baseline
     from metapp.runs.plan import plan
     from metapp.runs.request import Request
 

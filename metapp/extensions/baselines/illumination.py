@@ -20,7 +20,7 @@ from scipy.special import sph_legendre_p_all
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import solid_angles
-from metapp.baselines.baseline import (
+from metapp.extensions.baselines.baseline import (
     Allowed,
     Baseline,
     BaselineFit,
@@ -29,7 +29,7 @@ from metapp.baselines.baseline import (
     both_ways,
     nearest_photo,
 )
-from metapp.baselines.mirror_balls import gaussian, unwrapped
+from metapp.extensions.baselines.mirror_balls import gaussian, unwrapped
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 

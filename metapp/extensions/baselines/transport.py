@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 

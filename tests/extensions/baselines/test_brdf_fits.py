@@ -10,12 +10,12 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
-from metapp.baselines import lobes
-from metapp.baselines.baseline import Allowed, Training, mean_error
-from metapp.baselines.brdf import EPSILON, Relative, RidgeOf, coefficients, drawn, reweighted, space_of
+from metapp.extensions.baselines import lobes
+from metapp.extensions.baselines.baseline import Allowed, Training, mean_error
+from metapp.extensions.baselines.brdf import EPSILON, Relative, RidgeOf, coefficients, drawn, reweighted, space_of
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
-from tests.baselines.test_brdf_baselines import random_materials
+from tests.extensions.baselines.test_brdf_baselines import random_materials
 
 APP = Brdf()
 

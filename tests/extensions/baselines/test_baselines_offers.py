@@ -1,0 +1,35 @@
+"""What the extension offers: methods by name, a command, a table; and all without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from metapp import door
+from metapp.apps import app_names, app_of, protocols_of, recipes_of
+from metapp.cli.examples import lines_of
+from metapp.evaluation.tables import table_names
+from metapp.extensions.baselines import baselines_of
+from tests.pictures import photograph
+
+
+@pytest.mark.parametrize("name", app_names())
+def test_the_methods_offered_are_those_of_all_protocols(name: str) -> None:
+    apps = [app_of(name, recipes_of(name)["quick"], protocol) for protocol in protocols_of(name) or ("",)]
+    methods = {baseline.name: None for app in apps for baseline in baselines_of(app) if not baseline.matches}
+    assert [method for offer in door.offers_of(door.Baselines, name) for method in offer.names] == list(methods)
+
+
+def test_without_it_its_command_and_table_are_refused_by_its_name(
+    metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photograph(Path("wall.png"), 9, 80)
+    done = metapp("baseline", "texture", "wall.png", "--method", "patches", "--recipe", "quick", "--json").done
+    monkeypatch.setenv(door.WITHOUT, "baselines")
+    assert "a command of the extension baselines" in metapp("baseline", "texture", "wall.png").misuse
+    assert "a table of the extension baselines" in metapp("evaluate", "--which", "baselines").misuse
+    assert "a record of patches, expected one of a fit" in metapp("rerun", done["out"]).refusal
+    assert "baselines" not in table_names()
+    assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in lines_of(app, Path()))
