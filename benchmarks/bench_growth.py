@@ -23,7 +23,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.engine import FASTEST
+from metapp.extensions.native.fastest import FASTEST
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
 from metapp.learning.rules import rule_of

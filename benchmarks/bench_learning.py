@@ -45,8 +45,8 @@ from torch.utils._pytree import tree_leaves
 
 from benchmarks.bench_growth import Size, draw
 from metapp.apps.brdf.app import Brdf
-from metapp.engine import FASTEST, load
-from metapp.engine.fastest import Compiled
+from metapp.extensions.native.compiler import load
+from metapp.extensions.native.fastest import FASTEST, Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam

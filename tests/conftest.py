@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import itertools
 import json
 import math
@@ -25,6 +24,7 @@ from metapp.appearance import precision
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
+from metapp.extensions.native import compiler
 from metapp.learning.recipe import Recipe
 from metapp.rendering.second_scene.relighting import matrix_path
 from tests.needs_mitsuba import skip_without_mitsuba
@@ -115,16 +115,13 @@ def cache(_caches: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-COMPILER = importlib.import_module("metapp.engine.compiler")  # beside which there is a function of that name
-
-
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """C sources are compiled once for the tests of all workers; the folder that holds the compiled ones."""
     base = tmp_path_factory.getbasetemp()
     folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(COMPILER, "cache_folder", lambda: folder)
+        patch.setattr(compiler, "cache_folder", lambda: folder)
         yield folder / "native"
 
 
@@ -283,7 +280,7 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         for of_protocol in recipes.values():
             for name, setup in (("quick", quick), ("full", full)):
                 monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), setup=setup))
-        monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
+        monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
 
     return shorten
 

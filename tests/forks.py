@@ -53,7 +53,7 @@ def metapp(*words: str) -> None:
 
 def compiles(source: Path, found: bool) -> None:
     """Load a C source, and fail where its functions were to be had or not against `found`."""
-    from metapp.engine import load
+    from metapp.extensions.native.compiler import load
 
     assert (load(source) is not None) is found
 

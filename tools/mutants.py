@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
-    "metapp/engine/in_c.py": ["in_c"],
-    "metapp/engine/packing.py": ["in_c"],
+    "metapp/extensions/native/in_c.py": ["in_c"],
+    "metapp/extensions/native/packing.py": ["in_c"],
     "metapp/learning/adjoint.py": ["adjoint"],
     "metapp/learning/app.py": ["learning", "brdf"],
     "metapp/learning/learn.py": ["learning", "adjoint"],

@@ -148,7 +148,7 @@ def read_library(folder: Path, file: Path) -> None:
 
 
 def _load_elsewhere(cache: Path) -> None:
-    from metapp.engine.compiler import load
+    from metapp.extensions.native.compiler import load
     from torture.targets import BadResult
 
     source = _source()

@@ -167,6 +167,18 @@ class Rule(NamedTuple):
     short: bool = False
 
 
+class Engine(NamedTuple):
+    """Takes steps of learning faster than torch's loop, with the same results.
+
+    Attributes:
+        name: of it.
+        engine: `engine(tasks_at_once, compiles) -> metapp.learning.adjoint.Engine`, as of `fastest` there.
+    """
+
+    name: str
+    engine: str
+
+
 class Label(NamedTuple):
     """What a task is called, of which group it is (tasks that show the same), and its split where auto is asked for.
 

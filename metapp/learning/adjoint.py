@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from metapp import door
 from metapp.learning.task import Params
 
 RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
@@ -111,7 +112,7 @@ class Stepper(NamedTuple):
 
 @dataclass(frozen=True)
 class Engine:
-    """What takes steps: here torch, by automatic differentiation. Others are in `metapp.engine`.
+    """What takes steps: here torch, by automatic differentiation. extensions offer others.
 
     Attributes:
         tasks_at_once: tasks whose steps are backpropagated together, where memory is short; None for all.
@@ -136,6 +137,20 @@ class Engine:
 
 
 TORCH = Engine()
+
+
+def fastest(tasks_at_once: int | None = None, *, compiles: bool = False) -> Engine:
+    """The engine of an extension, of several the last one's; torch's where there is none.
+
+    Args:
+        tasks_at_once: as of the engine.
+        compiles: whether the steps are so many that compiling them pays.
+    """
+    offered = door.offers(door.Engine)
+    if not offered:
+        return Engine(tasks_at_once)
+    engine: Engine = door.load(offered[-1].engine)(tasks_at_once, compiles)
+    return engine
 
 
 def _batch_of(batch: Any, gradient: Any) -> Any:

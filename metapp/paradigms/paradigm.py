@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 from torch import Generator
 
-from metapp.engine import FASTEST
-from metapp.learning.adjoint import Loss, UpdateRule
+from metapp.learning.adjoint import Loss, UpdateRule, fastest
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline
 from metapp.learning.guard import descend_guarded
@@ -135,10 +134,10 @@ class Paradigm(NamedTuple):
         rule, loss = self.rule(job, prepared, theta, steps), self.loss(job)
         if guard:
             yield from descend_guarded(
-                theta, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline, engine=FASTEST
+                theta, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline, engine=fastest()
             )
         else:
-            descent = descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=FASTEST)
+            descent = descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=fastest())
             yield from checked(deadline.within(descent))
 
     def count(self, job: Job) -> int:

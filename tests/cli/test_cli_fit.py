@@ -34,7 +34,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
     recipe = replace(RECIPES["quick"], overfit_steps=30, finetune_steps=5)
     monkeypatch.setitem(RECIPES, "quick", recipe)
-    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
     return recipe
 
 

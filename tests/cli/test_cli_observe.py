@@ -77,7 +77,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recipes, "RECIPES", {"reference": table, "photo": table})
     monkeypatch.setattr(brdf, "APP", Seen)
     monkeypatch.setattr(presentation, "PRESENTATION", Shown)
-    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,7 +11,6 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
@@ -283,12 +281,3 @@ def test_a_second_walk_back_is_refused_or_right(randn: Callable[..., Tensor]) ->
     except (RuntimeError, IndexError):
         return
     torch.testing.assert_close(first, second)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("rule", ON_MATRICES)
-def test_compiled_same_as_eager(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
-    phi, mean = brdf_case(rule, randn)
-    assert_alike(*(value_and_grads(mean(order, engine), phi) for engine in (Compiled(), TORCH)))

@@ -6,7 +6,7 @@ import functools
 
 import pytest
 
-from metapp.engine import fastest
+from metapp.extensions.native import fastest
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms import Job

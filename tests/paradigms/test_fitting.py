@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from metapp.apps import app_of, recipes_of
-from metapp.engine import FASTEST
+from metapp.learning.adjoint import fastest
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline, Pace
 from metapp.learning.learn import MetaParameters, last, learn, task_loss
@@ -108,7 +108,7 @@ def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> N
     prepared, generator = prepared_for(paradigm, job), rng()
     theta = paradigm.initialisation(job, prepared, tasks, generator)
     rule, steps = paradigm.rule(job, prepared, theta, paradigm.count(job)), paradigm.count(job)
-    expected = learn(theta, rule, tasks, paradigm.loss(job), steps=steps, rng=generator, engine=FASTEST)
+    expected = learn(theta, rule, tasks, paradigm.loss(job), steps=steps, rng=generator, engine=fastest())
     for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
         assert torch.equal(value, expected[key])
 

@@ -354,7 +354,7 @@ def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkey
 
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)  # asking takes seconds
+    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)  # asking takes seconds
     vgg.store("vgg16", weights(), vgg.Origin("somewhere", ""))
     found = metapp("doctor", "--json").document["VGG"]
     assert found["vgg16"] == "from somewhere"

@@ -11,11 +11,10 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_incident, spread_angles
-from metapp.apps.brdf import anisotropic, nbrdf_in_c
+from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
 from metapp.apps.brdf.nbrdf import NBRDF, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, samples_at
-from metapp.engine import register
 from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
@@ -156,6 +155,3 @@ class Brdf(App):
                 f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
                 "mitsuba, or fit by --recipe full."
             )
-
-
-register(Brdf.loss, nbrdf_in_c.loss)

@@ -45,7 +45,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     trainings = {rule: replace(each, tasks=2, warmup=0, validate_every=1) for rule, each in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2, validate_every=1)
     monkeypatch.setitem(RECIPES, "quick", replace(quick, general=general, meta=trainings, batch=16))
-    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
     monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
     monkeypatch.setattr(studies, "rule_names", lambda: ["meta-sgd", "meta-lgd"])
     monkeypatch.setattr(studies, "COMPOSED", ("sgd", "sgd+loss", "loss+meta-sgd", "adam"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from typing import Any
 
@@ -11,10 +10,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.illumination import app as illumination
-from metapp.engine.fastest import Compiled
-from metapp.learning.adjoint import TORCH, Engine, Loss, at_step, learn_through
+from metapp.learning.adjoint import Loss, at_step, learn_through
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, after_learning, spread
+from metapp.learning.learn import MetaParameters, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
@@ -27,9 +25,13 @@ FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
 FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
 
 
+def small_app() -> illumination.Illumination:
+    return illumination.Illumination(illumination.IlluminationSetup(FIELD), "reference")
+
+
 @pytest.fixture(scope="module")
 def app() -> App:
-    return illumination.Illumination(illumination.IlluminationSetup(FIELD), "reference")
+    return small_app()
 
 
 def one(app: App) -> Params:
@@ -121,22 +123,3 @@ def test_tasks_have_networks_of_their_own(seen: dict[str, Tensor], randn: Callab
         )
         for whole, part in zip(together, alone, strict=True):
             torch.testing.assert_close(whole[i : i + 1], part)
-
-
-def mean_after_learning(app: Any, batches: list[dict[str, Tensor]], engine: Engine) -> Callable[[Params], Tensor]:
-    lifted = after_learning(Loss(unused, app.loss), rule_of("meta-lgd").rule, steps=STEPS, order=2, engine=engine)
-    return lambda phi: lifted.value(phi, (batches[:-1], batches[-1], None), {}).mean()
-
-
-def gradients(mean: Callable[[Params], Tensor], phi: Params) -> Params:
-    leaves = {key: value.detach().clone().requires_grad_() for key, value in phi.items()}
-    return dict(zip(leaves, torch.autograd.grad(mean(leaves), list(leaves.values())), strict=True))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
-def test_compiled_same_as_eager(app: Any, randn: Callable[..., Tensor]) -> None:
-    phi, batches = phi_of(app, randn), batches_for(app, randn, STEPS + 1)
-    eager, compiled = (gradients(mean_after_learning(app, batches, engine), phi) for engine in (TORCH, Compiled()))
-    for key, value in eager.items():
-        torch.testing.assert_close(compiled[key], value, rtol=1e-7, atol=1e-12)

@@ -12,11 +12,12 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps import app_of
-from metapp.apps.brdf import nbrdf_in_c
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.engine import FASTEST, compiler, in_c
-from metapp.engine.packing import Layout
+from metapp.extensions.native import in_c, nbrdf
+from metapp.extensions.native.compiler import compiler
+from metapp.extensions.native.fastest import FASTEST
+from metapp.extensions.native.packing import Layout
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread
 from metapp.learning.recipe import Adam
@@ -78,7 +79,7 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int) -
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
     layout = Layout.of(theta)
     flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
-    own = nbrdf_in_c.loss(theta)
+    own = nbrdf.loss(theta)
     assert own is not None
     gradient, losses = own.gradient(flat, batch, learned)
     product, pulls = own.product(flat, batch, learned, along)
@@ -100,9 +101,9 @@ def test_tasks_do_not_see_each_other() -> None:
     rng = Generator().manual_seed(1)
     theta, batch = theta_of(rng), batch_of(rng, 200)
     flat = Layout.of(theta).flat(theta)
-    together, _ = nbrdf_in_c.gradient(flat, batch, {})
+    together, _ = nbrdf.gradient(flat, batch, {})
     for task in range(TASKS):
-        one, _ = nbrdf_in_c.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
+        one, _ = nbrdf.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
         assert torch.equal(one[0], together[task])
 
 
@@ -113,7 +114,7 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
     theta = theta_of(rng)
     theta["b3"][1] = bad
     flat = Layout.of(theta).flat(theta)
-    assert torch.isfinite(nbrdf_in_c.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
+    assert torch.isfinite(nbrdf.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
     loss = replace(loss_of([]), draw=lambda data, rng, done: Drawn(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
         learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, engine=FASTEST)
@@ -263,7 +264,7 @@ def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
     here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
-    monkeypatch.setattr(nbrdf_in_c, "_library", lambda: None)
+    monkeypatch.setattr(nbrdf, "_library", lambda: None)
     monkeypatch.setattr(in_c, "_library", lambda: None)
     there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
     for key, value in there.items():

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from metapp.apps.brdf.nbrdf import NBRDF
-from metapp.engine import LossInC, load
+from metapp.extensions.native.compiler import load
+from metapp.extensions.native.in_c import LossInC
 from metapp.learning.task import Batch, Params
 
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from metapp.engine.compiler import compiler, load
+from metapp.extensions.native import compiler as module
+from metapp.extensions.native.compiler import compiler, load
 from metapp.storage.cache import cache_folder
-from tests.conftest import COMPILER
 
 
 @pytest.fixture(autouse=True)
 def _own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     """These look at what is kept."""
-    monkeypatch.setattr(COMPILER, "cache_folder", cache_folder)
+    monkeypatch.setattr(module, "cache_folder", cache_folder)
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")

@@ -1,4 +1,4 @@
-"""Steps in C (`step.c`), for small networks whose loss an application has in C, and rules whose parts are there.
+"""Steps in C (`step.c`), for small networks whose loss is in C, and rules whose parts are there.
 
 Steps by torch are the reference, from which results differ by rounding. The descent and the adjoint recursion stay the
 same: a `Stepper` on the tree {"theta": [T, P]}.
@@ -17,8 +17,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from metapp.engine.compiler import load
-from metapp.engine.packing import Layout, packed
+from metapp import door
+from metapp.extensions.native.compiler import load
+from metapp.extensions.native.packing import Layout, packed
 from metapp.learning.adjoint import Loss, Stepper, UpdateRule, loss_parameters
 from metapp.learning.task import Params
 
@@ -59,30 +60,30 @@ class LossInC(NamedTuple):
     product: Callable[[Tensor, Any, Params, Tensor], tuple[Tensor, Params]]
 
 
-_LOSSES: dict[Callable[..., Any], Callable[[Params], LossInC | None]] = {}
-
-
-def register(loss: Callable[..., Any], in_c: Callable[[Params], LossInC | None]) -> None:
-    """Say how a loss is computed in C.
-
-    Args:
-        loss: an application's method, which one that overrides it is not.
-        in_c: theta -> the same loss for parameters of these shapes; None where there is none or no compiler for it.
-    """
-    _LOSSES[loss] = in_c
+# An application's method, which one that overrides it is not; and theta -> the same loss in C for parameters of these
+# shapes, None where there is none or no compiler for it.
+KERNELS = {"metapp.apps.brdf.app:Brdf.loss": "metapp.extensions.native.nbrdf:loss"}
 
 
 def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
     """The same in C; None where the loss, the device or the numbers' type has no such form."""
-    in_c = _LOSSES.get(getattr(loss.value, "__func__", loss.value))
+    kernel = _kernel(getattr(loss.value, "__func__", loss.value))
     by_gradient = type(loss).gradient is Loss.gradient
     if (
-        in_c is None
+        kernel is None
         or not by_gradient
         or any(value.dtype != torch.float32 or value.device.type != "cpu" for value in theta.values())
     ):
         return None
-    return in_c(theta) if _library() is not None else None
+    return kernel(theta) if _library() is not None else None
+
+
+def _kernel(function: Callable[..., Any]) -> Callable[[Params], LossInC | None] | None:
+    name = f"{getattr(function, '__module__', '')}:{getattr(function, '__qualname__', '')}"
+    if name not in KERNELS or door.load(name) is not function:
+        return None
+    kernel: Callable[[Params], LossInC | None] = door.load(KERNELS[name])
+    return kernel
 
 
 def stepper(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Stepper | None:

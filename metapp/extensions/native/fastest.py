@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from metapp.engine import in_c
+from metapp.extensions.native import in_c
 from metapp.learning.adjoint import (
     BackwardStep,
     Engine,
