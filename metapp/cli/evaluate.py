@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LISTED = 8  # rows of a table that are named as missing
 NAMES, STUDIES = table_names(), table_names(studies=True)
 WHICH = (*NAMES, ALL, *STUDIES)
-FORMATS = ("rich", "markdown", "latex", "csv", "json")
+FORMATS = ("rich", "markdown", "latex", "csv")
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ class Cell(NamedTuple):
         folder: where records are kept; None where the checkpoint is missing that it needs.
         measure: tasks -> the record of each, and what is kept beside it as parameters, if anything.
         steps: gradient steps a task, about: cells with few come first.
-        command: the command that fills it alone, if there is one.
         stage: cells of a lower stage come first, which this one reads.
         threads: that torch works with meanwhile; None: as many as it does.
         guess: seconds that a task takes beside its steps, about, before any was measured.
@@ -37,7 +36,6 @@ class Cell(NamedTuple):
     folder: RunFolder | None
     measure: Measure
     steps: int
-    command: str
     stage: int = 0
     threads: int | None = None
     guess: float = 0.0

@@ -140,15 +140,12 @@ class Subject:
             path = plan.path(self.label)
             path = path.with_name(f"{path.name}-{name}") if name else path
             folder = RunFolder(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin())
-        command = self.command() if name else _fit_command(plan)
-        return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps, command=command)
+        return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps)
 
-    def make_cell(
-        self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0, *, command: str = ""
-    ) -> Cell:
+    def make_cell(self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0) -> Cell:
         """A cell of all tasks, of the application's threads; other entries by `Cell._replace`."""
         title = f"{name_of(self.app)} {title}"
-        return Cell(title, self.tasks, folder, measure, steps, command, threads=threads_of(self.app))
+        return Cell(title, self.tasks, folder, measure, steps, threads=threads_of(self.app))
 
     def folder(self, kind: str, settings: Record, form: Record, *, of_fits: bool = False) -> RunFolder:
         """Where records are kept: <out>/<app>/<kind>/<data>-<recipe>-seed<seed>, with the protocol.
@@ -165,9 +162,9 @@ class Subject:
         path = request.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
         return RunFolder(path, settings, form, self.plan.origin())
 
-    def command(self, which: str = "") -> str:
+    def command(self, which: str) -> str:
         """The command that fills a table for this application."""
-        words = ["metapp", "evaluate", self.app.name, *(["--which", which] if which else []), *_shared(self.plan)]
+        words = ["metapp", "evaluate", self.app.name, "--which", which, *shared_words(self.plan)]
         words += ["--overfit-share", f"{self.share:g}"] if self.share != 1 else []
         for name, value in self.options.items():
             for one in value if isinstance(value, list) else [value]:
@@ -181,16 +178,7 @@ def evenly(tasks: list[Task], count: int) -> list[Task]:
     return [tasks[i * len(tasks) // size] for i in range(size)]
 
 
-def _fit_command(plan: Plan) -> str:
-    """The command that makes what is missing of a paradigm's fits."""
-    request = plan.request
-    words = ["metapp", request.paradigm, plan.app.name, *_shared(plan)]
-    words += ["--steps", str(request.steps)] if request.steps is not None else []
-    words += ["--rule", request.rule] if request.paradigm == "meta" else []
-    return shlex.join(words + (["--train"] if plan.checkpoint is None else []))
-
-
-def _shared(plan: Plan) -> list[str]:
+def shared_words(plan: Plan) -> list[str]:
     """The options that commands of one evaluation share."""
     request, protocol = plan.request, plan.app.protocol
     words = ["--out", str(request.out), "--recipe", request.recipe]

@@ -85,14 +85,9 @@ def equal_cells(subject: Subject) -> list[Cell]:
 
 
 def equal_rows(subject: Subject) -> list[Row]:
-    """The three, each with how far its error is from QuickFT's and on how many tasks it is lower."""
+    """The three, each with whether chance could be why its error is not QuickFT's."""
     all_rows = [result_row(subject, name) for name in EQUAL]
-    _, quickft, meta = all_rows
-    for row in all_rows:
-        row["against_quickft"] = change(row, quickft) if row is not quickft else None
-        row["apart"] = apart(paired_of(row, "quickft"))
-    meta["ahead"] = meta["vs_quickft_ahead"]
-    return all_rows
+    return [row | {"apart": apart(paired_of(row, "quickft"))} for row in all_rows]
 
 
 def equal_notes(subject: Subject, all_rows: list[Row]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import platform
+import shlex
 from collections.abc import Iterator, Sequence
 from html import escape
 from importlib import resources
@@ -14,7 +15,7 @@ from metapp.appearance.colour import to_srgb
 from metapp.evaluation.notes import carried, overfit_note, warned
 from metapp.evaluation.rows import Row, paired_of, paper, values_of
 from metapp.evaluation.style import TITLES
-from metapp.evaluation.subject import Subject, evenly
+from metapp.evaluation.subject import Subject, evenly, shared_words
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.results import result_row
 from metapp.extensions.report.figures import draw, figure_names
@@ -31,6 +32,7 @@ from metapp.extensions.report.html import (
 )
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import is_first_protocol, name_of
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import number
 from metapp.runs.statistics import apart
 from metapp.runs.surroundings import make_folder, versions
@@ -148,7 +150,16 @@ def _facts(facts: dict[str, str]) -> str:
 
 
 def _commands(subject: Subject, which: str) -> list[str]:
-    return [subject.command(which), *(subject.cell(name).command for name in subject.fits)]
+    return [subject.command(which), *map(_fit_command, subject.fits.values())]
+
+
+def _fit_command(plan: Plan) -> str:
+    """The command that makes what is missing of a paradigm's fits."""
+    request = plan.request
+    words = ["metapp", request.paradigm, plan.app.name, *shared_words(plan)]
+    words += ["--steps", str(request.steps)] if request.steps is not None else []
+    words += ["--rule", request.rule] if request.paradigm == "meta" else []
+    return shlex.join(words + (["--train"] if plan.checkpoint is None else []))
 
 
 # What the report says first

@@ -38,7 +38,7 @@ def cell(tmp_path: Path, log: list[str]) -> Make:
                 yield {"name": task.name, "error": 1.0}, None
 
         folder = RunFolder(tmp_path / title.replace(" ", "-"), {"title": title})
-        return Cell(title, [Task(name, {}) for name in names], folder, measure, steps, "", **more)
+        return Cell(title, [Task(name, {}) for name in names], folder, measure, steps, **more)
 
     return make
 

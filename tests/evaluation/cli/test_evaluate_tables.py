@@ -69,7 +69,7 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: S
     assert found["quickft"]["vs_quickft"] is None
     assert found["quickft"]["vs_general"] < 1
     quickft = rows(subject, "quickft")[2]
-    assert quickft["ahead"] == found["meta"]["vs_quickft_ahead"] == pair.ahead
+    assert quickft["vs_quickft_ahead"] == found["meta"]["vs_quickft_ahead"] == pair.ahead
     assert quickft["apart"] is None  # too few tasks
     assert "too few to call a win" in " ".join(load_table("quickft").notes(subject, rows(subject, "quickft")))
 
