@@ -25,7 +25,7 @@ def mi() -> Any:
     from metapp.rendering.variant import load_mitsuba
 
     module = load_mitsuba()
-    from metapp.rendering.bsdfs.neural_svbrdf import register_maps_bsdf
+    from metapp.extensions.mitsuba_bsdfs.neural_svbrdf import register_maps_bsdf
 
     register_maps_bsdf()
     return module

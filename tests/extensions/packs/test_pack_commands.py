@@ -105,7 +105,7 @@ def test_an_unpacked_run_is_a_run(metapp: Callable, fitted: Callable) -> None:
 
 def test_mitsuba_reads_what_was_unpacked(metapp: Callable, fitted: Callable) -> None:
     pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-    from metapp.mitsuba import read_material
+    from metapp.extensions.mitsuba_bsdfs.material import read_material
 
     for rule in ("ridge", "meta-curvature"):
         metapp("pack", fitted("meta", "--rule", rule), "--out", f"{rule}.pack", "--bits", "12", "--quiet")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from metapp.appearance.lobes import fit_lobes
 from metapp.appearance.sphere import studio_lights
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.networks import network_of
@@ -18,7 +19,6 @@ from metapp.extensions.viewer.pages import anisotropic_residual
 from metapp.extensions.viewer.surface import light_map
 from metapp.extensions.viewer.view import View
 from metapp.learning.task import Params, Task
-from metapp.rendering.bsdfs.lobes import fit_lobes
 
 CELLS = (24, 24, 48)  # of phi_d in [0, pi], theta_d, and the square root of theta_h
 WIDENED = 4  # times that cells without samples look one cell farther

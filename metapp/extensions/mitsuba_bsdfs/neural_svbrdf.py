@@ -9,8 +9,8 @@ takes as one number only. Normals go around it, as Mitsuba's own `normalmap`.
 from __future__ import annotations
 
 from metapp.appearance.flash import SMOOTHEST
+from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, enabled, reflection_bsdf
 from metapp.rendering import types as mt
-from metapp.rendering.bsdfs.reflection import LocalReflection, Reflection, enabled, reflection_bsdf
 from metapp.rendering.jit import dr, mi, register_plugin
 
 NAME = "neural_svbrdf"

@@ -176,8 +176,8 @@ def test_weights_of_samples(mi: Any, bsdf: Any, degrees: float, request: pytest.
 def test_lobes_follow_the_material() -> None:
     """The roughness of a GGX lobe is found, and sampling by it has less noise than by the cosine."""
     from metapp.appearance.geometry import cosines
+    from metapp.appearance.lobes import ALPHAS, LEAST_COSINE, fit_lobes
     from metapp.appearance.reflection import microfacet_lobe
-    from metapp.rendering.bsdfs.lobes import ALPHAS, LEAST_COSINE, fit_lobes
 
     alpha = ALPHAS[4]
     lobes = fit_lobes(lambda angles: microfacet_lobe(cosines(angles), alpha, lambda cos: cos * 0 + torch.ones(3)))

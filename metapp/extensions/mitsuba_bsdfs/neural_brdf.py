@@ -11,37 +11,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from torch import Tensor
 
+from metapp.appearance.lobes import LAST, NODES, Lobes, fit_lobes
+from metapp.extensions.mitsuba_bsdfs.material import Material, read_material
+from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering import types as mt
-from metapp.rendering.bsdfs.lobes import LAST, NODES, Lobes, fit_lobes
-from metapp.rendering.bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering.jit import dr, mi, nn, register_plugin
 from metapp.rendering.types import Color, Float, Vector3
 
 LARGEST = 14.0  # logarithm that such a network may end at
-
-
-class Material(NamedTuple):
-    """A BRDF as a network of two hidden layers.
-
-    Attributes:
-        layers: weights [out, in] and biases [out] of each of the three, float32.
-        featured: whether it reads `metapp.apps.brdf.featured.inputs_of`, with hidden layers x sigmoid(x); else half
-            and difference vector, with ReLU.
-        reflectance: linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad; of an
-            anisotropic one also phi_h, [..., 4].
-        turn: azimuth of the axes in rad of an anisotropic one, which reads `metapp.apps.brdf.anisotropic.inputs_of`.
-        darkest: what it ends at is log(f cos theta_i cos theta_o + darkest), with that product at least this; 0: it is
-            log(1 + f).
-    """
-
-    layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
-    featured: bool
-    reflectance: Callable[[Tensor], Tensor]
-    turn: float | None = None
-    darkest: float = 0.0
 
 
 class Network:
@@ -209,22 +187,16 @@ def anisotropic_features(light: Vector3, viewer: Vector3) -> list[Float]:
 
 NAME = "neural_brdf"
 
-Read = Callable[[Path], Material]
+
+def register_neural_brdf() -> None:
+    """Have Mitsuba know the plugin."""
+    register_plugin("bsdf", NAME, plugin)
 
 
-def register_neural_brdf(read: Read) -> None:
-    """Have Mitsuba know the plugin.
-
-    Args:
-        read: a file or folder to its material; ValueError where it is none.
-    """
-    register_plugin("bsdf", NAME, lambda: plugin(read))
-
-
-def plugin(read: Read) -> mt.PluginClass:
+def plugin() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
-    class NeuralBrdf(reflection_bsdf(lambda props: NetworkReflection(props, read))):  # type: ignore[misc]
+    class NeuralBrdf(reflection_bsdf(NetworkReflection)):  # type: ignore[misc]
         """Properties: `filename`, and a texture `tint` that multiplies (1 without)."""
 
     return NeuralBrdf
@@ -237,9 +209,9 @@ class NetworkReflection(Reflection):
     lobes of the network as it was loaded, whatever becomes of its weights: that changes the noise alone.
     """
 
-    def __init__(self, props: mt.Properties, read: Read) -> None:
+    def __init__(self, props: mt.Properties) -> None:
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
-        material = read(self.path)
+        material = read_material(self.path)
         self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance, material.turn))
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]

@@ -1,1 +1,0 @@
-"""BSDFs of Mitsuba 3 that are written in Python."""
