@@ -183,6 +183,12 @@ def test_reference_pages_name_packages_that_exist() -> None:
             assert (folder / "__init__.py").is_file() or folder.with_suffix(".py").is_file(), name
 
 
+def test_the_architecture_lists_all_extensions_that_ship() -> None:
+    page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
+    folders = {file.parent.name for file in (ROOT / "metapp" / "extensions").glob("*/README.md")}
+    assert folders == set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
+
+
 def test_readme_is_one_screen_and_has_a_command_of_every_application() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= 120
