@@ -31,7 +31,8 @@ from metapp.apps.brdf.app import Brdf
 from metapp.cli.console import run
 from metapp.evaluation.style import COLOURS, MUTED, STYLE
 from metapp.extensions.baselines.baseline import Training
-from metapp.extensions.baselines.brdf import EPSILON, Space, _space
+from metapp.extensions.baselines.brdf import Space, _space
+from metapp.extensions.baselines.components import EPSILON
 from metapp.extensions.baselines.fits import training_of
 from metapp.extensions.few.design import Limits, places_of
 from metapp.extensions.few.planning import plan_brdf

@@ -49,6 +49,7 @@ TESTS = {
     "metapp/rendering/scenes/plugins.py": ["scene_attacks", "scene_files", "scene_limits"],
     "metapp/rendering/scenes/rules.py": ["scene_attacks", "scene_limits"],
     "metapp/extensions/baselines/brdf.py": ["brdf_baselines", "brdf_fits"],
+    "metapp/extensions/baselines/components.py": ["brdf_baselines", "brdf_fits"],
     "metapp/extensions/baselines/lobes.py": ["brdf_baselines", "brdf_fits"],
     "metapp/extensions/baselines/transport.py": ["histogram"],
     "metapp/runs/statistics.py": ["statistics"],

@@ -166,11 +166,3 @@ def maps_of(shown: Presentation[Any], theta: Params, task: Task) -> dict[str, Te
         return shown.maps(theta, task)
     surface = shown.surface(theta, task)
     return {} if surface is None else linear_maps(surface)
-
-
-@runtime_checkable
-class DrawsAnswers(Protocol):
-    """A presentation that writes what methods without a network answer, too."""
-
-    def files_of(self, answer: Any, task: Task) -> dict[str, Picture]:
-        """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""

@@ -6,11 +6,12 @@ import bisect
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.presentation import Picture
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms.validation import split_validation
@@ -124,6 +125,14 @@ class Baseline(NamedTuple):
     learns: bool = True
     matches: bool = False
     stored: str = ""
+
+
+@runtime_checkable
+class DrawsAnswers(Protocol):
+    """A presentation that writes what methods without a network answer, too."""
+
+    def files_of(self, answer: Any, task: Task) -> dict[str, Picture]:
+        """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""
 
 
 def both_ways(

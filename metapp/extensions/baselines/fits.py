@@ -139,11 +139,11 @@ def _fit_one(plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowe
     errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
     if errors and not math.isfinite(errors["error"]):
         raise ValueError(f"{task.name}: the error is not finite.")
-    errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
+    scale = {"error": app.traits.scale}
     record = {
         "name": task.name,
         "error": None,
-        **errors,
+        **{key: scale.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
         **({"seconds": seconds, "threads": torch.get_num_threads()} if timed else {}),
         "numbers": fitted.numbers,
         "size": fitted.size,

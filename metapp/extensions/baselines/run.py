@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from metapp.appearance.presentation import DrawsAnswers
 from metapp.apps import presentation_of
 from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import DrawsAnswers
 from metapp.extensions.baselines.fits import FORM, fit_baselines, settings_of, training_folder, training_of
 from metapp.runs import BadOption
 from metapp.runs.inputs import tasks_to_fit

@@ -14,18 +14,8 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training
-from metapp.extensions.baselines.brdf import (
-    EPSILON,
-    Relative,
-    RidgeOf,
-    baselines,
-    components,
-    cosines_of,
-    drawn,
-    reweighted,
-    ridge,
-    space_of,
-)
+from metapp.extensions.baselines.brdf import RidgeOf, baselines, cosines_of, drawn, space_of
+from metapp.extensions.baselines.components import EPSILON, Relative, components, reweighted, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
 

@@ -12,7 +12,8 @@ from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training, mean_error
-from metapp.extensions.baselines.brdf import EPSILON, Relative, RidgeOf, coefficients, drawn, reweighted, space_of
+from metapp.extensions.baselines.brdf import RidgeOf, coefficients, drawn, space_of
+from metapp.extensions.baselines.components import EPSILON, Relative, reweighted
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
 from tests.extensions.baselines.test_brdf_baselines import random_materials

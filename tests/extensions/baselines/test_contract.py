@@ -12,7 +12,6 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.appearance.presentation import DrawsAnswers
 from metapp.apps import app_names, class_of, presentation_of, protocols_of
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
@@ -20,7 +19,7 @@ from metapp.evaluation.cell import run_cells
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training, nearest
+from metapp.extensions.baselines.baseline import Allowed, BaselineFit, DrawsAnswers, Training, nearest
 from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
 from metapp.extensions.report.figures import draw as draw_figure
 from metapp.learning.app import stack
@@ -208,6 +207,19 @@ def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: s
     baseline = baselines_of(app)[0]
     with pytest.raises(ValueError, match=f"none with '{lacked}'"):
         baseline.prepare(Training(app, bare), Allowed(64, 1))
+
+
+def test_measures_that_are_not_finite_have_no_figure(
+    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as differences of logs of a map that rings below 0."""
+    subject = subject_of("transport", "")
+    measures = {"error": torch.tensor([2.0]), "map": torch.tensor([torch.inf])}
+    monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
+    cell = baseline_cell(subject, baselines_of(subject.app)[0])
+    run_cells([cell], quiet=True)
+    assert {record["error"] for record in cell.records()} == {2.0 * subject.app.traits.scale}
+    assert not any("map" in record for record in cell.records())
 
 
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) -> None:

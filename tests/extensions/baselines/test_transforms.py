@@ -10,18 +10,8 @@ import torch
 from scipy.fft import dctn
 from scipy.special import sph_harm_y
 
-from metapp.extensions.baselines.illumination import (
-    COSINES,
-    HAAR,
-    _harmonics,
-    _orders,
-    _texels,
-    from_harmonics,
-    haar,
-    harmonics,
-    largest,
-    orders,
-)
+from metapp.extensions.baselines.harmonics import from_harmonics, harmonics, orders
+from metapp.extensions.baselines.illumination import COSINES, HAAR, _harmonics, _orders, _texels, haar, largest
 from metapp.learning.task import Tasks
 
 

@@ -1,0 +1,129 @@
+"""Principal components of log-relative reflectance, and ridge regression of coefficients.
+
+After Nielsen et al. 2015, "On Optimal, Minimal BRDF Sampling for Reflectance Acquisition".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+EPSILON = 1e-3  # as published: what keeps logs finite, and cosines off 0
+ROWS = 8192  # that a Gram matrix is summed over at once
+DELTA = 0.3  # of the mean residual: smaller ones weigh no more
+
+
+class Relative(NamedTuple):
+    """The log-relative mapping of reflectance: log((f w + e) / (f0 w + e)).
+
+    Attributes:
+        weight: w, the product of both cosines, EPSILON at least, [N, 1].
+        reference: f0, the median of training BRDFs, [N, 1] in 1/sr.
+    """
+
+    weight: Tensor
+    reference: Tensor
+
+    def mapped(self, reflectance: Tensor) -> Tensor:
+        """Of reflectance [N, C] in 1/sr."""
+        return torch.log((reflectance * self.weight + EPSILON) / (self.reference * self.weight + EPSILON))
+
+    def reflectance(self, mapped: Tensor) -> Tensor:
+        """The inverse of `mapped`, at least 0."""
+        full = torch.exp(mapped) * (self.reference * self.weight + EPSILON)
+        return ((full - EPSILON) / self.weight).clamp_min(0)
+
+
+class Components(NamedTuple):
+    """Principal components, the most important first.
+
+    Attributes:
+        mean: of the columns, [N, 1].
+        axes: [N, K], orthogonal, each scaled to a root mean square of 1.
+        deviation: of the columns along each, [K].
+    """
+
+    mean: Tensor
+    axes: Tensor
+    deviation: Tensor
+
+    def first(self, count: int) -> Components:
+        """The most important ones, contiguous."""
+        return Components(self.mean, self.axes[:, :count].contiguous(), self.deviation[:count])
+
+
+def components(columns: Tensor, count: int) -> Components:
+    """Principal components of columns [N, C], up to `count`; by their Gram matrix, in double precision.
+
+    Those that vary by less than rounding are left out.
+    """
+    mean = columns.mean(1, keepdim=True)
+    gram = torch.zeros(columns.shape[1], columns.shape[1], dtype=torch.float64)
+    for part, middle in zip(columns.split(ROWS), mean.split(ROWS), strict=True):
+        centred = (part - middle).double()
+        gram += centred.T @ centred
+    squared, vectors = torch.linalg.eigh(gram)
+    order = torch.arange(len(squared) - 1, -1, -1)[:count]
+    order = order[squared[order] > 1e-12 * squared[-1]]
+    scale = math.sqrt(len(columns)) / squared[order].sqrt()
+    axes = (columns - mean) @ (vectors[:, order] * scale).to(columns)
+    return Components(mean, axes, (1 / scale * math.sqrt(1 / columns.shape[1])).to(columns))
+
+
+def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tensor, penalty: float) -> Tensor:
+    """Coefficients [K, C] that fit targets [n, C], drawn towards 0 by how little training tasks vary.
+
+    By normal equations; by QR in double precision where rounding would hide that these are positive definite: of fewer
+    samples than axes and a small penalty.
+
+    Args:
+        axes: [n, K].
+        targets: [n, C].
+        weights: of the squared residuals, [n, C]; None: all 1.
+        deviation: of training tasks along the axes, [K].
+        penalty: of a coefficient at its deviation.
+    """
+    if weights is None:
+        left, right = (axes.T @ axes)[None], (axes.T @ targets).T[..., None]
+    else:
+        weighted = axes * weights.T[..., None]
+        left, right = axes.T @ weighted, weighted.mT @ targets.T[..., None]
+    left = left.double() + torch.diag(penalty / deviation.double().square())
+    factor, failed = torch.linalg.cholesky_ex(left)
+    # rounding changes pivots by about this much: smaller ones are made of it, even where the factorisation succeeds
+    rounding = torch.finfo(axes.dtype).eps * left.diagonal(dim1=1, dim2=2).sum(1)
+    if bool((failed.bool() | (factor.diagonal(dim1=1, dim2=2).square().amin(1) < rounding)).any()):
+        roots = targets.new_ones(1, 1) if weights is None else weights.sqrt()
+        rows = torch.cat(
+            [
+                roots.T[..., None].double() * axes.double(),
+                torch.diag(math.sqrt(penalty) / deviation.double()).expand(roots.shape[1], -1, -1),
+            ],
+            1,
+        )
+        values = torch.nn.functional.pad((roots * targets).T.double(), (0, axes.shape[1]))[..., None]
+        q, r = torch.linalg.qr(rows)
+        exact: Tensor = torch.linalg.solve_triangular(r, q.mT @ values, upper=True)
+        return exact[..., 0].T.to(targets)
+    solved = torch.cholesky_solve(right.double(), factor)
+    return solved[..., 0].T.to(targets)
+
+
+def reweighted(slope: Tensor, residual: Tensor | None) -> Tensor:
+    """Weights [n, C], of mean 1, of squared residuals y whose error is |slope y|, so that absolute errors are fitted.
+
+    Iteratively reweighted least squares: slope^2 / |error|.
+
+    Args:
+        slope: of the error over the residual, [n, C], >= 0.
+        residual: errors [n, C] of the fit before; None: residuals that are all alike, which makes it the slope.
+    """
+    if residual is None:
+        weights = slope
+    else:
+        error = residual.abs()
+        weights = slope * slope / (error + DELTA * error.mean(0)).clamp_min(1e-12)
+    return weights / weights.mean(0)
