@@ -19,6 +19,7 @@ from metapp.appearance.photograph import photograph
 from metapp.apps import app_names, app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
+from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.illumination.app import IlluminationSetup
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
 from metapp.apps.transport.app import TransportSetup
@@ -120,7 +121,7 @@ def small_setup(outputs: int) -> ExemplarSetup:
 
 
 SMALL: dict[str, Small] = {
-    "brdf": Small(brdf_tasks),
+    "brdf": Small(brdf_tasks, NBRDF),
     "illumination": Small(
         map_tasks, IlluminationSetup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
     ),
