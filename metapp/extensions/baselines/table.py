@@ -98,7 +98,7 @@ def repeat(subject: Subject, settings: Record) -> Cell | None:
     source, (tasks, label) = training_folder(plan) if baseline.learns else None, tasks_to_fit(plan)
     path = plan.request.out / plan.app.name / "baselines" / baseline.name
     folder = RunFolder(path, _settings(subject, baseline, source, label), FORM)
-    return Cell(baseline.name, tasks, folder, functools.partial(_measured, subject, baseline, source), 0, "")
+    return Cell(baseline.name, tasks, folder, functools.partial(_measured, subject, baseline, source), 0)
 
 
 def picture(subject: Subject) -> Path | None:

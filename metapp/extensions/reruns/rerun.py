@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import torch
 
 from metapp.appearance.precision import FLOAT32
-from metapp.extensions.reruns.repeat import cell_of
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.tables import load_table, table_names
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
@@ -163,6 +164,7 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
 
 
 def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
+    """What repeats records: fits by a paradigm, or the cell of the table that makes such records."""
     settings = records[0]["settings"]
     if settings.get("paradigm") in paradigms():
         if plan.request.inputs:
@@ -172,7 +174,9 @@ def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
             tasks, label = tasks_to_fit(plan)
         plan = find_checkpoint(plan)
         return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
-    cell = cell_of(plan, settings)
+    subject = Subject(plan, run=True, strict=False)
+    cells = (load_table(name).repeat(subject, settings) for name in table_names())
+    cell = next(filter(None, cells), None)
     if cell is None or cell.folder is None:
         raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("method")))
     return Repeat(cell.folder.settings, cell.tasks, cell.measure)
