@@ -133,7 +133,7 @@ synth brdf --count 0               | '--count':
 synth brdf --seed -1               | '--seed':
 synth glass                        | 'glass' has no embedded data set, expected one of brdf
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
-synth brdf --as merl               | expected a folder for the MERL files
+synth brdf --as merl               | expected a folder for the merl files
 synth brdf --out file              | a file, expected a folder to write to
 cornell --out out --dimensions 5   | --dimensions: 5, expected 4 or 6
 cornell --out out --count 0        | '--count':

@@ -83,7 +83,7 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
     usage = shutil.disk_usage(tmp_path)._replace(free=10**8)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     result = metapp("data", "synth", "brdf", "--as", "merl", "--out", "out")
-    assert "0.1 GB free, expected 3.5 GB for 100 MERL files" in result.refusal
+    assert "0.1 GB free, expected 3.5 GB for 100 merl files" in result.refusal
 
 
 def test_help_tells_how_many_tasks_a_set_has() -> None:
