@@ -1,4 +1,4 @@
-"""How all figures look: colours that the colour-blind tell apart (Okabe & Ito 2008), markers, sizes."""
+"""How all figures look: colours that the colour-blind tell apart (Okabe & Ito 2008), sizes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ COLOURS = {
     "quickft": "#CC79A7",
     "meta": "#D55E00",
 }
-MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
-TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
-BESIDE, MUTED = "x", "#666666"
+MUTED = "#666666"
 DPI = 160
 INK, GRID = "#222222", "#d9d9d9"
 STYLE: Any = {
@@ -59,22 +57,6 @@ def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[F
     """A figure of so many inches, and its axes [rows, columns]."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def line(name: str) -> dict[str, Any]:
-    """How a paradigm's lines look."""
-    return {
-        "color": COLOURS[name],
-        "marker": MARKERS[name],
-        "markersize": 7 if name == "meta" else 4,
-        "label": TITLES[name],
-    }
-
-
-def legend(figure: Figure) -> None:
-    """What the lines of a figure's first axes are, below it, where it covers none of them."""
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), columnspacing=1.0, handletextpad=0.4)
 
 
 def png_of(figure: Figure) -> bytes:

@@ -13,18 +13,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
 from metapp.evaluation.rows import values_of
-from metapp.evaluation.style import (
-    BESIDE,
-    COLOURS,
-    INK,
-    MARKERS,
-    MUTED,
-    TITLES,
-    Drawn,
-    legend,
-    line,
-    new,
-)
+from metapp.evaluation.style import COLOURS, INK, MUTED, Drawn, new
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_cell
@@ -33,6 +22,9 @@ from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from metapp.runs.naming import factor_of
 
+MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
+TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
+BESIDE = "x"  # marker of other methods
 OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 PATHS, STRIPS = 3, 4  # tasks
 BINS = 48
@@ -216,3 +208,19 @@ def strips(subject: Subject) -> Drawn | None:
     return Drawn(
         figure, f"{subject.title}: pictures after 0, 25, 50, 75 and 100 % of Meta's steps, and targets: {names}."
     )
+
+
+def line(name: str) -> dict[str, Any]:
+    """How a paradigm's lines look."""
+    return {
+        "color": COLOURS[name],
+        "marker": MARKERS[name],
+        "markersize": 7 if name == "meta" else 4,
+        "label": TITLES[name],
+    }
+
+
+def legend(figure: Figure) -> None:
+    """What the lines of a figure's first axes are, below it, where it covers none of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), columnspacing=1.0, handletextpad=0.4)

@@ -14,10 +14,10 @@ from pathlib import Path
 from metapp.appearance.colour import to_srgb
 from metapp.evaluation.notes import carried, overfit_note, warned
 from metapp.evaluation.rows import Row, paired_of, paper, values_of
-from metapp.evaluation.style import TITLES
 from metapp.evaluation.subject import Subject, evenly, shared_words
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.results import result_row
+from metapp.extensions.report.drawing import TITLES
 from metapp.extensions.report.figures import draw, figure_names
 from metapp.extensions.report.html import (
     Pictures,
