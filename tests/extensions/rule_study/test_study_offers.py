@@ -16,7 +16,7 @@ def test_without_it_there_is_no_such_table_nor_its_options() -> None:
         [*command, "--which", "rules"], capture_output=True, text=True, env=environment, check=False
     )
     assert refused.returncode == 2
-    assert "'rules': expected one of results, quickft" in refused.stderr
+    assert "a table of the extension rule_study" in refused.stderr
     text = subprocess.run([*command, "--help"], capture_output=True, text=True, env=environment, check=True).stdout
     assert "--overfit-share" in text
     assert "--train-steps" not in text
