@@ -34,7 +34,7 @@ def annotated(option: door.Option, *, given: bool = False, **more: Any) -> Any:
         given: whether the value is None where the option is not given, rather than its default.
         more: for `typer.Option`.
     """
-    limits: dict[str, Any] = {"min": option.low, "max": option.high} if option.is_number else {}
+    limits: dict[str, Any] = {"min": option.low, "max": option.high} if type(option.default) in (int, float) else {}
     choices = enum.StrEnum("Choice", list(option.choices)) if option.choices else None
     kind: Any = choices or (Path if option.default is None else type(option.default))
     if option.several:

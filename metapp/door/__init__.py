@@ -46,8 +46,9 @@ from metapp.door.kinds import (
     Synthetic,
     Table,
     Watcher,
+    keyword_of,
     label_of_stem,
-    recipes,
+    recipes_in,
 )
 
 __all__ = [
@@ -83,6 +84,7 @@ __all__ = [
     "Watcher",
     "extended",
     "extensions",
+    "keyword_of",
     "label_of_stem",
     "left_out",
     "load",
@@ -90,6 +92,6 @@ __all__ = [
     "offers",
     "offers_of",
     "problems",
-    "recipes",
+    "recipes_in",
     "switched_off",
 ]

@@ -30,12 +30,11 @@ class Option(NamedTuple):
         panel: of --help.
         convert: what was given -> what the owner takes; ValueError states what is expected.
         adapt: of an application, `adapt(recipe, value) -> recipe`, ValueError where the recipe has no such choice; ""
-            for an option that its presentation takes as a keyword.
+            for an option that its presentation takes as a keyword. What adapts is in the name of a run's folder, and
+            checkpoints are never trained with it.
         passed_as: the keyword that the owner takes it by; "" for the option's name.
         protocol: the value of --observe that it needs; "" for any.
         of_inputs: whether it is about INPUT alone.
-        fitting_only: whether checkpoints are never trained with it.
-        in_name: whether the name of a run's folder states it.
     """
 
     name: str
@@ -52,23 +51,16 @@ class Option(NamedTuple):
     passed_as: str = ""
     protocol: str = ""
     of_inputs: bool = False
-    fitting_only: bool = False
-    in_name: bool = False
-
-    @property
-    def keyword(self) -> str:
-        """The keyword that the owner takes it by."""
-        return self.passed_as or self.name
-
-    @property
-    def is_number(self) -> bool:
-        """Whether its values are numbers."""
-        return isinstance(self.default, int | float) and not isinstance(self.default, bool)
 
     @property
     def flag(self) -> str:
         """What it is called on the command line."""
         return "--" + self.name.replace("_", "-")
+
+
+def keyword_of(option: Option) -> str:
+    """The keyword that an option's owner takes it by."""
+    return option.passed_as or option.name
 
 
 class Application(NamedTuple):
@@ -134,7 +126,7 @@ class Recipe(NamedTuple):
     checkpoints: str = ""
 
 
-def recipes(app: str, table: str, *names: str, protocols: tuple[str, ...] = ()) -> tuple[Recipe, ...]:
+def recipes_in(app: str, table: str, *names: str, protocols: tuple[str, ...] = ()) -> tuple[Recipe, ...]:
     """The recipes of an application that a table holds by name, or by protocol and name."""
     if not protocols:
         return tuple(Recipe(app, name, f"{table}.{name}") for name in names)
@@ -283,7 +275,7 @@ class Format(NamedTuple):
 
     def taken(self, arguments: Mapping[str, object]) -> dict[str, Any]:
         """Those of the arguments of readers, by keyword, that the format takes."""
-        takes = {*self.takes, *(option.keyword for option in self.options)}
+        takes = {*self.takes, *(keyword_of(option) for option in self.options)}
         return {key: arguments[key] for key in takes & arguments.keys()}
 
     def conversion(self, paths: list[Path], split: str, options: Mapping[str, object]) -> Conversion:

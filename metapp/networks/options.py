@@ -31,6 +31,4 @@ DETAIL = Option(
     "PX",
     low=0,
     adapt="metapp.networks.exemplar:with_detail",
-    fitting_only=True,
-    in_name=True,
 )

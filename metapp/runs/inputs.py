@@ -133,7 +133,7 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
-    """Files and what folders hold, each once, by path; of several of one stem later ones are numbered."""
+    """Files and what folders hold, in the order of inputs, each once; of several of one stem later ones are numbered."""
     sources: dict[str, Source] = {}
     stamp = _stamps()
     for path in plan.request.inputs:
@@ -146,7 +146,7 @@ def _sources_of_files(plan: Plan) -> list[Source]:
                 )
     numbers: collections.Counter[str] = collections.Counter()
     ordered = []
-    for whole in sorted(sources):
+    for whole in sources:
         numbers[_stem(whole)] += 1
         number = numbers[_stem(whole)]
         ordered.append(sources[whole]._replace(mark=f"-{number}" if number > 1 else ""))

@@ -125,7 +125,7 @@ def adapted(recipe: Recipe, name: str, request: Request, options: Mapping[str, A
     for option in application_of(request.app).options:
         if option.name not in options or not option.adapt:
             continue
-        if option.fitting_only and request.train:
+        if request.train:
             raise BadOption(f"{option.flag}: of fits; checkpoints are trained without it, leave --train out.")
         try:
             recipe = door.load(option.adapt)(recipe, converted(option, options[option.name]))
@@ -142,15 +142,14 @@ def without_adapted(app: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def read_options(form: door.Format, options: Mapping[str, Any]) -> dict[str, Any]:
     """The values that a format's reader takes, by keyword."""
-    return {
-        option.keyword: converted(option, options[option.name]) for option in form.options if option.name in options
-    }
+    given = [option for option in form.options if option.name in options]
+    return {door.keyword_of(option): converted(option, options[option.name]) for option in given}
 
 
 def shown_options(app: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """The values that the application's presentation takes, by keyword."""
     own = [option for option in application_of(app).options if option.name in options and not option.adapt]
-    return {option.keyword: converted(option, options[option.name]) for option in own}
+    return {door.keyword_of(option): converted(option, options[option.name]) for option in own}
 
 
 def merge_of(app: str, options: Mapping[str, Any]) -> tuple[door.Merge, Any] | None:
@@ -197,7 +196,7 @@ def name_parts(app: str, options: Mapping[str, Any]) -> list[str]:
     return [
         f"{option.name}{options[option.name]}"
         for option in application_of(app).options
-        if option.in_name and option.name in options
+        if option.adapt and option.name in options
     ]
 
 

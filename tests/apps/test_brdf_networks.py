@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf.network import BrdfNetwork
+from metapp.apps.brdf.network import BrdfNetwork, shapes_of
 from metapp.apps.brdf.networks import network_of, networks
 
 each_network = pytest.mark.parametrize("network", networks(), ids=repr)
@@ -16,7 +16,7 @@ each_network = pytest.mark.parametrize("network", networks(), ids=repr)
 def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
     theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 2).items()}
     assert network_of(theta) is network
-    assert {key: tuple(value.shape) for key, value in theta.items()} == network.shapes
+    assert {key: tuple(value.shape) for key, value in theta.items()} == shapes_of(network)
     assert set(network.own) <= set(theta)
     assert network.solves in ("", *theta)
     with pytest.raises(ValueError, match=r"^parameters .*, expected those of a BRDF fit"):

@@ -16,7 +16,7 @@ def test_modules_have_what_records_say(form: Format) -> None:
     module = form.files()
     assert callable(module.recognises)
     assert callable(module.find)
-    takes = {*form.takes, *(option.keyword for option in form.options)}
+    takes = {*form.takes, *(door.keyword_of(option) for option in form.options)}
     assert takes <= set(inspect.signature(module.read_task).parameters)
     if form.command:
         options = [option.name for option in form.command.options]

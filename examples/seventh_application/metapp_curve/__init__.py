@@ -1,6 +1,6 @@
 """Curves as a seventh application of metapp, with their files, an export and a baseline."""
 
-from metapp.door import Application, Baselines, Converter, Export, Format, recipes
+from metapp.door import Application, Baselines, Converter, Export, Format, recipes_in
 
 HELP = """Convert curves, text files of 32 numbers.
 
@@ -10,7 +10,7 @@ Example:
 
 OFFERS = (
     Application("curve", "metapp_curve.app:Curve", "metapp_curve.presentation:CurvePresentation"),
-    *recipes("curve", "metapp_curve.recipes:RECIPES", "quick", "paper"),
+    *recipes_in("curve", "metapp_curve.recipes:RECIPES", "quick", "paper"),
     Format(
         "curve",
         "curve",

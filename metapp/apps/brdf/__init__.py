@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, Chosen, Network, Recipe, recipes
+from metapp.door import Application, Chosen, Network, Recipe, recipes_in
 
 _HERE = "metapp.apps.brdf"
 OFFERS = (
@@ -25,7 +25,7 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
     ),
-    *recipes("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
+    *recipes_in("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
     Recipe(
         "brdf",
         "anisotropic",

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
-from metapp.apps.brdf.network import BrdfNetwork, Folded
+from metapp.apps.brdf.network import BrdfNetwork, Folded, shapes_of
 from metapp.learning.task import Batch, Params
 
 WIDTHS = (6, 21, 21, 3)
@@ -33,15 +33,17 @@ class Nbrdf(BrdfNetwork):
 
     def init_encoder(self, rng: Generator) -> Params:
         """A set encoder to all 675 weights; before training it predicts a random network."""
-        encoder = set_encoder(rng, 10, ENCODER, sum(map(math.prod, self.shapes.values())))
+        encoder = set_encoder(rng, 10, ENCODER, sum(map(math.prod, shapes_of(self).values())))
         network = self.init(rng, 1)
         encoder["out.b"] = torch.cat([value.flatten() for value in network.values()])
         return encoder
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         flat = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
-        parts = flat.split([math.prod(shape) for shape in self.shapes.values()], 1)
-        return {name: part.reshape(-1, *shape) for part, (name, shape) in zip(parts, self.shapes.items(), strict=True)}
+        parts = flat.split([math.prod(shape) for shape in shapes_of(self).values()], 1)
+        return {
+            name: part.reshape(-1, *shape) for part, (name, shape) in zip(parts, shapes_of(self).items(), strict=True)
+        }
 
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
         x = where[:, :6]

@@ -54,11 +54,6 @@ class BrdfNetwork(ABC):
         """Whether it reads phi_h."""
         return False
 
-    @functools.cached_property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The shape of each parameter of one task; their names tell its parameters from another network's."""
-        return {name: tuple(value.shape[1:]) for name, value in self.init(Generator().manual_seed(0), 1).items()}
-
     @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` materials, [count, ...]."""
@@ -124,3 +119,9 @@ def samples_at(tasks: Tasks, rows: Tensor) -> Batch:
     """`where` [T, 7, count] and `target` [T, 3, count] of each task's samples of these indices, [T, count]."""
     picked = (tasks.rows[:, None], rows)
     return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
+
+
+@functools.cache
+def shapes_of(network: BrdfNetwork) -> dict[str, tuple[int, ...]]:
+    """The shape of each parameter of one task; their names tell its parameters from another network's."""
+    return {name: tuple(value.shape[1:]) for name, value in network.init(Generator().manual_seed(0), 1).items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from metapp import door
-from metapp.apps.brdf.network import BrdfNetwork
+from metapp.apps.brdf.network import BrdfNetwork, shapes_of
 from metapp.learning.task import Params
 
 
@@ -19,7 +19,7 @@ def network_of(theta: Params) -> BrdfNetwork:
         ValueError: they are of none.
     """
     for network in networks():
-        if network.shapes.keys() == theta.keys():
+        if shapes_of(network).keys() == theta.keys():
             return network
     names = ", ".join(sorted(theta)) or "none"
     raise ValueError(f"parameters {names[:80]}, expected those of a BRDF fit.")

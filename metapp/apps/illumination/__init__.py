@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, recipes
+from metapp.door import Application, recipes_in
 from metapp.networks.options import size
 
 _HERE = "metapp.apps.illumination"
@@ -25,5 +25,5 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
     ),
-    *recipes("illumination", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")),
+    *recipes_in("illumination", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, Chosen, Recipe, recipes
+from metapp.door import Application, Chosen, Recipe, recipes_in
 
 _HERE = "metapp.apps.svbrdf_nonstationary"
 OFFERS = (
@@ -26,7 +26,7 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
     ),
-    *recipes(
+    *recipes_in(
         "svbrdf_nonstationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")
     ),
     Recipe(

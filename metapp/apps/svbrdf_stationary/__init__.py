@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, recipes
+from metapp.door import Application, recipes_in
 from metapp.networks.options import DETAIL, size
 
 _HERE = "metapp.apps.svbrdf_stationary"
@@ -25,5 +25,5 @@ OFFERS = (
         files="data_tools.synthetic.examples:write_example",
         needs_vgg=True,
     ),
-    *recipes("svbrdf_stationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
+    *recipes_in("svbrdf_stationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, recipes
+from metapp.door import Application, recipes_in
 from metapp.networks.options import DETAIL, size
 
 _HERE = "metapp.apps.texture"
@@ -22,5 +22,5 @@ OFFERS = (
         files="data_tools.synthetic.examples:write_example",
         needs_vgg=True,
     ),
-    *recipes("texture", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-vgg19"),
+    *recipes_in("texture", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-vgg19"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, recipes
+from metapp.door import Application, recipes_in
 
 _HERE = "metapp.apps.transport"
 OFFERS = (
@@ -21,5 +21,5 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
     ),
-    *recipes("transport", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
+    *recipes_in("transport", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
 )

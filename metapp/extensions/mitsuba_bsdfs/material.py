@@ -15,6 +15,7 @@ from torch import Tensor
 
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps import app_of, recipes_of
+from metapp.apps.brdf.network import shapes_of
 from metapp.apps.brdf.networks import network_of
 from metapp.learning.task import Params
 from metapp.storage.tensors import read_tensors
@@ -63,7 +64,7 @@ def _parameters(path: Path) -> Params:
     shapes = {key: value.shape for key, value in theta.items()}
     recipes = recipes_of("brdf").values()
     networks = {app_of("brdf", recipe, rule=rule).setup for recipe in recipes for rule in recipe.meta}
-    if shapes not in [network.shapes for network in networks]:
+    if shapes not in [shapes_of(network) for network in networks]:
         found = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {found[:80]}, expected those of a BRDF fit; take a file of its params/.")
     if not all(bool(value.isfinite().all()) for value in theta.values()):

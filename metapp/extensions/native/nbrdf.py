@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.brdf.network import shapes_of
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.in_c import LossInC
 from metapp.learning.task import Batch, Params
@@ -18,8 +19,8 @@ from metapp.learning.task import Batch, Params
 
 def loss(theta: Params) -> LossInC | None:
     """The loss for parameters of this network; None for others, or without a compiler."""
-    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == NBRDF.shapes
-    return LossInC(tuple(NBRDF.shapes), gradient, product) if same and _library() is not None else None
+    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == shapes_of(NBRDF)
+    return LossInC(tuple(shapes_of(NBRDF)), gradient, product) if same and _library() is not None else None
 
 
 @functools.cache
