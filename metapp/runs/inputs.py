@@ -133,7 +133,7 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
-    """Files and what folders hold, in the order of inputs, each once; of several of one stem later ones are numbered."""
+    """Files and what folders hold, each once, in the order of inputs; of one stem later ones are numbered."""
     sources: dict[str, Source] = {}
     stamp = _stamps()
     for path in plan.request.inputs:

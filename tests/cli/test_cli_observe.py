@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,15 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.readers.latlong import read_map
+from metapp import door
 from metapp.appearance.colour import tone_map
 from metapp.appearance.presentation import Picture
-from metapp.apps.brdf import app as brdf
-from metapp.apps.brdf import presentation, recipes
+from metapp.apps.brdf import recipes
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fitting import table_of
 from metapp.evaluation.tables.results import closing
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.shipped import shipped_path
@@ -67,17 +68,27 @@ def light(brightest: float) -> Tensor:
     return torch.linspace(0.1, brightest, 64 * 128 * 3).reshape(64, 128, 3)
 
 
+TABLE: dict[str, Recipe] = {}
+
+
 @pytest.fixture(autouse=True)
-def seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def seen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """In place of BRDFs, with few steps of everything and without a compiler."""
     quick = recipes.RECIPES["quick"]
     short = {"meta-sgd": replace(quick.meta["meta-sgd"], order=1)}
     quick = replace(quick, steps=2, overfit_steps=3, finetune_steps=3, meta=short, rule="meta-sgd")
-    table = {**recipes.RECIPES, "quick": quick, "full": quick}
-    monkeypatch.setattr(recipes, "RECIPES", {"reference": table, "photo": table})
-    monkeypatch.setattr(brdf, "APP", Seen)
-    monkeypatch.setattr(presentation, "PRESENTATION", Shown)
+    for name, recipe in {**recipes.RECIPES, "quick": quick, "full": quick}.items():
+        monkeypatch.setitem(TABLE, name, recipe)
     monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
+    protocols = ("reference", "photo")
+    application = door.Application("brdf", f"{__name__}:Seen", f"{__name__}:Shown", protocols)
+    offers = [
+        door.Recipe("brdf", name, f"{__name__}:TABLE.{name}", protocol)
+        for name in ("quick", "full", "paper")
+        for protocol in protocols
+    ]
+    with door.extended("seen", [application, *offers]):
+        yield
 
 
 @pytest.fixture
@@ -101,7 +112,7 @@ def test_a_fit_says_what_it_saw(on_data: Callable) -> None:
     documents = {}
     for observe in ("", "reference", "photo"):
         result = on_data("overfit", "brdf", *(("--observe", observe) if observe else ()), "--json")
-        assert f"brdf {observe or 'reference'} overfit: 2 tasks" in result.err
+        assert f"brdf {observe or 'reference'} overfit: 2 inputs" in result.err
         documents[observe] = result.document
     assert [document["observe"] for document in documents.values()] == ["reference", "reference", "photo"]
     assert documents[""]["tasks"][0]["error"] == documents["reference"]["tasks"][0]["error"]
@@ -114,14 +125,15 @@ def test_a_fit_says_what_it_saw(on_data: Callable) -> None:
     assert "fits see: photo" in " ".join(on_data("overfit", "brdf", "--observe", "photo").out.split())
 
 
-def test_an_application_with_one_protocol_says_nothing(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(brdf, "APP", Brdf)
-    monkeypatch.setattr(recipes, "RECIPES", {"": recipes.RECIPES["photo"]})
-    document = on_data("overfit", "brdf", "--json").document
+def test_an_application_with_one_protocol_says_nothing(on_data: Callable) -> None:
+    offers = [door.Recipe("brdf", name, f"{__name__}:TABLE.{name}") for name in ("quick", "full", "paper")]
+    application = door.Application("brdf", "metapp.apps.brdf.app:Brdf", f"{__name__}:Shown")
+    with door.extended("one", [application, *offers]):
+        document = on_data("overfit", "brdf", "--json").document
+        assert "has one protocol" in on_data("evaluate", "brdf", "--observe", "photo").misuse
     assert "observe" not in document
     assert document["out"].endswith("-seed0")
     assert "observe" not in read_records(Path(document["out"]) / "record.jsonl")[0]["settings"]
-    assert "has one protocol" in on_data("evaluate", "brdf", "--observe", "photo").misuse
 
 
 # Checkpoints

@@ -148,12 +148,14 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
 
 
 def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
-    """Alone, and among references before the first fit."""
-    for inputs in ((photo,), (reference, photo)):
-        result = metapp("overfit", app, *inputs)
-        assert APPS[app].refusal in result.error
-        assert len(result.err.strip().splitlines()) <= 2
-        assert not any(path.read_text().strip() for path in Path("runs").rglob("record.jsonl"))
+    """Alone, and among references, which are fitted."""
+    result = metapp("overfit", app, photo)
+    assert APPS[app].refusal in result.error
+    assert len(result.err.strip().splitlines()) <= 2
+    assert not any(path.read_text().strip() for path in Path("runs").rglob("record.jsonl"))
+    both = metapp("overfit", app, reference, photo, "--quiet")
+    assert both.code == 1
+    assert APPS[app].refusal in both.err
 
 
 # Materials alone

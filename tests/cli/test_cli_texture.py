@@ -16,11 +16,12 @@ from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
 from data_tools.readers.material_maps import read_task
+from metapp import door
 from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.appearance.flash import normal_from_height, unpack
-from metapp.apps import presentation_of, recipes_of
+from metapp.apps import presentation_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
@@ -51,7 +52,7 @@ def wall() -> Path:
 @pytest.fixture(params=APPS)
 def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The applications, at a size that takes no time, with a search of two looks."""
-    recipes = recipes_of(request.param)
+    recipes = door.load(f"metapp.apps.{request.param}.recipes:RECIPES")
     quick = recipes["quick"]
     outputs = quick.setup.network.outputs
     setup = ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1", "relu2_1"))
@@ -59,7 +60,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     general = replace(quick.general, steps=2, tasks=2)
     quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
     monkeypatch.setitem(recipes, "quick", quick)
-    monkeypatch.delitem(recipes, "full")
+    monkeypatch.setitem(recipes, "full", quick)
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
     return request.param
 
