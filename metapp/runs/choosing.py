@@ -62,16 +62,12 @@ def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
 
 def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
     """Whether all inputs choose a recipe; BadOption where only some do."""
-    choosing = [path for path in request.inputs if _chooses(request.app, choice, path)]
-    others = [path for path in request.inputs if _holds_others(request.app, choice, path)]
+    recognised = [(form, path) for form in inputs_of(request.app) for path in request.inputs if form.recognises(path)]
+    choosing = [(form, path) for form, path in recognised if _chooses(choice, form, path)]
+    chosen = {path for _, path in choosing}
+    others = [(form, path) for form, path in recognised if form.name not in choice.formats or path not in chosen]
     if choosing and others:
-        first, other = (
-            _source(request.app, path, form)
-            for path, form in (
-                (choosing[0], _form(request.app, choosing[0])),
-                (others[0], _form(request.app, others[0])),
-            )
-        )
+        (first, *_), (other, *_) = ((form.find([path])[0] or [path]) for form, path in (choosing[0], others[0]))
         raise BadOption(
             f"{request.app}: {first} has {choice.has}, {other} has not, and recipes for these differ; fit them by two "
             f"commands, or all by --recipe {recipe} or --recipe {FULL}."
@@ -79,25 +75,9 @@ def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
     return bool(choosing)
 
 
-def _chooses(app: str, choice: door.Chosen, path: Path) -> bool:
-    """Whether a path is, or holds, an input that chooses the recipe."""
-    forms = [form for form in inputs_of(app) if form.name in choice.formats and form.recognises(path)]
-    return any(not choice.tells or getattr(form.files(), choice.tells)(path) for form in forms)
-
-
-def _holds_others(app: str, choice: door.Chosen, path: Path) -> bool:
-    """Whether a path is, or holds, an input that does not."""
-    forms = [form for form in inputs_of(app) if form.recognises(path)]
-    return any(form.name not in choice.formats for form in forms) or bool(forms and not _chooses(app, choice, path))
-
-
-def _form(app: str, path: Path) -> door.Format:
-    return next(form for form in inputs_of(app) if form.recognises(path))
-
-
-def _source(app: str, path: Path, form: door.Format) -> Path:
-    """The first source that a path is or holds."""
-    return (form.find([path])[0] or [path])[0]
+def _chooses(choice: door.Chosen, form: door.Format, path: Path) -> bool:
+    """Whether an input of a format, or one that a folder holds, chooses the recipe."""
+    return form.name in choice.formats and (not choice.tells or getattr(form.files(), choice.tells)(path))
 
 
 def _is_set_of(choice: door.Chosen, data: Path | None) -> bool:

@@ -199,7 +199,7 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
 def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[tuple[str, str]] = []
 
-    def cells_of(tables: list[Any], subjects: list[Any], options: Any) -> list[Any]:
+    def cells_of(tables: list[Any], subjects: list[Any], *_: Any) -> list[Any]:
         met.extend((subject.app.name, subject.app.protocol) for subject in subjects)
         subjects.clear()
         return []
