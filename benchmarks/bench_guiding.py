@@ -25,11 +25,11 @@ from torch import Tensor
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
 from benchmarks import practical_path_guiding
 from benchmarks.guiding_scenes import kind_of, scenes
-from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
 from metapp.extensions.guided import equal_time
 from metapp.extensions.guided.integrator import FEWEST
+from metapp.extensions.scene_files.reading import read_scene
 from metapp.rendering.paths.path_space import DEPTH
 from metapp.rendering.pictures import rendered
 from metapp.rendering.scenes.loading import load_scene

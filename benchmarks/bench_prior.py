@@ -22,12 +22,12 @@ from torch import Tensor
 
 from benchmarks.bench_guiding import Bench, box_filtered
 from benchmarks.guiding_scenes import scenes
-from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.rooms import KINDS, random_room
 from metapp.extensions.guided.integrator import RR_DEPTH
 from metapp.extensions.guided.path_tracer import PathTracer
 from metapp.extensions.guided.picture import GuidedPicture
 from metapp.extensions.guided.prior import read_prior, shipped
+from metapp.extensions.scene_files.reading import read_scene
 from metapp.learning.task import Params
 from metapp.rendering.paths.path_space import DEPTH
 

@@ -19,10 +19,10 @@ from torch import Tensor
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
 from benchmarks.bench_guiding import REGULAR, Bench, box_filtered
 from benchmarks.guiding_scenes import scenes
-from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
 from metapp.extensions.guided import equal_time
+from metapp.extensions.scene_files.reading import read_scene
 from metapp.rendering.paths.path_space import DEPTH
 from metapp.rendering.pictures import rendered
 from metapp.rendering.scenes.loading import load_scene

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.guiding_scenes import scenes
 from data_tools.synthetic.cornell import Scene
-from metapp.rendering.scenes.trial import instantiate
+from metapp.rendering.scenes.instances import instantiate
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba

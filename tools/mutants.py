@@ -48,6 +48,7 @@ TESTS = {
     "metapp/extensions/guided/histogram.py": ["guide_prior"],
     "metapp/rendering/scenes/plugins.py": ["scene_attacks", "scene_files", "scene_limits"],
     "metapp/rendering/scenes/rules.py": ["scene_attacks", "scene_limits"],
+    "metapp/extensions/scene_files/places.py": ["scene_attacks", "scene_places"],
     "metapp/extensions/baselines/brdf.py": ["brdf_baselines", "brdf_fits"],
     "metapp/extensions/baselines/components.py": ["brdf_baselines", "brdf_fits"],
     "metapp/extensions/baselines/lobes.py": ["brdf_baselines", "brdf_fits"],

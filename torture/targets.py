@@ -163,7 +163,7 @@ def _read_light(folder: Path, file: Path) -> None:
 
 
 def _read_scene(folder: Path, file: Path) -> None:
-    from data_tools.readers.mitsuba_scenes import find, read_scene
+    from metapp.extensions.scene_files.reading import find, read_scene
     from metapp.rendering.scenes.loading import load_scene
 
     path = next((path for path in find([folder])[0] if path.name.startswith("box")), file)

@@ -11,14 +11,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from data_tools.formats import brdf, pictures, scenes
+from data_tools.formats import brdf, light, pictures
 from metapp import door
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
 
 AUTO = "auto"  # the split by a rule: train and test tasks
-OFFERS = (*brdf.OFFERS, *pictures.OFFERS, *scenes.OFFERS)
+OFFERS = (*brdf.OFFERS, *pictures.OFFERS, *light.OFFERS)
 
 
 class Files(Protocol):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from data_tools.draws import stream
-from data_tools.readers.mitsuba_scenes import BESIDE, HELD, SAMPLES, UNITS, transport_task
+from data_tools.readers.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from data_tools.synthetic.cornell import draw_scene
 from data_tools.synthetic.stationary.families import Split, turns
 from metapp.learning.task import Task

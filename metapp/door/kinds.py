@@ -346,6 +346,16 @@ class InMemory(NamedTuple):
     task: str
 
 
+class SceneCheck(NamedTuple):
+    """Checks scenes of data sets that are XML or name files; without one these are refused.
+
+    Attributes:
+        check: `check(scene) -> scene`, ValueError for something that a scene may not hold.
+    """
+
+    check: str
+
+
 class Network(NamedTuple):
     """A network of an application that has several, told by a fit's parameters.
 

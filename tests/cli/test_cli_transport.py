@@ -14,8 +14,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.readers import mitsuba_scenes
-from data_tools.readers.mitsuba_scenes import transport_task
+from data_tools.readers.transport_task import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
 from metapp.appearance.presentation import Fitted
@@ -25,6 +24,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
+from metapp.extensions.scene_files import reading
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.storage.shards import ShardWriter
@@ -172,7 +172,7 @@ def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest
 @pytest.mark.long
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**15)
-    monkeypatch.setattr(mitsuba_scenes.read_task, "__defaults__", (512, 128, 4, ()))
+    monkeypatch.setattr(reading.read_task, "__defaults__", (512, 128, 4, ()))
     box = {key: value for key, value in random_scene(0).items() if key != "light"}
     box["bulb"] = {"type": "point", "position": [0.0, 0.7, 0.0]}
     box["fog"] = {"type": "homogeneous"}  # which nothing refers to

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,9 @@ from PIL import Image
 
 from data_tools.balls import reading
 from data_tools.readers import flash, latlong, photos, svbrdf_inputs
-from data_tools.readers.mitsuba_scenes import read_scene, scene_in_memory
 from data_tools.readers.picture_objects import SIDE as EVALUATED
 from data_tools.readers.picture_objects import flash_photo, light, material, texture
 from metapp.learning.task import Task
-from metapp.rendering.scenes.loading import load_scene
-from tests.needs_mitsuba import needs_mitsuba
 from tests.pictures import noise, write
 
 SIDE = 48
@@ -181,58 +177,6 @@ def test_a_ball_in_memory_is_a_photo(tmp_path: Path) -> None:
     assert same(read(light, eight / 255, "photo"), task)
 
 
-def scene(source: object, name: str, how: dict[str, Any]) -> dict[str, Any]:
-    return scene_in_memory(source, name, how.get("roots", ()))
-
-
-def small_scene(transform: Any) -> dict[str, Any]:
-    return {
-        "type": "scene",
-        "camera": {"type": "perspective", "fov": np.float32(40), "to_world": transform},
-        "ball": {"type": "sphere", "center": (0, np.float64(0.25), 0), "bsdf": {"type": "diffuse"}},
-        "light": {"type": "constant", "radiance": {"type": "rgb", "value": np.array([1.0, 2.0, 3.0])}},
-    }
-
-
-@needs_mitsuba
-def test_a_scene_is_its_dictionary(mitsuba: Any) -> None:
-    matrix = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -5], [0, 0, 0, 1]])
-    plain = json.loads(json.dumps(small_scene(matrix.tolist()), default=lambda value: value.tolist()))
-    plain["ball"]["center"] = [0, 0.25, 0]
-    for transform in (matrix, mitsuba.ScalarTransform4f(matrix), mitsuba.Transform4f(matrix.tolist())):
-        made = scene_in_memory(small_scene(transform), "object")
-        assert made == plain
-    for point in (mitsuba.ScalarPoint3f(1, 2, 3), mitsuba.Point3f(1, 2, 3)):
-        around = {"type": "scene", "a": {"type": "sphere", "center": point}}
-        assert scene_in_memory(around, "object")["a"]["center"] == [1, 2, 3]
-
-
-@needs_mitsuba
-def test_a_scene_of_mitsuba_is_one(mitsuba: Any) -> None:
-    made = scene_in_memory(mitsuba.cornell_box(), "object")
-    assert len(load_scene(made).scene.emitters()) == 1
-
-
-@needs_mitsuba
-def test_what_mitsuba_has_loaded_is_no_part_of_a_scene(mitsuba: Any) -> None:
-    loaded = mitsuba.load_dict({"type": "diffuse"})
-    with pytest.raises(ValueError, match=r"object: \w+ as 'bsdf', expected numbers, text, a transform or a dictionary"):
-        scene_in_memory({"type": "scene", "a": {"type": "sphere", "bsdf": loaded}}, "object")
-
-
-def test_a_scene_is_its_text(tmp_path: Path) -> None:
-    text = "<scene version='3.0.0'><shape type='sphere'/></scene>"
-    (tmp_path / "file.xml").write_text(text)
-    assert scene_in_memory(text, "object") == read_scene(tmp_path / "file.xml")
-
-
-def test_a_scene_within_itself_is_refused() -> None:
-    within: dict[str, Any] = {"type": "scene"}
-    within["scene"] = within
-    with pytest.raises(ValueError, match="object: objects within each other, more than 64 deep, expected fewer"):
-        scene_in_memory(within, "object")
-
-
 def holed(values: np.ndarray, value: float = np.nan) -> np.ndarray:
     values = values.astype(np.float64)
     values[0, 0] = value
@@ -268,8 +212,6 @@ UNIT = RGB / 255
         (light, 3, r"object: int, expected a path, .* or a function f\(directions\)"),
         (light, holed(LIGHT), "3 values are NaN or infinite, expected finite radiance"),
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
-        (scene, 3, "object: int, expected a path, a scene as Mitsuba's load_dict takes it, or XML text"),
-        (scene, {"type": "scene", "a": object()}, "object: object as 'a', expected numbers"),
     ],
 )
 def test_what_is_none_is_refused_in_a_line(from_object: Callable, source: object, line: str) -> None:

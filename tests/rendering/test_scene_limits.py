@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,10 +15,9 @@ from metapp.rendering.scenes.rules import (
     BYTES,
     DEPTH,
     CheckedDict,
-    Places,
+    Files,
     box_film,
     checked_string,
-    read_text,
     scene_bytes,
     scene_of,
 )
@@ -32,9 +30,9 @@ def refused(message: str, call: Callable[..., Any], *words: Any) -> None:
 
 
 @pytest.fixture
-def checked(tmp_path: Path) -> Callable[..., Any]:
+def checked() -> Callable[..., Any]:
     """Checks a scene of what is given."""
-    return lambda **parts: CheckedDict(Places((tmp_path,), (tmp_path,))).object({"type": "scene", **parts})
+    return lambda **parts: CheckedDict(Files()).object({"type": "scene", **parts})
 
 
 def test_a_scene_is_what_its_text_says() -> None:
@@ -48,47 +46,6 @@ def test_a_scene_is_what_its_text_says() -> None:
     for text in (b"{", b"[" * 100_000, b"\xff"):
         stored = torch.frombuffer(bytearray(text), dtype=torch.uint8)
         refused("a stored scene is no JSON .*; make the data anew", scene_of, stored)
-
-
-def test_names_of_files(tmp_path: Path) -> None:
-    places = Places((tmp_path / "first", tmp_path), (tmp_path,))
-    for name in ("a" * 1025, "a\0b", "\0"):
-        refused("a name of a file, .*, expected one of up to 1024 characters, without NUL", places.file, name)
-    refused("file not found", places.file, "a/" * 512)
-    (tmp_path / "first").mkdir()
-    for folder, content in ((tmp_path, "second"), (tmp_path / "first", "first")):
-        (folder / "x.txt").write_text(content)
-        assert places.text("x.txt") == (folder / "x.txt", content)
-    for odd in ("a$b", "a\u200bb"):  # a point of entry of Mitsuba's own parameters; what cannot be seen
-        (tmp_path / odd).write_text("x")
-        refused("expected a path that is printable and without '\\$'", places.text, odd)
-    assert places.folder("first") == tmp_path / "first"
-    refused("which is no folder; give one", places.folder, "x.txt")
-    refused("which is no regular file", places.file, "first")
-    assert places.first(tmp_path / "none").search == (tmp_path / "none", *places.search)
-
-
-def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "TEXT_BYTES", 10)
-    file = tmp_path / "x.xml"
-    for size in (0, 9, 10):
-        file.write_bytes(b"x" * size)
-        assert read_text(file) == "x" * size
-    for size in (11, 12, 100):
-        file.write_bytes(b"x" * size)
-        refused("more than 10 bytes", read_text, file)
-    file.write_bytes(b"\xef\xbb\xbfab")
-    assert read_text(file) == "ab"  # without its byte order mark
-    file.write_bytes(b"\xff")
-    refused("not text in UTF-8", read_text, file)
-    monkeypatch.setattr(rules, "_DATA_BYTES", 10)
-    places = Places((tmp_path,), (tmp_path,))
-    file.write_bytes(b"x" * 10)
-    assert places.file("x.xml") == file
-    file.write_bytes(b"x" * 11)
-    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
-    refused("No such file", read_text, tmp_path / "none")
-    refused("no regular file", read_text, tmp_path)
 
 
 @needs_mitsuba
@@ -120,23 +77,21 @@ def test_depth_and_number_of_values(checked: Callable[..., Any], monkeypatch: py
     refused("more than 10 values", lambda: checked(**{f"s{i}": {"type": "sphere", "radius": 1.0} for i in range(4)}))
 
 
-def test_text_of_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    places = Places((tmp_path,), (tmp_path,))
+def test_text_of_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rules, "TEXT", 20)
-    assert checked_string("note", "x" * 20, places) == "x" * 20
+    assert checked_string("note", "x" * 20, Files()) == "x" * 20
     for value in ("x" * 21, "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b"):
-        refused("expected plain text, no path", checked_string, "note", value, places)
-    (tmp_path / "x.png").write_bytes(b"x")
+        refused("expected plain text, no path", checked_string, "note", value, Files())
     for name in ("filename", "normal_filename"):
-        assert checked_string(name, "x.png", places) == str(tmp_path / "x.png")
+        refused("names the file 'x.png', expected none", checked_string, name, "x.png", Files())
 
 
 @needs_mitsuba
-def test_materials_are_mitsubas(tmp_path: Path) -> None:
+def test_materials_are_mitsubas() -> None:
     for value in ("Au", "none"):
-        assert checked_string("material", value, Places()) == value
-    assert checked_string("other", "unobtainium", Places()) == "unobtainium"
-    refused("expected one of Mitsuba's own", checked_string, "material", "unobtainium", Places())
+        assert checked_string("material", value, Files()) == value
+    assert checked_string("other", "unobtainium", Files()) == "unobtainium"
+    refused("expected one of Mitsuba's own", checked_string, "material", "unobtainium", Files())
 
 
 GOOD = (0, -1, 2**63 - 1, 1 - 2**63, 1.5, -1e308, True, [1, 2, 3], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[1.0] * 4] * 4)
@@ -175,8 +130,8 @@ def test_colours_spectra_and_references(checked: Callable[..., Any]) -> None:
 
 
 @needs_mitsuba
-def test_one_scene_around_all_else(tmp_path: Path) -> None:
-    check = CheckedDict(Places((tmp_path,), (tmp_path,)))
+def test_one_scene_around_all_else() -> None:
+    check = CheckedDict(Files())
     for kind in ("sphere", "rgb", "ref", "spectrum"):
         refused("a scene within a scene, or none at all", check.object, {"type": kind})
     refused("a scene within a scene", check.object, {"type": "scene", "below": {"type": "scene"}})

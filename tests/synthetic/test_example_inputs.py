@@ -7,10 +7,10 @@ import torch
 from torch import Generator
 
 from data_tools.formats import inputs_of
-from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import random_scene, to_xml
 from data_tools.synthetic.examples import EXAMPLES, write_example
 from metapp.apps import app_names
+from metapp.extensions.scene_files.reading import read_scene
 from tests.needs_mitsuba import needs_mitsuba
 
 

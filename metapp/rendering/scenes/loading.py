@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.rendering.scenes.rules import CheckedDict, Places, SceneDict
-from metapp.rendering.scenes.trial import instantiate
-from metapp.rendering.scenes.xml import checked_xml
+from metapp.door import SceneCheck, load, offers
+from metapp.rendering.scenes.instances import instantiate
+from metapp.rendering.scenes.rules import READER, CheckedDict, Files, SceneDict
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
 
@@ -41,24 +41,20 @@ class Loaded(NamedTuple):
     brightest: float
 
 
-def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
-    """The same scene, of the same form, with absolute file names, includes and defaults in it.
-
-    Args:
-        scene: a dictionary, or {"xml": text}.
-        places: where its files may lie; none for a stored scene, whose files must have been read in this process.
-        name: resolved path of its file, if it has one.
+def checked(scene: SceneDict) -> SceneDict:
+    """The same scene of a data set; of XML and of files that were read before where an extension checks these.
 
     Raises:
         ValueError: something that a scene may not hold.
     """
     if not isinstance(scene, dict):
         raise ValueError("no scene, expected an object of type 'scene'.")
+    for offer in offers(SceneCheck):
+        result: SceneDict = load(offer.check)(scene)
+        return result
     if "xml" in scene:
-        if not isinstance(scene["xml"], str):
-            raise ValueError("an 'xml' that is no text, expected a document; change it.")
-        return {"xml": checked_xml(scene["xml"], places, name)}
-    return CheckedDict(places).object(scene)
+        raise ValueError(f"a scene in XML, expected a dictionary; XML needs {READER}.")
+    return CheckedDict(Files()).object(scene)
 
 
 def load_scene(scene: SceneDict) -> Loaded:
@@ -66,10 +62,9 @@ def load_scene(scene: SceneDict) -> Loaded:
 
     Raises:
         ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that Mitsuba's own path
-            tracer leaves dark; a sensor other than a perspective one; fog; a file that `checked` did not let through
-            before.
+            tracer leaves dark; a sensor other than a perspective one; fog; a file that was not read before.
     """
-    mi, loaded = load_any(checked(scene, Places()))
+    mi, loaded = load_any(checked(scene))
     check_traced(mi, loaded)
     brightest = max(_brightest(mi, emitter) for emitter in loaded.emitters())
     if not 0 <= brightest < math.inf:
@@ -78,7 +73,7 @@ def load_scene(scene: SceneDict) -> Loaded:
 
 
 def load_any(scene: SceneDict) -> tuple[Mitsuba, Scene]:
-    """Mitsuba, and in it a scene that `checked` gave, whatever lights and sensors it has.
+    """Mitsuba, and in it a checked scene, whatever lights and sensors it has.
 
     Raises:
         ValueError: no Mitsuba that can render here; no scene that it can load.

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from metapp.rendering.scenes.files import check_file
-
 MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
 _REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
@@ -69,10 +67,10 @@ def check_parameters(kind: str, given: Mapping[str, Any]) -> None:
 
     Args:
         kind: name of the plugin.
-        given: its parameters and what is within it, by name; numbers may be text; files have absolute names.
+        given: its parameters and what is within it, by name; numbers may be text.
 
     Raises:
-        ValueError: a count, size, temperature or file that is out of range.
+        ValueError: a count, size or temperature that is out of range.
     """
     if len({snake_case(name) for name in given}) < len(given):  # Mitsuba would take one of them
         raise ValueError(f"a '{kind}' with a parameter under two names, {sorted(given)!s:.100}; leave one out.")
@@ -86,8 +84,6 @@ def check_parameters(kind: str, given: Mapping[str, Any]) -> None:
             raise ValueError(f"a '{name}' of {number:.12g}, expected {least:,} to {most:,}; change it.")
     if kind in _HOLDERS and not any(isinstance(value, Mapping) or value is PLUGIN for value in given.values()):
         raise ValueError(f"a '{kind}' without {_HOLDERS[kind]}, expected one or more; leave it out.")
-    if isinstance(given.get("filename"), str):  # absolute: `checked_string` has found it
-        check_file(kind, Path(given["filename"]), int(number_of(given.get("shape_index")) or 0))
 
 
 PLUGIN = object()  # in the place of what is within another one, where a number or text is no parameter

@@ -1,17 +1,12 @@
-"""What a scene may hold: plugins that Mitsuba ships, names without paths, and files where the user said they lie.
-
-Files are regular ones of a bounded size, in folders that the user named, and nowhere else.
-"""
+"""Checks of scene dictionaries: plugins that Mitsuba ships, names without paths, and no files that were not let in."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
-import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,6 +15,7 @@ from metapp.rendering.scenes.plugins import MEDIA, check_parameters, check_plugi
 
 Json = Any  # a value of a scene
 SceneDict = dict[str, Any]  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
+READER = "the extension scene_files"
 BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 
 
@@ -48,34 +44,8 @@ def scene_of(text: Tensor) -> SceneDict:
         raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
 
 
-TEXT_BYTES = 2**24  # of a scene file or an include
-_DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
-
-# Data files of scenes that were read in this process. A scene is kept as text beside its samples, and may be loaded
-# from it again, but text from elsewhere gives no right to read files.
-_read_before: set[Path] = set()
-
-
-class Places(NamedTuple):
-    """Where the files of a scene may lie.
-
-    Attributes:
-        search: folders in which relative names are looked for, in this order.
-        roots: resolved folders that hold all files that may be read; none: of a stored scene.
-    """
-
-    search: tuple[Path, ...] = ()
-    roots: tuple[Path, ...] = ()
-
-    @classmethod
-    def beside(cls, path: Path, others: Iterable[Path] = ()) -> Places:
-        """The folder of a scene file, then further folders; files may lie in each."""
-        folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
-        return cls(folders, folders)
-
-    def first(self, folder: Path) -> Places:
-        """The same, with this folder searched first."""
-        return self._replace(search=(folder, *self.search))
+class Files:
+    """The data files that a scene may name: none, which holds of scenes of data sets."""
 
     def file(self, name: str) -> Path:
         """The data file of a name.
@@ -84,75 +54,12 @@ class Places(NamedTuple):
             Its absolute path without links.
 
         Raises:
-            ValueError: it is missing, too large, no regular file, or elsewhere.
+            ValueError: it may not be read.
         """
-        path = self._find(name, "file")
-        if not path.is_file():
-            raise ValueError(f"names {path!s:.200}, which is no regular file; give a mesh, bitmap or spectrum.")
-        size = path.stat().st_size
-        if size > _DATA_BYTES:
-            raise ValueError(f"names {path!s:.200}, of {size:,} bytes, expected {_DATA_BYTES:,} at most.")
-        _read_before.add(path)
-        return path
+        raise ValueError(f"names the file {name[:100]!r}, expected none; scenes with files need {READER}.")
 
-    def text(self, name: str) -> tuple[Path, str]:
-        """The resolved path and the content of a document that is included."""
-        path = self._find(name, "include")
-        return path, read_text(path)
-
-    def folder(self, name: str) -> Path:
-        """The folder of a <path>."""
-        path = self._find(name, "<path>")
-        if not path.is_dir():
-            raise ValueError(f"a <path> {path!s:.200}, which is no folder; give one.")
-        return path
-
-    def _find(self, name: str, what: str) -> Path:
-        if "\0" in name or len(name) > 1024:
-            raise ValueError(f"a name of a {what}, {name[:40]!r}, expected one of up to 1024 characters, without NUL.")
-        folders = (Path("/"),) if os.path.isabs(name) else self.search
-        first = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
-        try:
-            path = first.resolve(strict=True) if first else None
-        except (OSError, RuntimeError):  # a link to nowhere or to itself
-            path = None
-        if path is None:
-            raise ValueError(f"names the {what} {name[:100]!r}: file not found; put it in the scene's folder.")
-        if not str(path).isprintable() or "$" in str(path):
-            raise ValueError(f"names {str(path)[:150]!r}, expected a path that is printable and without '$'.")
-        if not self.roots and path not in _read_before:
-            raise ValueError(f"names the {what} {name[:100]!r}, expected none in a stored scene; give the scene file.")
-        if self.roots and not any(path.is_relative_to(root) for root in self.roots):
-            raise ValueError(
-                f"names the {what} {name[:60]!r} outside the scene's folder; if you trust it, name a folder that holds "
-                f"it: --scene-root {str(path if what == '<path>' else path.parent)[:120]}"
-            )
-        return path
-
-
-def read_text(path: Path) -> str:
-    """The text of a regular file; a FIFO or a device is refused at once, not waited for.
-
-    Raises:
-        ValueError: no regular file, too large, not readable, no UTF-8.
-    """
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_BINARY", 0))
-    except OSError as error:
-        raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
-    try:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise ValueError("no regular file, expected a scene of Mitsuba 3.")
-        with os.fdopen(handle, "rb", closefd=False) as file:
-            content = file.read(TEXT_BYTES + 1)
-    finally:
-        os.close(handle)
-    if len(content) > TEXT_BYTES:
-        raise ValueError(f"more than {TEXT_BYTES:,} bytes, expected a scene of Mitsuba 3; put meshes in files.")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("not text in UTF-8, expected a scene of Mitsuba 3.") from None
+    def check(self, kind: str, parameters: Mapping[str, Any]) -> None:
+        """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
 
 
 DEPTH = 64  # of elements or objects within each other
@@ -160,13 +67,13 @@ PARTS = 200_000  # elements, or values
 TEXT = 2**20  # characters of one value
 
 
-def checked_string(name: str, value: str, places: Places) -> str:
+def checked_string(name: str, value: str, files: Files) -> str:
     """A parameter's text; file names come out absolute.
 
     Mitsuba builds file names from other parameters too, such as a conductor's material.
     """
     if snake_case(name).endswith("filename"):
-        return str(places.file(value))
+        return str(files.file(value))
     if len(value) > TEXT or not value.isascii() or not value.isprintable() or set("/\\$") & set(value) or ".." in value:
         raise ValueError(f"a parameter {name[:40]!r} of {value[:60]!r}, expected plain text, no path; change it.")
     if name == "material" and value != "none" and value not in materials():
@@ -178,11 +85,11 @@ class CheckedDict:
     """Checks a scene dictionary as JSON holds it: kinds of all values, plugins, file names.
 
     Args:
-        places: where its files may lie.
+        files: that it may name.
     """
 
-    def __init__(self, places: Places) -> None:
-        self.places, self.parts = places, 0
+    def __init__(self, files: Files) -> None:
+        self.files, self.parts = files, 0
 
     def object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
         """The same with file names absolute.
@@ -208,6 +115,7 @@ class CheckedDict:
         made = {key: self._value(key, value, depth, kind) for key, value in scene.items() if key not in media}
         if depth:
             check_parameters(kind, made)
+            self.files.check(kind, made)
         for key, medium in media.items():
             if any(name in (key, medium.get("id")) for name in _references(made)):
                 check_plugin(medium["type"])
@@ -222,7 +130,7 @@ class CheckedDict:
         if isinstance(value, str):
             if key in ("type", "id"):
                 return _identifier(value)
-            return checked_string(key, value, self.places)
+            return checked_string(key, value, self.files)
         if key in ("type", "id") or not (_is_number(value) or isinstance(value, bool) or _is_list(value, kind)):
             raise ValueError(
                 f"a value of {key[:40]!r}, {_shown(value)}, expected a finite number, text, true, false, three "

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import torch
 
-from data_tools.readers.mitsuba_scenes import find, read_scene, read_task, recognises
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps.transport.app import Transport
+from metapp.extensions.scene_files.reading import find, read_scene, read_task, recognises
 from metapp.learning.task import problems_of
 from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.paths.path_space import Tracer

@@ -1,8 +1,6 @@
-"""Formats of environment maps and of scenes."""
+"""Formats of environment maps."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 from data_tools.formats.options import FOV_OF_FITS
 from metapp.door import Converter, Format, InMemory, Option
@@ -26,22 +24,6 @@ FOV = FOV_OF_FITS._replace(
 )
 
 
-def folders(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The same paths; ValueError unless all are folders."""
-    if not all(path.is_dir() for path in paths):
-        raise ValueError("not there, expected folders")
-    return paths
-
-
-ROOTS = Option(
-    "scene_root",
-    None,
-    "Additional folder from which a scene may load files; may be given several times.",
-    "DIR",
-    several=True,
-    convert=folders,
-    passed_as="roots",
-)
 OFFERS = (
     Format(
         "laval",
@@ -54,13 +36,5 @@ OFFERS = (
             LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)
         ),
     ),
-    Format(
-        "mitsuba",
-        "transport",
-        "data_tools.readers.mitsuba_scenes",
-        "Mitsuba scenes (.xml, .json) with a perspective camera",
-        options=(ROOTS,),
-    ),
     InMemory("illumination", "data_tools.readers.picture_objects:light"),
-    InMemory("transport", "data_tools.readers.mitsuba_scenes:from_object"),
 )

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from metapp.appearance.colour import srgb_to_linear
+from metapp.extensions.scene_files.xml import SceneElement
 from metapp.rendering.scenes.plugins import number_of
-from metapp.rendering.scenes.xml import SceneElement
 
 Colour = tuple[float, float, float]
 

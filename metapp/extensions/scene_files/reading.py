@@ -12,68 +12,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Generator
 
-from metapp.door import Command, offers
+from data_tools.readers.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
+from metapp.extensions.scene_files.checking import checked
+from metapp.extensions.scene_files.places import Places, read_text
+from metapp.extensions.scene_files.trial import try_scene
 from metapp.learning.task import Task
-from metapp.rendering.paths.path_space import DIMENSIONS, Tracer
-from metapp.rendering.paths.resampling import draw_samples
-from metapp.rendering.scenes.loading import checked
+from metapp.rendering.paths.path_space import DIMENSIONS
 from metapp.rendering.scenes.plugins import Unsupported
-from metapp.rendering.scenes.rules import DEPTH, Places, SceneDict, read_text, scene_bytes
-from metapp.rendering.scenes.trial import try_scene
+from metapp.rendering.scenes.rules import DEPTH, SceneDict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 
-SAMPLES, HELD = 32_768, 8_192
-UNITS = {
-    "samples": "primary sample space, in [0, 1) [N, d]: film (x right, y down), then two numbers for the direction at "
-    "each of the first surfaces that scatter; in proportion to the luminance carried",
-    "held": "as samples; for tests alone",
-    "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
-    "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
-    "next_event": "1 where paths had next-event estimation and samples were resampled and moved; else missing",
-}
-BESIDE = ("scene", ".json")  # is a file beside each shard, too
+__all__ = ["BESIDE", "UNITS", "find", "from_object", "read_scene", "read_task", "recognises"]
+
 SUFFIXES = (".xml", ".json")
 
 _NUMBERS = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene in memory may hold
 _SHAPES = ((), (3,), (3, 3), (4, 4))
-
-
-def transport_task(
-    name: str,
-    scene: SceneDict,
-    seed: int,
-    *,
-    samples: int = SAMPLES,
-    held: int = HELD,
-    dimensions: int = DIMENSIONS,
-) -> Task:
-    """A scene as a task.
-
-    Args:
-        name: of the task.
-        scene: as `metapp.rendering.scenes.loading.load_scene` takes it.
-        seed: of all draws.
-        samples: N, for fits to see.
-        held: M, for tests alone.
-        dimensions: d of both, 4 or 6.
-
-    Returns:
-        `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
-        next-event estimation also `next_event`, uint8 [1].
-
-    Raises:
-        ValueError: as `load_scene` and `draw_samples`.
-    """
-    rng, tracer = Generator().manual_seed(seed), Tracer(scene)
-    points, image = draw_samples(tracer, samples + held, dimensions, rng)
-    data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
-    if tracer.next_event:
-        data["next_event"] = torch.ones(1, dtype=torch.uint8)
-    return Task(name, data)
 
 
 def recognises(path: Path) -> bool:
@@ -153,7 +109,7 @@ def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
     except ValueError as error:
         reason = str(error)
         if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason += _upgrade("; ", subject)
+            reason += f"; metapp data upgrade {subject}"
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
     raise ValueError(f"{subject}: {reason}")
 
@@ -173,16 +129,10 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
         return checked(scene, Places.beside(path, roots), str(path.resolve()))
     except Unsupported as error:
-        remedy = _upgrade(", or ", path) if path.suffix.lower() == ".xml" else ""
+        remedy = f", or metapp data upgrade {path}" if path.suffix.lower() == ".xml" else ""
         raise ValueError(f"{path}: {str(error).rstrip('.')}{remedy or '.'}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def _upgrade(begin: str, subject: object) -> str:
-    """The command that may repair a scene; "" where no extension has it."""
-    there = any((command.under, command.name) == ("data", "upgrade") for command in offers(Command))
-    return f"{begin}metapp data upgrade {subject}" if there else ""
 
 
 def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from metapp.extensions.scene_upgrade.values import Colour, child, colour, made, number, numbers, shown, taken
-from metapp.rendering.scenes.xml import SceneElement
+from metapp.extensions.scene_files.upgrade.values import Colour, child, colour, made, number, numbers, shown, taken
+from metapp.extensions.scene_files.xml import SceneElement
 
 Log = Callable[[SceneElement, str], None]
 _CONDUCTORS = ("eta", "k", "material")

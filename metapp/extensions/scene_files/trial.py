@@ -14,7 +14,7 @@ import subprocess
 import sys
 from typing import Any
 
-from metapp.rendering.types import Mitsuba, Scene
+from metapp.rendering.scenes.instances import instantiate
 from metapp.rendering.variant import THREADS, choose_llvm, own_plugins_only
 
 Json = Any  # a value of a scene
@@ -26,14 +26,14 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
     """Refuse a scene that ends the process that loads it, or that never comes to an end.
 
     Args:
-        scene: as `metapp.rendering.scenes.loading.checked` gives it.
+        scene: as `metapp.extensions.scene_files.checking.checked` gives it.
         variant: of Mitsuba, to load it in.
 
     Raises:
         ValueError: the process died.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-P", "-m", "metapp.rendering.scenes.trial", variant]  # -P: nothing of this folder
+    command = [sys.executable, "-P", "-m", "metapp.extensions.scene_files.trial", variant]  # -P: nothing of this folder
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
     )
@@ -55,23 +55,6 @@ def _ended(number: int) -> str:
     if number in (signal.SIGXCPU, signal.SIGKILL):
         return f"no end within {_CPU_SECONDS} s, or no memory left,"
     return f"the process died ({signal.Signals(number).name})"
-
-
-def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
-    """A checked scene in Mitsuba, in this thread: others would write what they have to say to the screen."""
-    if "xml" in scene:
-        return mi.load_string(scene["xml"], parallel=False)
-    return mi.load_dict(_matrices(mi, scene), parallel=False)
-
-
-def _matrices(mi: Mitsuba, value: Json) -> Json:
-    """The same with its matrices as Mitsuba wants them."""
-    if isinstance(value, dict):
-        plain = value.get("type") in ("rgb", "spectrum")
-        return {key: part if plain else _matrices(mi, part) for key, part in value.items()}
-    if isinstance(value, list) and isinstance(value[0], list):
-        return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
-    return value
 
 
 def _load(variant: str) -> None:

@@ -18,10 +18,10 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from data_tools.readers.mitsuba_scenes import read_scene, read_task
 from data_tools.synthetic.cornell import random_scene
-from metapp.rendering.scenes import plugins
-from metapp.rendering.scenes.files import check_file
+from metapp.extensions.scene_files import places
+from metapp.extensions.scene_files.files import check_file
+from metapp.extensions.scene_files.reading import read_scene, read_task
 from metapp.rendering.scenes.loading import load_scene
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
@@ -29,7 +29,7 @@ from tests.scene_files import CORNERS, FACES, NAN, OBJ, ORDERS, ply, serialized,
 
 pytestmark = needs_mitsuba
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAST = ((0, 1, 2), (0, 2, 400_000))
 LIGHT = {"type": "area", "radiance": {"type": "rgb", "value": [1, 1, 1]}}
 
@@ -74,7 +74,7 @@ MESHES: dict[str, tuple[bytes, str]] = {
 
 READS = """
 import sys, pathlib
-from data_tools.readers.mitsuba_scenes import read_task
+from metapp.extensions.scene_files.reading import read_task
 for name in sys.argv[1:]:
     try:
         read_task(pathlib.Path(name), samples=8, held=8)
@@ -246,7 +246,7 @@ def test_a_file_is_checked_again_when_it_changes(tmp_path: Path) -> None:
 
 def test_what_no_check_knows_kills_a_child_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_scene(tmp_path, "a.ply", ply("ascii", faces=PAST))
-    monkeypatch.setattr(plugins, "check_file", lambda *_: None)
+    monkeypatch.setattr(places, "check_file", lambda *_: None)
     with pytest.raises(ValueError, match=r"the process died \(SIG\w+\) while Mitsuba loads it") as caught:
         read_task(path, samples=8, held=8)
     assert str(caught.value).startswith(f"{path}: ")

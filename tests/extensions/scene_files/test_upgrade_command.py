@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from metapp import door
 from tests.needs_mitsuba import needs_mitsuba
 
 CORNELL = """<scene version="0.6.0">
@@ -91,14 +90,3 @@ def test_misuse_is_named(cornell: Path, metapp: Callable) -> None:
     same = metapp("data", "upgrade", cornell, "--out", cornell)
     assert (same.code, cornell.read_text()) == (1, CORNELL)
     assert "there already" in same.err
-
-
-@needs_mitsuba
-def test_without_the_extension_old_scenes_are_refused_without_a_hint(
-    cornell: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hint = f"metapp data upgrade {cornell}"
-    assert metapp("general", "transport", cornell, "--quiet").error.endswith(hint)
-    monkeypatch.setenv(door.WITHOUT, "scene_upgrade")
-    assert "a command of the extension scene_upgrade" in metapp("data", "upgrade", cornell).misuse
-    assert "metapp data upgrade" not in metapp("general", "transport", cornell, "--quiet").error

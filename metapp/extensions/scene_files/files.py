@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from metapp.rendering.scenes.meshes import BLOCK, check_obj, check_ply
-from metapp.rendering.scenes.serialized import check_serialized
+from metapp.extensions.scene_files.meshes import BLOCK, check_obj, check_ply
+from metapp.extensions.scene_files.serialized import check_serialized
 from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
 
 

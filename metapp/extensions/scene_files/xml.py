@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 from xml.etree.ElementTree import Element, tostring
 from xml.parsers import expat
 
+from metapp.extensions.scene_files.places import TEXT_BYTES, Places
 from metapp.rendering.scenes.plugins import (
     PLUGIN,
     Unsupported,
@@ -21,7 +22,7 @@ from metapp.rendering.scenes.plugins import (
     number_of,
     snake_case,
 )
-from metapp.rendering.scenes.rules import DEPTH, PARTS, TEXT, TEXT_BYTES, Places, checked_string
+from metapp.rendering.scenes.rules import DEPTH, PARTS, TEXT, checked_string
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip
@@ -145,7 +146,7 @@ class _Reader:
             else:
                 made.append(self._element(child, places, chain, depth + 1))
         if self.strict and (made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib)):
-            _check_object(made)
+            _check_object(made, places)
         return made
 
     def _attributes(self, source: Element, places: Places) -> dict[str, str]:
@@ -206,12 +207,14 @@ class _Reader:
         return [root]
 
 
-def _check_object(made: SceneElement) -> None:
+def _check_object(made: SceneElement, places: Places) -> None:
     try:
         check_plugin(made.get("type", ""))
     except Unsupported as error:
         raise Unsupported(f"line {made.line}, {made}: {error}") from None
-    check_parameters(made.get("type", ""), dict(map(_parameter, made)))
+    parameters = dict(map(_parameter, made))
+    check_parameters(made.get("type", ""), parameters)
+    places.check(made.get("type", ""), parameters)
 
 
 def _parameter(element: Element) -> tuple[str, object]:

@@ -50,7 +50,7 @@ def upgrade(options: Options) -> None:
         raise typer.BadParameter(
             "--dry-run writes nothing, expected one of the two; leave one out.", param_hint="--out"
         )
-    from metapp.extensions.scene_upgrade.upgrade import lines, upgraded, verdict, write
+    from metapp.extensions.scene_files.upgrade.upgrade import lines, upgraded, verdict, write
 
     path, roots = options.path, options.roots or []
     result = upgraded(path, roots)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from metapp.extensions.scene_upgrade import materials
-from metapp.extensions.scene_upgrade.values import (
+from metapp.extensions.scene_files.upgrade import materials
+from metapp.extensions.scene_files.upgrade.values import (
     blackbody,
     child,
     linear,
@@ -22,8 +22,8 @@ from metapp.extensions.scene_upgrade.values import (
     snake_case,
     taken,
 )
+from metapp.extensions.scene_files.xml import SceneElement
 from metapp.rendering.scenes.plugins import plugins
-from metapp.rendering.scenes.xml import SceneElement
 
 Log = Callable[[SceneElement, str], None]
 

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import tostring
 import numpy as np
 import pytest
 
-from data_tools.readers.mitsuba_scenes import read_scene, read_task
-from metapp.extensions.scene_upgrade.repairs import Repair, repair
-from metapp.extensions.scene_upgrade.upgrade import lines, upgraded, verdict, write
+from metapp.extensions.scene_files.reading import read_scene, read_task
+from metapp.extensions.scene_files.upgrade.repairs import Repair, repair
+from metapp.extensions.scene_files.upgrade.upgrade import lines, upgraded, verdict, write
+from metapp.extensions.scene_files.xml import SceneElement, parse
 from metapp.rendering.scenes.loading import load_any, load_scene
-from metapp.rendering.scenes.xml import SceneElement, parse
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba
 

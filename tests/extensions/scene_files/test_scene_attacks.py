@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from data_tools.readers.mitsuba_scenes import read_scene, read_task
 from data_tools.synthetic.cornell import random_scene
+from metapp.extensions.scene_files.reading import read_scene, read_task
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.variant import load_mitsuba
@@ -24,7 +24,7 @@ from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EVIL = '__attribute__((constructor)) static void run(void) { fclose(fopen(MARK, "w")); }'
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
 CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>
@@ -129,7 +129,7 @@ def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[
         mark = evil(tmp_path, plugin.stem)
     (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
     lines = (
-        "from pathlib import Path\nfrom data_tools.readers.mitsuba_scenes import read_scene\n"
+        "from pathlib import Path\nfrom metapp.extensions.scene_files.reading import read_scene\n"
         "from metapp.rendering.paths.path_space import reference\n"
         "print(reference(read_scene(Path('room.json')), 4, 4).shape)"
     )

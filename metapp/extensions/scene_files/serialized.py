@@ -1,4 +1,4 @@
-"""Meshes in Mitsuba's own format, .serialized, checked before Mitsuba reads them; see `metapp.rendering.scenes.meshes`.
+"""Meshes in Mitsuba's own format, .serialized, checked before Mitsuba reads them, as those of `meshes` are.
 
 A file holds meshes one after the other, each a header of four bytes and a zlib stream, and a table of where they begin.
 """
@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.rendering.scenes.meshes import BLOCK, MOST, ROWS, check_finite, check_indices
+from metapp.extensions.scene_files.meshes import BLOCK, MOST, ROWS, check_finite, check_indices
 
 _RATIO, _ALWAYS = 100, 2**26  # unpacked to packed bytes of a mesh; unpacked bytes that are always allowed
 _MAGIC, _VERSIONS = 0x041C, (3, 4)

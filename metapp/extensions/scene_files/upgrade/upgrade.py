@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import indent, tostring
 
-from metapp.extensions.scene_upgrade.repairs import Repair, repair
-from metapp.extensions.scene_upgrade.values import snake_case
+from metapp.extensions.scene_files.places import Places, read_text
+from metapp.extensions.scene_files.trial import try_scene
+from metapp.extensions.scene_files.upgrade.repairs import Repair, repair
+from metapp.extensions.scene_files.upgrade.values import snake_case
+from metapp.extensions.scene_files.xml import SceneElement, checked_xml, merged, parse
 from metapp.rendering.scenes.loading import check_traced, load_any
-from metapp.rendering.scenes.rules import Places, read_text
-from metapp.rendering.scenes.trial import try_scene
-from metapp.rendering.scenes.xml import SceneElement, checked_xml, merged, parse
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import write_atomically
 

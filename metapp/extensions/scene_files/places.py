@@ -1,0 +1,127 @@
+"""Places where files of scenes may lie: regular files of a bounded size, in folders that the user named alone."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from metapp.extensions.scene_files.files import check_file
+from metapp.rendering.scenes.plugins import number_of, snake_case
+from metapp.rendering.scenes.rules import Files
+
+TEXT_BYTES = 2**24  # of a scene file or an include
+_DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
+
+# Data files of scenes that were read in this process. A scene is kept as text beside its samples, and may be loaded
+# from it again, but text from elsewhere gives no right to read files.
+_read_before: set[Path] = set()
+
+
+@dataclass(frozen=True)
+class Places(Files):
+    """Where the files of a scene may lie.
+
+    Attributes:
+        search: folders in which relative names are looked for, in this order.
+        roots: resolved folders that hold all files that may be read; none: of a stored scene.
+    """
+
+    search: tuple[Path, ...] = ()
+    roots: tuple[Path, ...] = ()
+
+    @classmethod
+    def beside(cls, path: Path, others: Iterable[Path] = ()) -> Places:
+        """The folder of a scene file, then further folders; files may lie in each."""
+        folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
+        return cls(folders, folders)
+
+    def first(self, folder: Path) -> Places:
+        """The same, with this folder searched first."""
+        return replace(self, search=(folder, *self.search))
+
+    def file(self, name: str) -> Path:
+        """The data file of a name.
+
+        Returns:
+            Its absolute path without links.
+
+        Raises:
+            ValueError: it is missing, too large, no regular file, or elsewhere.
+        """
+        path = self._find(name, "file")
+        if not path.is_file():
+            raise ValueError(f"names {path!s:.200}, which is no regular file; give a mesh, bitmap or spectrum.")
+        size = path.stat().st_size
+        if size > _DATA_BYTES:
+            raise ValueError(f"names {path!s:.200}, of {size:,} bytes, expected {_DATA_BYTES:,} at most.")
+        _read_before.add(path)
+        return path
+
+    def check(self, kind: str, parameters: Mapping[str, Any]) -> None:
+        """Refuse a mesh, volume or picture that Mitsuba would read past its end, or that takes too much memory."""
+        parameters = {snake_case(name): value for name, value in parameters.items()}
+        if isinstance(parameters.get("filename"), str):
+            check_file(kind, Path(parameters["filename"]), int(number_of(parameters.get("shape_index")) or 0))
+
+    def text(self, name: str) -> tuple[Path, str]:
+        """The resolved path and the content of a document that is included."""
+        path = self._find(name, "include")
+        return path, read_text(path)
+
+    def folder(self, name: str) -> Path:
+        """The folder of a <path>."""
+        path = self._find(name, "<path>")
+        if not path.is_dir():
+            raise ValueError(f"a <path> {path!s:.200}, which is no folder; give one.")
+        return path
+
+    def _find(self, name: str, what: str) -> Path:
+        if "\0" in name or len(name) > 1024:
+            raise ValueError(f"a name of a {what}, {name[:40]!r}, expected one of up to 1024 characters, without NUL.")
+        folders = (Path("/"),) if os.path.isabs(name) else self.search
+        first = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
+        try:
+            path = first.resolve(strict=True) if first else None
+        except (OSError, RuntimeError):  # a link to nowhere or to itself
+            path = None
+        if path is None:
+            raise ValueError(f"names the {what} {name[:100]!r}: file not found; put it in the scene's folder.")
+        if not str(path).isprintable() or "$" in str(path):
+            raise ValueError(f"names {str(path)[:150]!r}, expected a path that is printable and without '$'.")
+        if not self.roots and path not in _read_before:
+            raise ValueError(f"names the {what} {name[:100]!r}, expected none in a stored scene; give the scene file.")
+        if self.roots and not any(path.is_relative_to(root) for root in self.roots):
+            raise ValueError(
+                f"names the {what} {name[:60]!r} outside the scene's folder; if you trust it, name a folder that holds "
+                f"it: --scene-root {str(path if what == '<path>' else path.parent)[:120]}"
+            )
+        return path
+
+
+def read_text(path: Path) -> str:
+    """The text of a regular file; a FIFO or a device is refused at once, not waited for.
+
+    Raises:
+        ValueError: no regular file, too large, not readable, no UTF-8.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_BINARY", 0))
+    except OSError as error:
+        raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise ValueError("no regular file, expected a scene of Mitsuba 3.")
+        with os.fdopen(handle, "rb", closefd=False) as file:
+            content = file.read(TEXT_BYTES + 1)
+    finally:
+        os.close(handle)
+    if len(content) > TEXT_BYTES:
+        raise ValueError(f"more than {TEXT_BYTES:,} bytes, expected a scene of Mitsuba 3; put meshes in files.")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError("not text in UTF-8, expected a scene of Mitsuba 3.") from None

@@ -1,0 +1,65 @@
+"""Files of scenes, at the limits of their names and sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metapp.extensions.scene_files import places as module
+from metapp.extensions.scene_files.places import Places, read_text
+from metapp.rendering.scenes.rules import checked_string
+
+
+def refused(message: str, call: Callable[..., Any], *words: Any) -> None:
+    with pytest.raises(ValueError, match=message):
+        call(*words)
+
+
+def test_names_of_files(tmp_path: Path) -> None:
+    places = Places((tmp_path / "first", tmp_path), (tmp_path,))
+    for name in ("a" * 1025, "a\0b", "\0"):
+        refused("a name of a file, .*, expected one of up to 1024 characters, without NUL", places.file, name)
+    refused("file not found", places.file, "a/" * 512)
+    (tmp_path / "first").mkdir()
+    for folder, content in ((tmp_path, "second"), (tmp_path / "first", "first")):
+        (folder / "x.txt").write_text(content)
+        assert places.text("x.txt") == (folder / "x.txt", content)
+    for odd in ("a$b", "a\u200bb"):  # a point of entry of Mitsuba's own parameters; what cannot be seen
+        (tmp_path / odd).write_text("x")
+        refused("expected a path that is printable and without '\\$'", places.text, odd)
+    assert places.folder("first") == tmp_path / "first"
+    refused("which is no folder; give one", places.folder, "x.txt")
+    refused("which is no regular file", places.file, "first")
+    assert places.first(tmp_path / "none").search == (tmp_path / "none", *places.search)
+
+
+def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "TEXT_BYTES", 10)
+    file = tmp_path / "x.xml"
+    for size in (0, 9, 10):
+        file.write_bytes(b"x" * size)
+        assert read_text(file) == "x" * size
+    for size in (11, 12, 100):
+        file.write_bytes(b"x" * size)
+        refused("more than 10 bytes", read_text, file)
+    file.write_bytes(b"\xef\xbb\xbfab")
+    assert read_text(file) == "ab"  # without its byte order mark
+    file.write_bytes(b"\xff")
+    refused("not text in UTF-8", read_text, file)
+    monkeypatch.setattr(module, "_DATA_BYTES", 10)
+    places = Places((tmp_path,), (tmp_path,))
+    file.write_bytes(b"x" * 10)
+    assert places.file("x.xml") == file
+    file.write_bytes(b"x" * 11)
+    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
+    refused("No such file", read_text, tmp_path / "none")
+    refused("no regular file", read_text, tmp_path)
+
+
+def test_file_names_of_parameters_come_out_absolute(tmp_path: Path) -> None:
+    (tmp_path / "x.png").write_bytes(b"x")
+    for name in ("filename", "normal_filename"):
+        assert checked_string(name, "x.png", Places((tmp_path,), (tmp_path,))) == str(tmp_path / "x.png")
