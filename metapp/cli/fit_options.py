@@ -131,7 +131,7 @@ def own_help(name: str) -> dict[str, str]:
         texts["observe"] = OPTIONS["observe"].help
     if exports_of(name):
         texts["export"] = f"{', '.join(exports_of(name))}; several separated by commas."
-    texts["inputs"] = f"What to fit: {forms}; or folders of these; {WITHOUT}."
+    texts["inputs"] = f"What to fit: {forms}; or folders of these; {WITHOUT}." if forms else f"No file; {WITHOUT}."
     offered = dict.fromkeys(offer.name for offer in door.offers_of(door.Recipe, name))
     texts["recipe"] = f"{', '.join(offered)}; default: full, the best that ships."
     return texts

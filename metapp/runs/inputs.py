@@ -214,13 +214,14 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
     known = inputs_of(app.name)
     readers = [form for form in known if form.recognises(path)]
     if not readers:
-        expected = ", ".join(form.inputs for form in known)
+        inputs = ", ".join(form.inputs for form in known)
+        expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
         more = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
         for extension in door.left_out():
             forms = [offer for offer in extension.offers if isinstance(offer, door.Format) and offer.app == app.name]
             if any(form.recognises(path) for form in forms):
                 more = f"; the extension {extension.name} reads it, which {door.WITHOUT} leaves out; unset it"
-        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these{more}.")
+        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
     for form in readers:
         places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():
