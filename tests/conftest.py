@@ -190,6 +190,8 @@ def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
     """Runs `metapp <arguments>` as the command does, without the seconds that a new process takes."""
     from metapp.cli.console import run
 
+    made_command()  # of all extensions, before a test leaves one out
+
     def call(*arguments: str | Path) -> Result:
         words = [str(each) for each in arguments]
         with warnings.catch_warnings():

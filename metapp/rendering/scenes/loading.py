@@ -42,7 +42,7 @@ class Loaded(NamedTuple):
 
 
 def checked(scene: SceneDict) -> SceneDict:
-    """The same scene of a data set; of XML and of files that were read before where an extension checks these.
+    """The same scene of a data set, checked; XML and files that were read before where an extension checks these.
 
     Raises:
         ValueError: something that a scene may not hold.

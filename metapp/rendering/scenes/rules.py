@@ -1,4 +1,4 @@
-"""Checks of scene dictionaries: plugins that Mitsuba ships, names without paths, and no files that were not let in."""
+"""Checks of scene dictionaries: plugins that Mitsuba ships, names without paths, and files that were let in alone."""
 
 from __future__ import annotations
 
