@@ -11,15 +11,15 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Generator, Tensor
 
-from data_tools.balls.photo import photo_of, with_light
-from data_tools.balls.shots import Shot
-from data_tools.balls.view import Ball
-from data_tools.readers.latlong import find_maps, read_map, read_map_task
+from data_tools.readers.latlong import find, read_map, read_task
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.latlong import directions, mean_luminance, resample, solid_angles
 from metapp.appearance.photograph import Camera, develop, exposures, mirror
 from metapp.apps.illumination.mirror import REFLECTANCE
 from metapp.extensions.capture.ball.capture import Settings, capture
+from metapp.extensions.capture.ball.photo import photo_of, with_light
+from metapp.extensions.capture.ball.shots import Shot
+from metapp.extensions.capture.ball.view import Ball
 from metapp.learning.task import Task
 
 ACROSS = 400  # px of a mirror in a photograph
@@ -51,13 +51,13 @@ class RealBall(NamedTuple):
 
 def glossy_tasks(folder: Path, rows: int) -> list[Task]:
     """Maps with photographs of the spheres that `--observe photo` has elsewhere."""
-    return [read_map_task(path, rows) for path in find_maps([folder])[0]]
+    return [read_task(path, rows) for path in find([folder])[0]]
 
 
 def mirror_tasks(folder: Path, rows: int, seed: int = 0) -> list[Task]:
     """Maps, and what 8-bit photographs of mirrors under them show."""
     rng = Generator().manual_seed(seed)
-    return [_mirror_task(path, rows, rng) for path in find_maps([folder])[0]]
+    return [_mirror_task(path, rows, rng) for path in find([folder])[0]]
 
 
 def _mirror_task(path: Path, rows: int, rng: Generator) -> Task:

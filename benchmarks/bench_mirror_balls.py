@@ -15,14 +15,14 @@ import torch
 from PIL import Image
 from scipy.optimize import minimize
 
-from data_tools.balls import mirror
-from data_tools.balls.mirror import SIZE, features, looked_at
-from data_tools.balls.shots import Shot, disc
-from data_tools.balls.view import Ball, mirrored, sampled
 from data_tools.draws import stream
 from data_tools.synthetic.illumination import FAMILIES, environment
 from metapp.appearance import photograph as p
 from metapp.appearance.colour import srgb_to_linear
+from metapp.extensions.capture.ball import mirror
+from metapp.extensions.capture.ball.mirror import SIZE, features, looked_at
+from metapp.extensions.capture.ball.shots import Shot, disc
+from metapp.extensions.capture.ball.view import Ball, mirrored, sampled
 
 KINDS = ("mirror", "matte", "gloss", "coat")
 MARGIN = 1.0  # of the logarithm of odds, beyond the most mirror-like of other balls in training

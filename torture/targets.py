@@ -158,8 +158,10 @@ def _read_maps(folder: Path, file: Path) -> None:
 
 def _read_light(folder: Path, file: Path) -> None:
     from data_tools.readers import latlong
+    from metapp.extensions.capture.ball import reading
 
-    finite(latlong.read_task(latlong.find([file])[0][0]))
+    reader = latlong if latlong.recognises(file) else reading
+    finite(reader.read_task(reader.find([file])[0][0]))
 
 
 def _read_scene(folder: Path, file: Path) -> None:

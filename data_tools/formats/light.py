@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from data_tools.formats.options import FOV_OF_FITS
 from metapp.door import Converter, Format, InMemory, Option
 
 ROWS = Option("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
@@ -19,19 +18,13 @@ Examples:
   metapp data laval office.exr street.hdr --split test --out maps
 """
 
-FOV = FOV_OF_FITS._replace(
-    help="Camera field of view along the shorter side; default: from EXIF, else a distant camera."
-)
-
-
 OFFERS = (
     Format(
         "laval",
         "illumination",
-        "data_tools.balls.reading",
-        "HDR maps (.exr, .hdr) or LDR photos of a ball",
+        "data_tools.readers.latlong",
+        "HDR maps (.exr, .hdr)",
         takes=("size",),
-        options=(FOV,),
         command=Converter(
             LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)
         ),

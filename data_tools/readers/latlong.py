@@ -1,4 +1,4 @@
-"""HDR environment maps (lat-long EXR, Radiance HDR) and LDR photographs of spheres, as tasks of illumination.
+"""HDR environment maps (lat-long EXR, Radiance HDR), as tasks of illumination.
 
 A map is linear: in Rec.709, unless its file states other primaries (`chromaticities` of EXR) or names another linear
 space, from which it is converted. White stays white (Bradford).
@@ -19,9 +19,10 @@ from torch import Tensor
 
 from data_tools.draws import Rng, stream
 from data_tools.readers.colours import colour_science
-from data_tools.readers.image_files import opened, turn_upright
-from data_tools.readers.photos import find_photos, holds_photos, read_photo
-from metapp.appearance.latlong import mean_luminance, resample, sphere_normals
+from data_tools.readers.image_files import opened, opens, turn_upright
+from data_tools.readers.listing import files_below
+from data_tools.readers.photos import find_photos
+from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
 from metapp.door import Conversion
 from metapp.learning.task import Task
@@ -56,16 +57,13 @@ _LINEAR = {  # OpenColorIO's name to that of colour-science
 }
 _REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # red, green, blue, white
 
-find = find_photos  # the names that every reader has
-recognises = holds_photos
-
 
 def is_latlong(height: int, width: int) -> bool:
     """Whether a picture is twice as wide as high, but for a row."""
     return abs(width - 2 * height) <= 2
 
 
-class _Header(NamedTuple):
+class Header(NamedTuple):
     """Type and size of a file's pixels."""
 
     kind: str
@@ -74,6 +72,7 @@ class _Header(NamedTuple):
 
     @property
     def is_hdr(self) -> bool:
+        """Whether they are floating-point values."""
         return self.kind in ("half", "float", "double")
 
     def __str__(self) -> str:
@@ -81,36 +80,11 @@ class _Header(NamedTuple):
 
 
 def read_task(path: Path, size: int = HEIGHT) -> Task:
-    """Turn an HDR map, or an LDR photograph of a sphere, into a task named by the file's stem.
+    """Turn an HDR map into a task named by the file's stem, as `map_task`; the photographs depend on the name alone.
 
     Args:
         path: the file.
-        size: rows of a map.
-
-    Returns:
-        Of a map, as `map_task`; of a photograph `photos` alone, uint8 [1, 3, 64, 64]: the central square, whose borders
-        the sphere should touch, black outside the disc.
-
-    Raises:
-        ValueError: as `read_map` and `data_tools.readers.photos.read_photo`; an LDR picture twice as wide as high; a
-            disc that is black.
-    """
-    header = _header(path)
-    if header.is_hdr:
-        return read_map_task(path, size)
-    if is_latlong(header.height, header.width):
-        raise ValueError(
-            f"{path}: {header} of {header.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or "
-            "crop the photograph to the sphere."
-        )
-    photo = read_photo(path, SIZE) * sphere_normals(SIZE)[1]
-    if not photo.any():
-        raise ValueError(f"{path}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
-    return Task(path.stem, {"photos": photo[None]})
-
-
-def read_map_task(path: Path, size: int = HEIGHT) -> Task:
-    """As `read_task`, for maps only; the photographs are the same for the same name.
+        size: rows of the map.
 
     Raises:
         ValueError: as `read_map`.
@@ -121,8 +95,8 @@ def read_map_task(path: Path, size: int = HEIGHT) -> Task:
 
 def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
     """How maps become tasks."""
-    read, notes = partial(read_map_task, size=size), {"made_by": "metapp data laval", "rows": size}
-    return Conversion("illumination", "map", UNITS, find_maps, read, notes)
+    read, notes = partial(read_task, size=size), {"made_by": "metapp data laval", "rows": size}
+    return Conversion("illumination", "map", UNITS, find, read, notes)
 
 
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
@@ -146,8 +120,18 @@ def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
     return Task(name, {"map": light, "scale": scale, "photos": (photos * 255).round().to(torch.uint8)})
 
 
-def find_maps(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find HDR maps: in folders by their suffix, at any depth; named files as they are.
+def is_map(path: Path) -> bool:
+    """Whether a file is an HDR image, which holds floating-point values."""
+    return path.suffix.lower() in _SUFFIXES or (opens(path) and header_of(path).is_hdr)
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is an HDR image, or a folder with one below it."""
+    return any(map(is_map, files_below(path) if path.is_dir() else [path]))
+
+
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find HDR maps: in folders at any depth; named files as they are.
 
     Returns:
         The files, each once, those of a folder sorted; and a line for each other file of a folder.
@@ -159,7 +143,7 @@ def find_maps(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     skipped: list[str] = []
     for path in map(Path, paths):
         found, lines = find_photos([path])
-        others = [file for file in found if path.is_dir() and file.suffix.lower() not in _SUFFIXES]
+        others = [file for file in found if path.is_dir() and not is_map(file)]
         if len(others) == len(found):
             raise ValueError(f"{path}: no map in this folder, {_EXPECTED}; name the folder of the maps.")
         maps += [file for file in found if file not in others]
@@ -185,7 +169,7 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
             px; channels other than RGB or Y; no linear space; NaN, infinite or negative values; a black map.
     """
     path = Path(path)
-    header = _header(path)
+    header = header_of(path)
     if not header.is_hdr:
         raise ValueError(
             f"{path}: an LDR image ({header.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
@@ -207,10 +191,11 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
     return light
 
 
-def _header(path: Path) -> _Header:
+def header_of(path: Path) -> Header:
+    """Type and size of an image; ValueError where it is none."""
     with opened(path) as source:
         spec = source.spec()
-        return _Header(str(spec.format), spec.width, spec.height)
+        return Header(str(spec.format), spec.width, spec.height)
 
 
 def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:

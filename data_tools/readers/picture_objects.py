@@ -119,8 +119,11 @@ def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, 
         path = folder / name
         try:
             path = write(folder)
-            task: Task = next(form for form in inputs_of(app) if form.recognises(path)).read(path, how)
-            return task
+            forms = inputs_of(app)
+            readers = [form for form in forms if form.recognises(path)]
+            if not readers:
+                raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
+            return readers[0].read(path, how)
         except ValueError as error:
             text = str(error).replace(str(path), path.stem)
             raise ValueError(text.replace(f"{folder}/", "")) from None

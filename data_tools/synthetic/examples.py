@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from data_tools.balls.view import Floats, mirrored
 from data_tools.draws import stream
 from data_tools.synthetic import brdf, cornell, illumination, svbrdf_nonstationary, svbrdf_stationary, texture
 from metapp.appearance.colour import linear_to_srgb
@@ -115,13 +115,16 @@ def _write_illumination(map_file: Path, ball_file: Path) -> None:
     places = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2
     disc = np.stack(np.meshgrid(places / _BALL, -places / _BALL))
     behind = np.stack([*(disc * 0.3), np.full(disc.shape[1:], -1.0)])
-    towards = np.where(np.hypot(*disc) < 1, mirrored(disc), behind / np.linalg.norm(behind, axis=0))
+    reach = np.hypot(*disc)
+    psi = 2 * np.arcsin(reach.clip(max=1))  # between view and reflection
+    mirrored = np.stack([*(np.sin(psi) * (disc / reach)), np.cos(psi)])
+    towards = np.where(reach < 1, mirrored, behind / np.linalg.norm(behind, axis=0))
     seen = _looked_up(light, towards).unflatten(2, (_SIDE, 2)).unflatten(1, (_SIDE, 2)).mean((2, 4))
     exposed = seen * (0.4 / seen.mean())
     _write_picture(255 * linear_to_srgb(exposed.clamp(0, 1)), ball_file)
 
 
-def _looked_up(light: Tensor, towards: Floats) -> Tensor:
+def _looked_up(light: Tensor, towards: NDArray[np.floating]) -> Tensor:
     """Radiance [3, H, W] of a map in directions [3, H, W]."""
     texels = texel_of(torch.from_numpy(towards), *light.shape[1:])
     return light.flatten(1)[:, texels]

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from data_tools.draws import stream
 from data_tools.readers import latlong
-from data_tools.readers.latlong import find_maps, map_task, read_map, read_map_task, read_task
-from metapp.appearance.latlong import mean_luminance, resample, solid_angles, sphere_normals
+from data_tools.readers.latlong import find, map_task, read_map, read_task
+from metapp.appearance.latlong import mean_luminance, resample, solid_angles
 from tests.pictures import check_refused, planes, truncated, write
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
@@ -154,7 +154,7 @@ def test_a_map_becomes_a_task(tmp_path: Path) -> None:
     assert task.data["scale"].item() == pytest.approx(mean_luminance(planes(values)).item(), rel=1e-5)
     values = radiance()
     first, again, other = (
-        read_map_task(write(tmp_path / name, values)).data["photos"] for name in ("a.exr", "sub/a.tif", "b.exr")
+        read_task(write(tmp_path / name, values)).data["photos"] for name in ("a.exr", "sub/a.tif", "b.exr")
     )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
@@ -167,25 +167,6 @@ def test_a_map_becomes_a_task(tmp_path: Path) -> None:
     assert task.data["scale"].item() == pytest.approx(mean_luminance(light).item())
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.bmp"])
-def test_an_ldr_picture_is_a_photograph_of_a_sphere(tmp_path: Path, name: str) -> None:
-    task = read_task(write(tmp_path / name, ball(80), "uint8"))
-    assert task.name == "a"
-    assert list(task.data) == ["photos"]
-    photos = task.data["photos"]
-    assert photos.shape == (1, 3, 64, 64)
-    assert photos.dtype == torch.uint8
-    mask = sphere_normals(64)[1]
-    assert (photos[..., ~mask] == 0).all()
-    assert (photos[..., mask] > 0).float().mean() > 0.99
-
-
-def test_of_a_photograph_the_central_square_counts(tmp_path: Path) -> None:
-    wide = np.pad(ball(), ((0, 0), (16, 16), (0, 0)))
-    pictures = (write(tmp_path / f"{values.shape[1]}.png", values, "uint8") for values in (wide, ball()))
-    assert torch.equal(*(read_task(path).data["photos"] for path in pictures))
-
-
 # Files
 
 
@@ -194,18 +175,18 @@ def test_what_is_recognised_and_found(tmp_path: Path) -> None:
         write(tmp_path / name, radiance(32, 64))
     write(tmp_path / "b.png", ball(), "uint8")
     (tmp_path / "notes.txt").write_text("about")
-    for name in ("", "sub", "b.exr", "b.png"):
+    for name in ("", "sub", "b.exr"):
         assert latlong.recognises(tmp_path / name)
-    assert not latlong.recognises(tmp_path / "notes.txt")
-    assert [file.name for file in latlong.find([tmp_path])[0]] == ["b.exr", "b.png", "a.HDR"]
-    found, skipped = find_maps([tmp_path, tmp_path / "sub" / "a.HDR"])
+    for name in ("notes.txt", "b.png"):
+        assert not latlong.recognises(tmp_path / name)
+    found, skipped = find([tmp_path, tmp_path / "sub" / "a.HDR"])
     assert [file.name for file in found] == ["b.exr", "a.HDR"]
     assert [line.partition(": ")[0] for line in skipped] == [str(tmp_path / name) for name in ("notes.txt", "b.png")]
-    assert find_maps([tmp_path / "b.png"]) == ([tmp_path / "b.png"], [])  # reading it says what is wrong
+    assert find([tmp_path / "b.png"]) == ([tmp_path / "b.png"], [])  # reading it says what is wrong
     (tmp_path / "b.exr").unlink()
     (tmp_path / "sub" / "a.HDR").unlink()
     with pytest.raises(ValueError, match="no map in this folder, expected an HDR map"):
-        find_maps([tmp_path])
+        find([tmp_path])
 
 
 # What is refused
@@ -255,13 +236,4 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
 @pytest.mark.parametrize("kind", BAD)
 def test_what_is_no_map_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     make, message = BAD[kind]
-    check_refused(read_map_task, make(tmp_path), message)
-
-
-def test_what_is_no_sphere_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"a.png: 128x64 px of uint8, expected an HDR map .* or a photograph"):
-        read_task(picture("a.png", 64, 128)(tmp_path))
-    values = ball()
-    values[sphere_normals(64)[1].numpy()] = 0
-    with pytest.raises(ValueError, match=r"a.png: black inside the disc"):
-        read_task(write(tmp_path / "a.png", values, "uint8"))
+    check_refused(read_task, make(tmp_path), message)

@@ -11,10 +11,10 @@ import pytest
 import torch
 from PIL import Image
 
-from data_tools.balls import reading
 from data_tools.readers import flash, latlong, photos, svbrdf_inputs
 from data_tools.readers.picture_objects import SIDE as EVALUATED
 from data_tools.readers.picture_objects import flash_photo, light, material, texture
+from metapp.extensions.capture.ball import reading
 from metapp.learning.task import Task
 from tests.pictures import noise, write
 
@@ -151,7 +151,7 @@ LIGHT = np.random.default_rng(0).uniform(0.1, 20, (32, 64, 3)).astype(np.float32
 @pytest.mark.parametrize("source", [LIGHT, torch.from_numpy(LIGHT), LIGHT.astype(np.float64)])
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 def test_a_map_of_light_is_read_as_its_file_is(source: object, observe: str, tmp_path: Path) -> None:
-    task = reading.read_task(write(tmp_path / "object.exr", LIGHT))
+    task = latlong.read_task(write(tmp_path / "object.exr", LIGHT))
     assert same(read(light, source, observe), task)
 
 
@@ -171,7 +171,7 @@ def test_a_ball_in_memory_is_a_photo(tmp_path: Path) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     ball = (np.clip(1 - x * x - y * y, 0, None) ** 0.5)[..., None] * np.array([1, 0.8, 0.6])
     eight = (ball * 255 + 0.5).astype(np.uint8)
-    task = latlong.read_task(write(tmp_path / "object.png", eight))
+    task = reading.read_task(write(tmp_path / "object.png", eight))
     assert task.data.keys() == {"photos"}
     assert same(read(light, eight, "reference"), task)
     assert same(read(light, eight / 255, "photo"), task)

@@ -9,12 +9,12 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from data_tools.balls.view import Ball
 from metapp.appearance.colour import linear_to_srgb
 from metapp.cli.commands import app
+from metapp.extensions.capture.ball.view import Ball
 from metapp.storage.images import write_png
 from metapp.storage.shards import check_shard, read_shard
-from tests.ball_photos import detailed, photograph
+from tests.extensions.capture.ball_photos import detailed, photograph
 
 
 @pytest.fixture

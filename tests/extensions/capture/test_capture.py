@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.balls.shots import Shot, disc
-from data_tools.balls.view import Ball, mirrored
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import directions
 from metapp.extensions.capture.ball.alignment import aligned, changed
 from metapp.extensions.capture.ball.capture import Settings, capture, recovered
 from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed
+from metapp.extensions.capture.ball.shots import Shot, disc
+from metapp.extensions.capture.ball.view import Ball, mirrored
 from metapp.storage.images import write_png
-from tests.ball_photos import busy, detailed, photograph
+from tests.extensions.capture.ball_photos import busy, detailed, photograph
 
 TIMES = (1 / 20, 1 / 60, 1 / 240)
 

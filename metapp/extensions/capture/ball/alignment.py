@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from data_tools.balls.shots import Shot, disc
-from data_tools.balls.view import Floats, mirrored
+from metapp.extensions.capture.ball.shots import Shot, disc
+from metapp.extensions.capture.ball.view import Floats, mirrored
 
 _DARK, _BRIGHT = 0.003, 0.85  # linear values that two photographs are compared by
 _LEVELS = (40, 80, 160)  # px of the discs that are compared, coarse to fine

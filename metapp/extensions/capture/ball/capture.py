@@ -12,10 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.balls.photo import photo_of
-from data_tools.balls.shots import FOUND, Shot, disc, gray_of, lens_of, searched, shot_of
-from data_tools.balls.unwrap import unwrapped
-from data_tools.balls.view import Ball, Floats, mirrored
 from data_tools.readers.image_files import Pixels, read_pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.illumination.mirror import CLIPPED
@@ -29,6 +25,10 @@ from metapp.extensions.capture.ball.exposures import (
     parsed,
     recovered_curve,
 )
+from metapp.extensions.capture.ball.photo import photo_of
+from metapp.extensions.capture.ball.shots import FOUND, Shot, disc, gray_of, lens_of, searched, shot_of
+from metapp.extensions.capture.ball.unwrap import unwrapped
+from metapp.extensions.capture.ball.view import Ball, Floats, mirrored
 from metapp.learning.task import Task
 
 ROWS = 64

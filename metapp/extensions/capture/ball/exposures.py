@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from data_tools.balls.view import Floats
 from data_tools.readers.image_files import is_heif, opened
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.apps.illumination.mirror import CLIPPED
+from metapp.extensions.capture.ball.view import Floats
 
 DARK = 0.03  # display value that says little
 

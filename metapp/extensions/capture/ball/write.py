@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.balls.shots import Shot
 from data_tools.readers.image_files import read_pixels
 from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.ball.capture import Capture, task_of
+from metapp.extensions.capture.ball.shots import Shot
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.shards import ShardWriter
 

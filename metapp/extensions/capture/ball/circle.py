@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, uniform_filter
 from scipy.optimize import minimize
 
-from data_tools.balls.view import Ball, Floats, Lens, sampled
+from metapp.extensions.capture.ball.view import Ball, Floats, Lens, sampled
 
 SEARCHED_PX = 160  # longer side of the picture that is searched
 REFINED_PX = 150  # radius that the contour is refined at, or less

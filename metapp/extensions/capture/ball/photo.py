@@ -9,15 +9,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.balls.circle import score_of
-from data_tools.balls.mirror import is_mirror
-from data_tools.balls.shots import FOUND, Shot, disc, gray_of, lens_of, searched, shot_of
-from data_tools.balls.unwrap import unwrapped
-from data_tools.balls.view import Ball, Lens, mirrored
 from data_tools.readers.image_files import Pixels, read_pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import sphere_normals
 from metapp.apps.illumination.mirror import CLIPPED
+from metapp.extensions.capture.ball.circle import score_of
+from metapp.extensions.capture.ball.mirror import is_mirror
+from metapp.extensions.capture.ball.shots import FOUND, Shot, disc, gray_of, lens_of, searched, shot_of
+from metapp.extensions.capture.ball.unwrap import unwrapped
+from metapp.extensions.capture.ball.view import Ball, Lens, mirrored
 from metapp.learning.task import Task
 
 SIZE = 64  # px of the photograph of the ball alone
@@ -26,12 +26,12 @@ _BETTER = 1.2  # of its score, that another ball must have
 _SAME = 0.03  # of the radius, by which a ball may miss the central square's circle and be taken for that
 
 
-def read_photo(path: Path, task: Task, size: int, fov_rad: float) -> Task:
+def with_ball(path: Path, task: Task, size: int, fov_rad: float) -> Task:
     """The task of a photograph as its central square shows it, with what the ball in it tells.
 
     Args:
         path: the file.
-        task: what `latlong.read_task` makes of it.
+        task: of that square.
         size: rows of a map.
         fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
     """

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from data_tools.balls.shots import Shot, disc
-from data_tools.balls.view import Floats, mirrored
 from metapp.appearance.colour import linear_to_srgb
+from metapp.extensions.capture.ball.shots import Shot, disc
+from metapp.extensions.capture.ball.view import Floats, mirrored
 
 SIZE = 128  # px that a ball is looked at
 LEAST_PX = 40  # radius of a ball that can be told

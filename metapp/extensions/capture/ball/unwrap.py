@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.balls.view import Floats, sampled, seen_at
 from metapp.appearance.latlong import directions
+from metapp.extensions.capture.ball.view import Floats, sampled, seen_at
 
 SHARP = math.pi / 64  # rad a pixel: a texel of a map of 64 rows; what is seen so is seen
 BLURRED = 4 * SHARP  # what is seen so, is not

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_tools.balls.circle import best_ball, resized
-from data_tools.balls.view import Ball, Floats, Lens, sampled, seen_at
 from data_tools.readers.image_files import Pixels
 from data_tools.readers.photos import field_of_view, linear_light
 from metapp.appearance.colour import linear_to_srgb
+from metapp.extensions.capture.ball.circle import best_ball, resized
+from metapp.extensions.capture.ball.view import Ball, Floats, Lens, sampled, seen_at
 
 FOUND = 0.34  # least score of a ball
 LARGEST_PX = 1024  # the ball's diameter, of what is kept of a photograph

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from data_tools.balls.view import Ball, Lens, mirrored, seen_at
+from metapp.extensions.capture.ball.view import Ball, Lens, mirrored, seen_at
 
 ANGLES = (0.0, 0.02, 0.3, 1.0)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from data_tools.balls.circle import best_ball
-from data_tools.balls.shots import FOUND
-from data_tools.balls.view import Ball, Lens
-from tests.ball_photos import busy, detailed, photograph
+from metapp.extensions.capture.ball.circle import best_ball
+from metapp.extensions.capture.ball.shots import FOUND
+from metapp.extensions.capture.ball.view import Ball, Lens
+from tests.extensions.capture.ball_photos import busy, detailed, photograph
 
 
 def gray(linear: np.ndarray) -> np.ndarray:

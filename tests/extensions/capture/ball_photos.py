@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_tools.balls.shots import disc
-from data_tools.balls.view import Ball, Floats, mirrored
+from metapp.extensions.capture.ball.shots import disc
+from metapp.extensions.capture.ball.view import Ball, Floats, mirrored
 
 
 def light(towards: Floats) -> Floats:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.balls.shots import disc, lens_of
-from data_tools.balls.unwrap import unwrapped
-from data_tools.balls.view import Lens, mirrored
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.latlong import directions
-from tests.ball_photos import light
+from metapp.extensions.capture.ball.shots import disc, lens_of
+from metapp.extensions.capture.ball.unwrap import unwrapped
+from metapp.extensions.capture.ball.view import Lens, mirrored
+from tests.extensions.capture.ball_photos import light
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.1, 0.4])

@@ -1,0 +1,62 @@
+"""LDR photographs of balls, as tasks of illumination."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from data_tools.readers import latlong
+from data_tools.readers.listing import files_below
+from data_tools.readers.photos import find_photos, is_photo, read_photo
+from metapp.appearance.latlong import sphere_normals
+from metapp.learning.task import Task
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is an LDR image, or a folder with one below it."""
+    return any(is_photo(file) and not latlong.is_map(file) for file in (files_below(path) if path.is_dir() else [path]))
+
+
+def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """All LDR images; as `data_tools.readers.photos.find_photos`."""
+    files, skipped = find_photos(paths)
+    return [file for file in files if not latlong.is_map(file)], skipped
+
+
+def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
+    """Turn an LDR photograph of a ball into a task named by the file's stem.
+
+    The ball is found in the photograph, unless one that touches the borders of the central square explains it as well,
+    or none is found: then that square is taken.
+
+    Args:
+        path: the file.
+        size: rows of a map.
+        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+
+    Returns:
+        `photos` uint8 [1, 3, 64, 64], black outside the ball; of one that is surely a mirror also `seen` and `certain`,
+        as of `metapp.extensions.capture.ball.unwrap.unwrapped`, 1 where the photograph is white.
+
+    Raises:
+        ValueError: as `data_tools.readers.photos.read_photo`; a picture twice as wide as high; a disc that is black.
+    """
+    from metapp.extensions.capture.ball.photo import (
+        with_ball,
+    )  # here: it imports scipy, which `recognises` does not need
+
+    return with_ball(path, _central_square(path), size, fov_rad)
+
+
+def _central_square(path: Path) -> Task:
+    """The task of a photograph whose central square's borders a ball touches."""
+    header = latlong.header_of(path)
+    if latlong.is_latlong(header.height, header.width):
+        raise ValueError(
+            f"{path}: {header} of {header.kind}, expected an HDR map (.exr or .hdr) or a photograph of a sphere; "
+            "export the map as HDR, or crop the photograph to the sphere."
+        )
+    photo = read_photo(path, latlong.SIZE) * sphere_normals(latlong.SIZE)[1]
+    if not photo.any():
+        raise ValueError(f"{path}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
+    return Task(path.stem, {"photos": photo[None]})

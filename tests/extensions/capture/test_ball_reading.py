@@ -1,0 +1,153 @@
+"""Photographs of balls as inputs of fits: old ones stay as they are, a mirror says what it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.readers.photos import read_photo
+from data_tools.readers.picture_objects import light as light_of
+from metapp import door
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.latlong import directions, sphere_normals
+from metapp.extensions.capture.ball import reading
+from metapp.extensions.capture.ball.mirror import features, is_mirror
+from metapp.extensions.capture.ball.reading import read_task
+from metapp.extensions.capture.ball.shots import Shot
+from metapp.extensions.capture.ball.view import Ball
+from metapp.storage.images import write_png
+from tests.extensions.capture.ball_photos import detailed, light, photograph
+from tests.pictures import write
+
+
+def written(path: Path, linear: np.ndarray) -> Path:
+    display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
+    write_png(display, {"encoding": "sRGB"}, path)
+    return path
+
+
+def room(towards: np.ndarray) -> np.ndarray:
+    """With edges and dark things, as a mirror needs to be known."""
+    boxes = np.sign(np.sin(14 * towards[0])) * np.sign(np.sin(11 * towards[1])) * np.sign(np.sin(9 * towards[2] + 1))
+    return detailed(towards) * np.where(boxes > 0, 1.0, 0.08)
+
+
+def matte() -> np.ndarray:
+    """A square photograph of a matte ball that touches the borders."""
+    normals, mask = sphere_normals(160, dtype=torch.float64)
+    return ((0.3 + 0.25 * normals[:1] + 0.3 * normals[1:2]).clamp_min(0.02) * mask).repeat(3, 1, 1).numpy()
+
+
+def noise(size: int = 64) -> np.ndarray:
+    """A picture that is bright all over, uint8 [size, size, 3]."""
+    return np.random.default_rng(0).integers(60, 256, (size, size, 3), dtype=np.uint8)
+
+
+def eight() -> np.ndarray:
+    """The matte ball as sRGB, uint8 [160, 160, 3]."""
+    return (linear_to_srgb(torch.from_numpy(matte())) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
+
+
+def square(path: Path) -> torch.Tensor:
+    """The central square of a photograph, [1, 3, 64, 64], black outside its disc."""
+    return (read_photo(path, 64) * sphere_normals(64)[1])[None]
+
+
+def test_a_ball_that_touches_the_borders_is_read_as_ever(tmp_path: Path) -> None:
+    path = written(tmp_path / "matte.png", matte())
+    read = read_task(path).data
+    assert read.keys() == {"photos"}
+    assert torch.equal(read["photos"], square(path))
+
+
+def test_a_matte_ball_elsewhere_is_cropped_to_it(tmp_path: Path) -> None:
+    picture = np.full((3, 240, 320), 0.6)
+    mask = sphere_normals(160)[1].numpy()
+    picture[:, 60:220, 130:290] = np.where(mask, matte(), 0.6)
+    read = read_task(written(tmp_path / "matte.png", picture)).data
+    assert read.keys() == {"photos"}
+    other = square(written(tmp_path / "cropped.png", matte()))
+    inside = sphere_normals(64)[1] & (torch.from_numpy(np.hypot(*np.mgrid[-31.5:32, -31.5:32])) < 30)
+    assert (read["photos"].float() - other.float()).abs()[..., inside].mean() < 3
+
+
+def test_of_a_mirror_what_it_shows_is_read(tmp_path: Path) -> None:
+    ball = Ball(150, 120, 80)
+    read = read_task(written(tmp_path / "mirror.png", photograph(ball, 220, 300, 0.9, room)), 32).data
+    assert read["seen"].shape == (3, 32, 64)
+    assert read["certain"].shape == (2, 32, 64)
+    true = torch.from_numpy(room(directions(32, 64, dtype=torch.float64).numpy())).float()
+    certain = read["certain"][0] > 0.99
+    assert certain.float().mean() > 0.7
+    assert (read["seen"] - true)[:, certain].abs().median() < 0.03
+
+
+@pytest.mark.parametrize("lit", [light, detailed])
+def test_what_may_be_matte_is_no_mirror(lit: object) -> None:
+    values = matte().astype(np.float32)
+    assert not is_mirror(Shot(values, Ball(80, 80, 80)))
+    smooth = photograph(Ball(80, 80, 78), 160, 160, 0.05, light).astype(np.float32)
+    assert not is_mirror(Shot(smooth, Ball(80, 80, 78)))
+
+
+def test_a_small_ball_is_not_told() -> None:
+    sharp = photograph(Ball(80, 80, 78), 160, 160, 0.05, room).astype(np.float32)
+    assert is_mirror(Shot(sharp, Ball(80, 80, 78)))
+    assert not is_mirror(Shot(sharp, Ball(80, 80, 30)))
+    assert np.isfinite(features(np.zeros((3, 128, 128)))).all()
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.bmp"])
+def test_an_ldr_picture_is_a_photograph_of_a_ball(tmp_path: Path, name: str) -> None:
+    task = read_task(write(tmp_path / name, eight(), "uint8"))
+    assert task.name == "a"
+    assert list(task.data) == ["photos"]
+    photos = task.data["photos"]
+    assert photos.shape == (1, 3, 64, 64)
+    assert photos.dtype == torch.uint8
+    mask = sphere_normals(64)[1]
+    assert (photos[..., ~mask] == 0).all()
+    assert (photos[..., mask] > 0).float().mean() > 0.99
+
+
+def test_of_a_photograph_the_central_square_counts(tmp_path: Path) -> None:
+    wide = np.pad(eight(), ((0, 0), (40, 40), (0, 0)))
+    pictures = (write(tmp_path / f"{values.shape[1]}.png", values, "uint8") for values in (wide, eight()))
+    assert torch.equal(*(read_task(path).data["photos"] for path in pictures))
+
+
+def test_what_is_no_ball_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"a.png: 128x64 px of uint8, expected an HDR map .* or a photograph"):
+        read_task(write(tmp_path / "a.png", noise(128)[:64], "uint8"))
+    values = noise()
+    values[sphere_normals(64)[1].numpy()] = 0
+    with pytest.raises(ValueError, match=r"a.png: black inside the disc"):
+        read_task(write(tmp_path / "a.png", values, "uint8"))
+
+
+def test_ldr_images_are_recognised_and_found(tmp_path: Path) -> None:
+    write(tmp_path / "sub" / "a.png", noise(), "uint8")
+    write(tmp_path / "sky.exr", np.ones((32, 64, 3), np.float32))
+    write(tmp_path / "sky.tif", np.ones((32, 64, 3), np.float32))
+    for name in ("", "sub", "sub/a.png"):
+        assert reading.recognises(tmp_path / name)
+    for name in ("sky.exr", "sky.tif"):
+        assert not reading.recognises(tmp_path / name)
+    assert reading.find([tmp_path])[0] == [tmp_path / "sub" / "a.png"]
+
+
+def test_without_the_extension_photos_are_refused_by_its_name(
+    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photo = write(tmp_path / "a.png", noise(), "uint8")
+    monkeypatch.setenv(door.WITHOUT, "capture")
+    assert (
+        "a.png: not an input of illumination, expected HDR maps (.exr, .hdr), or a folder of these; the extension "
+        "capture reads it"
+    ) in metapp("meta", "illumination", photo, "--observe", "photo").refusal
+    with pytest.raises(ValueError, match=r"object: a picture, expected HDR maps"):
+        light_of(noise(), "object", {"observe": "photo"})
