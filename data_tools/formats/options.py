@@ -17,3 +17,13 @@ FOV_OF_FITS = Option(
     convert=math.radians,
     passed_as="fov_rad",
 )
+EXPOSURE = Option(
+    "exposure",
+    0.0,
+    "Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
+    "STOPS",
+    low=-4.0,
+    high=4.0,
+    protocol="photo",
+    of_inputs=True,
+)

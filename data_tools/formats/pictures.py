@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from data_tools.formats.options import FOV_OF_FITS
+from data_tools.formats.options import EXPOSURE, FOV_OF_FITS
 from metapp.door import Converter, Format, InMemory, Option
 
 SIZE = Option("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
@@ -15,16 +15,6 @@ FOV = Option(
     high=150.0,
 )
 FIT_FOV = FOV_OF_FITS._replace(help="Camera field of view along the shorter side; default: from EXIF, else 45.")
-EXPOSURE = Option(
-    "exposure",
-    0.0,
-    "Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
-    "STOPS",
-    low=-4.0,
-    high=4.0,
-    protocol="photo",
-    of_inputs=True,
-)
 NORMALS = Option(
     "normals",
     "auto",
@@ -149,14 +139,6 @@ OFFERS = (
         command=Converter(
             MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", (SIZE, NORMALS), MAPS_SPLIT
         ),
-    ),
-    Format(
-        "placed",
-        "svbrdf_nonstationary",
-        "data_tools.readers.placed_photos",
-        "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
-        takes=("size",),
-        options=(EXPOSURE,),
     ),
     Format(
         "strips",

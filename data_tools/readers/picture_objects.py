@@ -123,7 +123,8 @@ def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, 
             readers = [form for form in forms if form.recognises(path)]
             if not readers:
                 raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
-            return readers[0].read(path, how)
+            task: Task = readers[0].read(path, how)
+            return task
         except ValueError as error:
             text = str(error).replace(str(path), path.stem)
             raise ValueError(text.replace(f"{folder}/", "")) from None

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from data_tools.readers import material_maps, placed_photos, strips
+from data_tools.readers import material_maps, strips
+from data_tools.readers.flash_places import TEXTS, placed_in
 from data_tools.readers.image_files import check_exists
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
 from data_tools.readers.svbrdf_task import UNITS, rightly_exposed, task_name
@@ -20,14 +21,14 @@ def recognises(path: Path) -> bool:
     """Whether a path is an image file, or a folder with one below it that is not among those with places."""
     if not path.is_dir():
         return holds_photos(path)
-    placed = placed_photos.placed_in(path)
+    placed = placed_in(path)
     return holds_photos(path) and (not placed or bool(_elsewhere(find_photos([path])[0], placed)))
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     """All strips and photographs, and one file of each material that is kept as maps.
 
-    Of folders, those below them with the places of several photographs are left out (`placed_photos`).
+    Of folders, those with the places of several photographs are left out, as of `data_tools.readers.flash_places`.
 
     Returns:
         The files, each once, and a line for each other file of a folder.
@@ -36,8 +37,8 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
         ValueError: as `data_tools.readers.photos.find_photos`.
     """
     named = list(map(Path, paths))
-    files, skipped = find_photos(named, expected=(DESCRIPTION, *placed_photos.TEXTS))
-    placed = [folder for path in named if path.is_dir() for folder in placed_photos.placed_in(path)]
+    files, skipped = find_photos(named, expected=(DESCRIPTION, *TEXTS))
+    placed = [folder for path in named if path.is_dir() for folder in placed_in(path)]
     files = [file for file in files if file in named or _elsewhere([file], placed)]
     stands_for: dict[Path, Path | None] = {}
     for folder in {file.parent for file in files}:

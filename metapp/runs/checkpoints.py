@@ -39,7 +39,7 @@ def find_checkpoint(plan: Plan) -> Plan:
         return replace(plan, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
     needed, *tuned = needs
     path = _checkpoint_path(plan, needed)
-    prepared, info = load_checkpoint(path, plan.device)
+    prepared, info = load_checkpoint(path, plan.device, _shipped(plan, "general"))
     app, name = info.get("app"), info.get("checkpoint")
     if (app, name) != (plan.app.name, needed):
         a_rule = isinstance(name, str) and name not in paradigms()
@@ -88,7 +88,7 @@ def has_general(plan: Plan) -> bool:
     """
     if trained_path(plan, "general").is_file():
         return True
-    return not plan.request.data and ships(plan.app.name, plan.request.recipe) and _shipped(plan, "general").is_file()
+    return not plan.request.data and _has_shipped(plan) and _shipped(plan, "general").is_file()
 
 
 def _of_app(plan: Plan) -> Path:
@@ -148,7 +148,7 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
             return path
         _say_other_recipe(plan, name)
     path = _shipped(plan, name)
-    if path.is_file() and ships(plan.app.name, request.recipe):
+    if path.is_file() and _has_shipped(plan):
         return path
     raise ValueError(
         f"{name_of(plan.app)} {name}, recipe {request.recipe}: no checkpoint, neither trained on this data nor "
@@ -165,8 +165,12 @@ def _say_other_recipe(plan: Plan, name: str) -> None:
             say(f"warning: {path} is used with --recipe {recipe} alone; here the recipe is {plan.request.recipe}.")
 
 
+def _has_shipped(plan: Plan) -> bool:
+    return ships(plan.app.name, plan.request.recipe, plan.request.observe)
+
+
 def _shipped(plan: Plan, name: str) -> Path:
-    return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.request.recipe)
+    return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.request.recipe, plan.request.observe)
 
 
 def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:

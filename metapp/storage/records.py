@@ -30,7 +30,6 @@ Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
 SMALL_BYTES = 2**16  # of a record file: below it replaced lines stay
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
-SHARED = "full"  # the recipe whose General those of the same network share
 FLOATS = (torch.half, torch.float32, torch.float64)
 
 NUMBER, OPTIONAL = int | float, int | float | None
@@ -91,12 +90,18 @@ def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous:
     write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
 
 
-def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, Document]:
+def load_checkpoint(
+    path: Path, device: torch.device | str = "cpu", general: Path | None = None
+) -> tuple[MetaParameters, Document]:
     """Read a checkpoint; what is stored in half precision becomes float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
-    that of its protocol, such as `general-photo.safetensors`; else from one of these in the folder SHARED beside its
-    own.
+    that of its protocol, such as `general-photo.safetensors`.
+
+    Args:
+        path: the file.
+        device: where its tensors go.
+        general: another file of General that it may name.
 
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
@@ -122,20 +127,24 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
         prepared = MetaParameters.unflat(tensors)
-        return (_with_general(path, prepared, info["general"], device) if "general" in info else prepared), info
+        return (
+            _with_general(path, prepared, info["general"], device, general) if "general" in info else prepared
+        ), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
             f"{path}: not a checkpoint that metapp wrote (safetensors with its description); train one with --train."
         ) from None
 
 
-def _with_general(path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str) -> MetaParameters:
+def _with_general(
+    path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str, other: Path | None
+) -> MetaParameters:
     """The checkpoint with the encoder of the General that it names; General's own names none."""
     names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # a protocol's own has its name
-    folders = (path.parent, path.absolute().parent.with_name(SHARED))
-    for beside in (folder / f"{name}.safetensors" for folder in folders for name in names):
-        if beside.is_file() and beside != path:
-            encoder = load_checkpoint(beside, device)[0].encoder
+    files = [path.with_name(f"{name}.safetensors") for name in names]
+    for file in [*files, other] if other else files:
+        if file.is_file() and file != path:
+            encoder = load_checkpoint(file, device)[0].encoder
             if tensor_digest(encoder) == wanted:
                 return prepared._replace(encoder=encoder)
     raise ValueError(

@@ -105,25 +105,6 @@ def test_they_say_what_they_are(name: str, recipe: str) -> None:
             assert info["encoder"] == encoder, stem
 
 
-def test_those_of_several_photos_share_the_general_of_one() -> None:
-    """Their own are two small files; all else that a recipe looks for is that of "full"."""
-    name = "svbrdf_nonstationary"
-    assert {path.name for path in (PACKAGE / name / "several").glob("*.safetensors")} == {
-        "quickft-photo.safetensors",
-        "meta-encoder-photo.safetensors",
-    }
-    general = start_of(name, "general-photo", FULL).encoder
-    for each in ("quickft-photo", "meta-encoder-photo"):
-        path = shipped_path(name, each, "several")
-        prepared, info = load_checkpoint(path)
-        assert path.stat().st_size < 2e5
-        assert (info["recipe"], info["observe"], info["encoder"]) == ("several", "photo", tensor_digest(general))
-        assert info["inner_steps"] == recipes_of(name, "photo")["several"].steps
-        assert not prepared.encoder or tensor_digest(prepared.encoder) == tensor_digest(general)
-    assert shipped_path(name, "general-photo", "several") == shipped_path(name, "general-photo", FULL)
-    assert shipped_path(name, "general", QUICK).parent == PACKAGE / name
-
-
 def test_they_are_small() -> None:
     for name in app_names():
         for path in files_of(name, QUICK).values():

@@ -18,9 +18,6 @@ from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
 
 SIDE, COUNT = 16, 3
 
@@ -210,20 +207,3 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
     mirrored = places[1:] * torch.tensor([-1.0, -1.0, 1.0])
     assert (off(places[1:]) < off(mirrored)).all()
     assert off(places[1:]).mean() < 0.5 * off(mirrored).mean()
-
-
-@pytest.mark.slow
-def test_five_photos_say_more_than_one_by_default() -> None:
-    """By what ships: one photo by the recipe that a user gets, five by that of folders with places."""
-    tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
-    errors = {}
-    for recipe, paradigm in (("full", "meta"), ("several", "meta"), ("several", "quickft"), ("several", "general")):
-        by = find_checkpoint(
-            plan(Request("svbrdf_nonstationary", paradigm, observe="photo", recipe=recipe, quiet=True))
-        )
-        of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
-        theta = [by.paradigm.fit(by.job, by.prepared, stack(by.app, [task]), Generator()) for task in of]
-        found = [float(by.app.errors(each, stack(by.app, [t]))["error"]) for each, t in zip(theta, of, strict=True)]
-        errors[recipe, paradigm] = sum(found) / len(found)
-    assert errors["several", "quickft"] < 0.8 * errors["several", "general"]
-    assert errors["several", "meta"] < 0.8 * errors["full", "meta"]

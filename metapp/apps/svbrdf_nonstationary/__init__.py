@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, Chosen, Recipe, recipes_in
+from metapp.door import Application, recipes_in
 
 _HERE = "metapp.apps.svbrdf_nonstationary"
 OFFERS = (
@@ -28,12 +28,5 @@ OFFERS = (
     ),
     *recipes_in(
         "svbrdf_nonstationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")
-    ),
-    Recipe(
-        "svbrdf_nonstationary",
-        "several",
-        f"{_HERE}.recipes:RECIPES.photo.several",
-        "photo",
-        Chosen(("placed",), has="several photos", tensor="places"),
     ),
 )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_tools.readers.flash_places import read_places
+from metapp.extensions.several.places import read_places
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write
 

@@ -13,13 +13,13 @@ import pytest
 
 from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograph, take, tilted  # isort: skip
 
-from data_tools.readers import placed_photos
-from data_tools.readers.flash_places import read_places
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import field_of_view
 from metapp.extensions.capture.markers.pose import common_focal, pose_of
 from metapp.extensions.capture.markers.rectified import Placed, Set, Settings, place, rectified, write_set
 from metapp.extensions.capture.markers.sighting import find_sheet
+from metapp.extensions.several import photos as placed_photos
+from metapp.extensions.several.places import read_places
 from tests.pictures import STORED, noise, write
 
 LOOK = {"vignette": 0.3, "noise": 0.01}

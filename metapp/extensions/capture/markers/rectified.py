@@ -1,6 +1,6 @@
 """Photographs of the marker sheet, rectified to the opening.
 
-They are written to a folder that `data_tools.readers.placed_photos` reads.
+They are written to a folder that the format `placed` reads.
 """
 
 from __future__ import annotations

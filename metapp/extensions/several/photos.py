@@ -1,7 +1,7 @@
 """Several flash photographs of one flat material in a folder, rectified, with the places of camera and flash.
 
-The layout is that of Guo et al. 2020, "MaterialGAN": images in the order of their names, beside them the text files of
-`data_tools.readers.flash_places`. Such a folder is one task.
+The layout is that of Guo et al. 2020, "MaterialGAN": images in the order of their names, beside them text files, as
+`metapp.extensions.several.places` reads them. Such a folder is one task.
 """
 
 from __future__ import annotations
@@ -11,15 +11,13 @@ from pathlib import Path
 
 import torch
 
-from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE, read_places
+from data_tools.readers.flash_places import placed_in
 from data_tools.readers.image_files import opened
 from data_tools.readers.photos import SIZE as PX
 from data_tools.readers.photos import is_photo, read_photo
-from data_tools.readers.svbrdf_task import SEVERAL_UNITS, UNITS, rightly_exposed, task_name
+from data_tools.readers.svbrdf_task import rightly_exposed, task_name
+from metapp.extensions.several.places import read_places
 from metapp.learning.task import Task
-
-TEXTS = (CAMERA, LIGHT, SIZE, "light_power.txt")  # what lies beside the photographs; no fit reads the last one
-UNITS = UNITS | SEVERAL_UNITS
 
 
 def recognises(path: Path) -> bool:
@@ -30,13 +28,6 @@ def recognises(path: Path) -> bool:
 def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
     """The folders among these and below, each once; no lines, as nothing else is looked at."""
     return list({folder.resolve(): folder for path in paths for folder in placed_in(path)}.values()), []
-
-
-def placed_in(folder: Path) -> list[Path]:
-    """A folder and those below it that say so, sorted, hidden ones left out."""
-    below = sorted(path for path in folder.rglob("*") if path.is_dir())
-    shown = [path for path in below if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
-    return [path for path in (folder, *shown) if any((path / name).is_file() for name in (CAMERA, LIGHT))]
 
 
 def read_task(folder: Path, size: int = PX, exposure: float = 0.0) -> Task:
@@ -58,7 +49,6 @@ def read_task(folder: Path, size: int = PX, exposure: float = 0.0) -> Task:
             "give one photo by its name."
         )
     places = read_places(folder, len(paths))
-    assert places is not None
     shapes = {path: _shape(path) for path in paths}
     for path, (width, height) in shapes.items():
         if width != height or (width, height) != shapes[paths[0]]:

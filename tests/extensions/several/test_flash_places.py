@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE, read_places
+from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+from metapp.extensions.several.places import read_places
 
 
 @pytest.fixture
@@ -18,14 +19,8 @@ def folder(tmp_path: Path) -> Path:
 
 def test_places_are_in_half_sides(folder: Path) -> None:
     places = read_places(folder, 2)
-    assert places is not None
     torch.testing.assert_close(places.camera, torch.tensor([[0.25, 0.0, 4.0], [-0.5, 1.0, 2.0]]))
     torch.testing.assert_close(places.light, torch.tensor([[0.0, 0.5, 4.0], [-0.5, 1.0, 2.0]]))
-
-
-def test_folder_without_places_has_none(tmp_path: Path) -> None:
-    (tmp_path / SIZE).write_text("8.0\n")
-    assert read_places(tmp_path, 2) is None
 
 
 @pytest.mark.parametrize(

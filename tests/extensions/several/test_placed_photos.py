@@ -12,8 +12,9 @@ import pytest
 import torch
 
 from data_tools.formats import inputs_of
-from data_tools.readers import placed_photos, svbrdf_inputs
+from data_tools.readers import svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+from metapp.extensions.several import photos
 from metapp.runs import BadOption
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
@@ -42,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
-    task = placed_photos.read_task(folder)
+    task = photos.read_task(folder)
     assert task.name == "leaf"
     assert {key: tuple(value.shape) for key, value in task.data.items()} == {
         "photo": (3, 256, 256), "others": (2, 3, 256, 256), "places": (3, 2, 3),
@@ -126,5 +127,5 @@ def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
 def test_bad_folders_are_refused_in_a_line(folder: Path, change: Callable[[Path], object], line: str) -> None:
     change(folder)
     with pytest.raises(ValueError, match=re.escape(line)) as caught:
-        placed_photos.read_task(folder)
+        photos.read_task(folder)
     assert "\n" not in str(caught.value)

@@ -1,0 +1,1 @@
+"""The checkpoints that ship, and their card."""

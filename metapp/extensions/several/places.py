@@ -1,0 +1,70 @@
+"""Where camera and flash were for several photos of one flat material: text files beside the photos."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+
+
+class Places(NamedTuple):
+    """Places for N photos, in half sides of the patch: origin in its centre, x right, y up, z along its normal.
+
+    Attributes:
+        camera: [N, 3].
+        light: of the flash, [N, 3].
+    """
+
+    camera: Tensor
+    light: Tensor
+
+
+def read_places(folder: Path, photos: int) -> Places:
+    """The places that a folder gives for so many photos, in the order of their names.
+
+    CAMERA and LIGHT hold a line "x,y,z" in cm for each photo, SIZE the patch's side in cm.
+
+    Raises:
+        ValueError: a file is missing, malformed or of another count; a place is not above the patch.
+    """
+    side = _rows(folder / SIZE, 1, 1)[0][0]
+    if side <= 0:
+        raise ValueError(f"{folder / SIZE}: {side:g}, expected the patch's side in cm, above 0; measure it.")
+    return Places(*(_above(folder / name, photos) / (side / 2) for name in (CAMERA, LIGHT)))
+
+
+def _above(path: Path, photos: int) -> Tensor:
+    """Places [photos, 3] in cm, all above the patch."""
+    places = torch.tensor(_rows(path, photos, 3))
+    for number, height in enumerate(places[:, 2].tolist(), 1):
+        if height <= 0:
+            raise ValueError(
+                f"{path}: place {number} has z {height:g} cm, expected above 0; let z point at the camera."
+            )
+    return places
+
+
+def _rows(path: Path, count: int, width: int) -> list[list[float]]:
+    """So many lines of so many finite numbers, parted by commas; blank lines do not count."""
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read as text, expected {count} line(s) in cm; write it.") from error
+    if len(lines) != count:
+        raise ValueError(f"{path}: {len(lines)} lines, expected {count}; give one for each photo, or one side.")
+    return [_numbers(path, line, width) for line in lines]
+
+
+def _numbers(path: Path, line: str, width: int) -> list[float]:
+    try:
+        numbers = [float(word) for word in line.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != width or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{path}: line {line!r}, expected {width} finite number(s) parted by commas; mend it.")
+    return numbers
