@@ -91,9 +91,9 @@ def test_fits_merge_photos_of_several_exposures(
         (["illumination", "--observe", "photo", "--exposures", "soon"], "expected exposure times"),
         (
             ["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"],
-            "which are merged into one here; leave",
+            "--exposures makes one input of all; leave out --batch and --shard",
         ),
-        (["illumination", "--exposures", "auto"], "--exposures: only where fits see INPUT by --observe photo"),
+        (["illumination", "--exposures", "auto"], "--exposures: only with --observe photo; add that"),
         (
             ["svbrdf_nonstationary", "--observe", "photo", "--exposures", "auto"],
             "has no such option, only illumination",
