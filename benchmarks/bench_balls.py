@@ -33,12 +33,12 @@ from metapp.extensions.baselines.baseline import Training
 from metapp.extensions.baselines.fits import allowed_for
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.fits import fit_tasks
-from metapp.runs.pictures import Column, write_sheet
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
-from metapp.runs.statistics import Errors, paired
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.outputs.pictures import Column, write_sheet
+from metapp.runs.outputs.statistics import Errors, paired
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.runs.surroundings import threads, threads_of
 
 PARADIGMS = ("general", "quickft", "meta")

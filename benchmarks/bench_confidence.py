@@ -26,10 +26,10 @@ from metapp.apps.illumination.confidence import covered, deviations, off_by
 from metapp.apps.illumination.mirror import photographed
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.fits import fit_tasks
-from metapp.runs.plan import Plan, plan
-from metapp.runs.request import Request
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.requests.plan import Plan, plan
+from metapp.runs.requests.request import Request
 
 SHARES = (0.5, 0.9)
 PARTS = ("front", "rim", "back")

@@ -28,8 +28,8 @@ from metapp.learning.app import stack
 from metapp.learning.task import Params
 from metapp.paradigms import Job
 from metapp.paradigms.general import GENERAL
-from metapp.runs.inputs import tasks_of_data
-from metapp.runs.shipped import shipped_path
+from metapp.runs.checkpoints.shipped import shipped_path
+from metapp.runs.inputs.sources import tasks_of_data
 from metapp.storage.records import load_checkpoint
 
 APP = SvbrdfNonstationary(QUICK.setup, "reference")

@@ -37,9 +37,9 @@ from metapp.extensions.baselines.fits import training_of
 from metapp.extensions.few.design import Limits, places_of
 from metapp.extensions.few.planning import plan_brdf
 from metapp.learning.task import Task
-from metapp.runs.inputs import data_folder, tasks_of_data
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.inputs.sources import data_folder, tasks_of_data
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 
 COUNTS = (4, 8, 16, 32, 64)
 CANDIDATES = 2048

@@ -26,12 +26,12 @@ from metapp.extensions.baselines.baseline import Training
 from metapp.extensions.baselines.fits import allowed_for, training_of
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.fits import fit_tasks, rng_of
-from metapp.runs.inputs import data_folder, tasks_of_data
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
-from metapp.runs.statistics import paired
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.fits.fitter import fit_tasks, rng_of
+from metapp.runs.inputs.sources import data_folder, tasks_of_data
+from metapp.runs.outputs.statistics import paired
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 
 COUNTS = (64, 256, 1024, 5120)
 FIGURE = Path("runs/bench/samples.png")

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["torch", "metapp.runs.checkpoints", "metapp.cli.commands", "metapp.apps.brdf.app"])
+FORKS.set_forkserver_preload(
+    ["torch", "metapp.runs.checkpoints.finding", "metapp.cli.commands", "metapp.apps.brdf.app"]
+)
 OUT, ERR = "out.txt", "err.txt"
 
 

@@ -153,7 +153,7 @@ def test_the_weights_of_others_are_unpickled_as_tensors_only() -> None:
 
 def test_the_walk_sees_what_it_should() -> None:
     assert "metapp.learning.app" in imports("metapp.learning.learn")
-    assert "metapp.cli.data" in imports("metapp.cli.commands")  # `from package import module`
+    assert "metapp.cli.data.group" in imports("metapp.cli.commands")  # `from package import module`
     assert "metapp.appearance.geometry" in imports("metapp.apps.brdf.app")
 
 

@@ -25,9 +25,9 @@ from metapp.apps.illumination.confidence import covered, init, off_by, predicted
 from metapp.apps.illumination.variants import of_mean_1
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Tasks
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.storage.files import write_atomically
 
 PARADIGMS = ("general", "quickft", "meta")

@@ -25,10 +25,10 @@ from metapp.extensions.baselines.texture import quilt
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.networks.presentation import ExemplarPresentation
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.inputs import tasks_of_data, tasks_to_fit
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.inputs.sources import tasks_of_data, tasks_to_fit
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 
 GAP, SIDE = 4, 160  # px
 PARADIGMS = ("general", "quickft", "meta")

@@ -53,7 +53,7 @@ TESTS = {
     "metapp/extensions/baselines/components.py": ["brdf_baselines", "brdf_fits"],
     "metapp/extensions/baselines/lobes.py": ["brdf_baselines", "brdf_fits"],
     "metapp/extensions/baselines/transport.py": ["histogram"],
-    "metapp/runs/statistics.py": ["statistics"],
+    "metapp/runs/outputs/statistics.py": ["statistics"],
 }
 COMPARES = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,

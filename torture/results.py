@@ -28,10 +28,10 @@ def runs() -> list[Files]:
     """Data sets of two BRDFs, with the records of a run on them and its fits as a pack."""
     from metapp.apps.brdf.app import Brdf
     from metapp.extensions.packs.pack import pack
-    from metapp.runs.execution import execute
-    from metapp.runs.inputs import data_folder
-    from metapp.runs.plan import plan
-    from metapp.runs.request import Request
+    from metapp.runs.fits.execution import execute
+    from metapp.runs.inputs.sources import data_folder
+    from metapp.runs.requests.plan import plan
+    from metapp.runs.requests.request import Request
 
     (files,), made = seeds.shards(), []
     data_folder(Brdf(), None, quiet=True)  # what records without an origin are fitted on is drawn only once
@@ -113,7 +113,7 @@ def write_pack(rng: random.Random, folder: Path) -> Path:
 def read_pack(folder: Path, file: Path) -> None:
     """As `metapp unpack`; what it makes is read again."""
     from metapp.extensions.packs.pack import unpack
-    from metapp.runs.recorded import read_run
+    from metapp.runs.outputs.recorded import read_run
     from metapp.storage.records import read_theta
     from torture.targets import BadResult
 

@@ -177,7 +177,7 @@ def shards() -> list[Files]:
 
 def checkpoints() -> list[Files]:
     """The small trained checkpoints that ship."""
-    from metapp.runs.shipped import shipped_path
+    from metapp.runs.checkpoints.shipped import shipped_path
 
     names = ("meta-sgd", "meta-curvature")
     return [{f"{name}.safetensors": shipped_path("brdf", name).read_bytes()} for name in names]

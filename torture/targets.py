@@ -181,7 +181,7 @@ def _read_scene(folder: Path, file: Path) -> None:
 def _read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack
-    from metapp.runs.inputs import tasks_of_data
+    from metapp.runs.inputs.sources import tasks_of_data
     from metapp.storage.shards import check_shard
 
     app = Brdf()
@@ -213,9 +213,9 @@ def _read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, then one step of a fit."""
     import torch
 
-    from metapp.runs.checkpoints import find_checkpoint
-    from metapp.runs.plan import plan
-    from metapp.runs.request import Request
+    from metapp.runs.checkpoints.finding import find_checkpoint
+    from metapp.runs.requests.plan import plan
+    from metapp.runs.requests.request import Request
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
     by = find_checkpoint(plan(Request("brdf", **options, device="cpu", quiet=True)))

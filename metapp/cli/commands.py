@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from metapp import door
-from metapp.cli import data
-from metapp.cli.fit import FitCommand, make_command
+from metapp.cli.data import group as data
+from metapp.cli.fits.command import FitCommand, make_command
 from metapp.cli.group import Group, add_commands
 from metapp.runs.reporter import say
 

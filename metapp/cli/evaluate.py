@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
     from metapp.evaluation.rows import Table
     from metapp.evaluation.subject import Subject
-    from metapp.runs.request import Portion
+    from metapp.runs.requests.request import Portion
 
 LISTED = 8  # rows of a table that are named as missing
 NAMES, STUDIES = table_names(), table_names(studies=True)
@@ -167,9 +167,9 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
     from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.checks import check_name, check_protocol
-    from metapp.runs.plan import plan
-    from metapp.runs.request import Request, portion_of
+    from metapp.runs.requests.checks import check_name, check_protocol
+    from metapp.runs.requests.plan import plan
+    from metapp.runs.requests.request import Request, portion_of
 
     run, own = not options.no_run, own_options(options) | ({"rule": options.rule} if options.rule else {})
     names = options.apps or app_names()
@@ -243,7 +243,7 @@ def fill(cells: list[Cell], subjects: list[Subject], options: Evaluation) -> Non
 
 def _say_missing(subject: Subject, cells: list[Cell], which: str) -> str:
     """A line about what has no record yet of an application, if anything; the command that makes it, else ""."""
-    from metapp.runs.naming import name_of
+    from metapp.runs.requests.naming import name_of
 
     name = name_of(subject.app)
     own = {cell.title: cell for cell in cells if cell.title.startswith(f"{name} ")}.values()

@@ -12,7 +12,7 @@ from metapp import door
 from metapp.apps import app_names, application_of
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
-from metapp.cli.data_convert import check_folder
+from metapp.cli.data.convert import check_folder
 from metapp.cli.options import Json
 from metapp.runs.reporter import say
 from metapp.storage.text import meant

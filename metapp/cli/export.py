@@ -10,11 +10,11 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.data_convert import check_folder
-from metapp.cli.fit_options import exports
+from metapp.cli.data.convert import check_folder
+from metapp.cli.fits.options import exports
 from metapp.cli.options import FittedData, Json, RunPath, annotated, plain, takes
-from metapp.runs.options import all_shown_options
 from metapp.runs.reporter import say
+from metapp.runs.requests.options import all_shown_options
 
 _INPUTS = typer.Argument(
     metavar="[INPUT]...",
@@ -41,7 +41,7 @@ def command(options: Any) -> None:
 
     Example: metapp export RUN bsdf
     """
-    from metapp.runs.outputs import export_run
+    from metapp.runs.outputs.files import export_run
 
     own = {name: plain(value) for name in _OWN if (value := getattr(options, name)) is not None}
     done = export_run(

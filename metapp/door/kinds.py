@@ -462,7 +462,7 @@ class Watcher(NamedTuple):
 
     Attributes:
         option: that asks for it.
-        watcher: `watcher(app, paradigm) -> metapp.runs.fits.Watching`.
+        watcher: `watcher(app, paradigm) -> metapp.runs.fits.fitter.Watching`.
     """
 
     option: Option
@@ -517,7 +517,7 @@ class Synthetic(NamedTuple):
 
     Attributes:
         app: the application of its tasks.
-        module: that draws them, as `metapp.runs.embedded` says.
+        module: that draws them, as `metapp.runs.inputs.embedded` says.
         help: a paragraph for `metapp data synth --help`.
         options: that `synthetic_tasks` takes as keywords.
         files: other forms that it can be written in: the value of --as, `write(folder, split, count, seed) -> names` of

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
-from metapp.runs.pictures import COMPARED, picture_of_table
+from metapp.runs.outputs.pictures import COMPARED, picture_of_table
 from metapp.runs.reporter import progress
 
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 from metapp.appearance.presentation import measures_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
-from metapp.runs.fits import ROSE
-from metapp.runs.naming import is_first_protocol, observe_of
+from metapp.runs.fits.fitter import ROSE
+from metapp.runs.outputs.statistics import Errors, Paired, paired, statistics_of
 from metapp.runs.reporter import number
-from metapp.runs.statistics import Errors, Paired, paired, statistics_of
+from metapp.runs.requests.naming import is_first_protocol, observe_of
 from metapp.storage.records import Record, guarded
 
 Row = dict[str, Any]

@@ -15,14 +15,14 @@ from metapp.evaluation.cell import WHOLE, Cell, Measure
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
-from metapp.runs.checkpoints import find_checkpoint, trained_path
-from metapp.runs.embedded import embedded_exists
-from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import tasks_of_data
-from metapp.runs.naming import name_of, title_of
-from metapp.runs.plan import Plan
+from metapp.runs.checkpoints.finding import find_checkpoint, trained_path
+from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.inputs.embedded import embedded_exists
+from metapp.runs.inputs.sources import tasks_of_data
 from metapp.runs.reporter import say
-from metapp.runs.request import Portion
+from metapp.runs.requests.naming import name_of, title_of
+from metapp.runs.requests.plan import Plan
+from metapp.runs.requests.request import Portion
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.records import FIT, Record, RunFolder
 

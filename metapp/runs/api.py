@@ -21,19 +21,19 @@ from metapp.appearance.presentation import maps_of
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Params, Task
 from metapp.runs import BadOption
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export, check_name, check_protocol, check_types
-from metapp.runs.choosing import recipe_of_tasks
-from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import tasks_to_fit
-from metapp.runs.memory import in_memory
-from metapp.runs.naming import factor_of, title_of
-from metapp.runs.notebook import card_of, table_of
-from metapp.runs.options import all_options, outputs_of
-from metapp.runs.outputs import export_fit
-from metapp.runs.pictures import beside, image_of
-from metapp.runs.plan import Plan, plan
-from metapp.runs.request import Request
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.inputs.memory import in_memory
+from metapp.runs.inputs.sources import tasks_to_fit
+from metapp.runs.outputs.files import export_fit
+from metapp.runs.outputs.notebook import card_of, table_of
+from metapp.runs.outputs.pictures import beside, image_of
+from metapp.runs.requests.checks import check_export, check_name, check_protocol, check_types
+from metapp.runs.requests.choosing import recipe_of_tasks
+from metapp.runs.requests.naming import factor_of, title_of
+from metapp.runs.requests.options import all_options, outputs_of
+from metapp.runs.requests.plan import Plan, plan
+from metapp.runs.requests.request import Request
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage.files import write_atomically
 from metapp.storage.text import meant

@@ -20,8 +20,8 @@ from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.shipped import FULL, QUICK, shipped_path, ships
+from metapp.runs.checkpoints.finding import checkpoint_name
+from metapp.runs.checkpoints.shipped import FULL, QUICK, shipped_path, ships
 from metapp.storage.records import load_checkpoint, read_records, tensor_digest
 from tests.marked import long
 from tests.quick import app_by

@@ -35,9 +35,9 @@ from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from tests.marked import long
 
 pytestmark = pytest.mark.usefixtures("scene")

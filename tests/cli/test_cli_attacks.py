@@ -229,7 +229,7 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
 # one import of what takes long and looks at no stream; then a fork for each, which ends as a program of its own does
 IN_FORKS = """
 import json, os, sys
-import metapp.apps.brdf, metapp.runs.convert, metapp.runs.embedded, rich.progress, torch, typer
+import metapp.apps.brdf, metapp.runs.inputs.convert, metapp.runs.inputs.embedded, rich.progress, torch, typer
 NAMES, (cases, folder, *words) = ("stdin", "stdout", "stderr"), sys.argv[1:]
 codes = []
 for number, (more, streams) in enumerate(json.loads(cases)):

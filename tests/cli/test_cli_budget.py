@@ -11,7 +11,7 @@ import pytest
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.runs import BadOption
-from metapp.runs.request import seconds_of, time_text
+from metapp.runs.requests.request import seconds_of, time_text
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

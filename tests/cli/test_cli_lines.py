@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.runs.fits import Fitter
+from metapp.runs.fits.fitter import Fitter
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 3

@@ -11,9 +11,9 @@ import pytest
 
 from metapp.apps.brdf.app import Brdf
 from metapp.runs import BadOption
-from metapp.runs.execution import _Loop
-from metapp.runs.fits import Fitter
-from metapp.runs.request import Portion, portion_of
+from metapp.runs.fits.execution import _Loop
+from metapp.runs.fits.fitter import Fitter
+from metapp.runs.requests.request import Portion, portion_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

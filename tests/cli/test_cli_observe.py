@@ -20,13 +20,13 @@ from metapp.appearance.presentation import Picture
 from metapp.apps.brdf import recipes
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
-from metapp.cli.fitting import table_of
+from metapp.cli.fits.run import table_of
 from metapp.evaluation.tables.results import closing
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.shipped import shipped_path
-from metapp.runs.statistics import statistics_of
+from metapp.runs.checkpoints.finding import checkpoint_name
+from metapp.runs.checkpoints.shipped import shipped_path
+from metapp.runs.outputs.statistics import statistics_of
 from metapp.storage.records import load_checkpoint, read_records, summary
 from tests.quick import app_by
 

@@ -179,7 +179,7 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = exports_of(SVBRDF)["asset"]._replace(needs=("no_such_module", "no-such-package"))
-    monkeypatch.setattr("metapp.runs.checks.exports_of", lambda app: {"asset": form})
+    monkeypatch.setattr("metapp.runs.requests.checks.exports_of", lambda app: {"asset": form})
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
     assert not Path("runs").exists()

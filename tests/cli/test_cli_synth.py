@@ -19,7 +19,7 @@ from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.cli.commands import app as cli
 from metapp.rendering.scenes.rules import scene_of
-from metapp.runs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
+from metapp.runs.inputs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
 from tests.needs_mitsuba import needs_mitsuba

@@ -8,7 +8,7 @@ import pytest
 
 from metapp.evaluation.notes import carried, change, paired_note, verdict
 from metapp.evaluation.rows import blank, paired_entries, paired_of
-from metapp.runs.statistics import Paired
+from metapp.runs.outputs.statistics import Paired
 
 
 def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:

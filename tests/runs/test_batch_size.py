@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from metapp.runs import BadOption, batch_size
-from metapp.runs.batch_size import MOST, BatchSize, bytes_left, check_batch, peak_bytes
+from metapp.runs import BadOption
+from metapp.runs.fits.batch_size import MOST, BatchSize, bytes_left, check_batch, peak_bytes
+from metapp.runs.fits.fitter import batch_size
 
 CPU = torch.device("cpu")
 

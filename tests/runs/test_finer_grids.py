@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
-from metapp.runs.shipped import shipped_path
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints.shipped import shipped_path
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.storage.records import load_checkpoint, save_checkpoint
 
 APPS = [
@@ -49,6 +49,6 @@ def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.checkpoints._require_conditions", lambda *_: None)  # VGG may be missing
+    monkeypatch.setattr("metapp.runs.checkpoints.finding._require_conditions", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
         find_checkpoint(plan(Request("texture", rule="meta-basis", out=tmp_path)))

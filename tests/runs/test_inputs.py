@@ -12,9 +12,9 @@ import torch
 
 from data_tools.readers.nbrdf import SHAPES, read_nbrdf
 from metapp.learning.task import Task
-from metapp.runs.inputs import distinct, sources_to_fit
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.inputs.sources import distinct, sources_to_fit
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 
 
 def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,7 +36,7 @@ def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: p
 
 
 def test_thousands_of_inputs_of_one_name_are_numbered_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.inputs.say", lambda line: None)
+    monkeypatch.setattr("metapp.runs.inputs.sources.say", lambda line: None)
     tasks = [Task(name, {"x": torch.zeros(1)}) for name in ["a-3", *["a"] * 3000]]
     begin = time.process_time()
     names = [task.name for task in distinct(tasks)]

@@ -16,13 +16,13 @@ from metapp.appearance.presentation import Presentation
 from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.cli.commands import SUMMARIES
 from metapp.cli.commands import app as cli
-from metapp.cli.fit_options import OPTIONS
+from metapp.cli.fits.options import OPTIONS
 from metapp.learning.task import Task
 from metapp.runs import BadOption
-from metapp.runs.options import all_options, options_of
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
-from metapp.runs.shipped import ships
+from metapp.runs.checkpoints.shipped import ships
+from metapp.runs.requests.options import all_options, options_of
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 
 
 @pytest.mark.parametrize("name", app_names())

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from metapp.runs.pictures import COLUMNS, SIDE, Column, write_sheet
+from metapp.runs.outputs.pictures import COLUMNS, SIDE, Column, write_sheet
 
 COLOURS = {"reference": (1.0, 0.0, 0.0), "meta": (0.0, 1.0, 0.0), "general": (0.0, 0.0, 1.0)}
 

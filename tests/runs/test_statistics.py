@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from metapp.runs.statistics import Paired, apart, interval_of, mean_of, paired, statistics_of
+from metapp.runs.outputs.statistics import Paired, apart, interval_of, mean_of, paired, statistics_of
 
 GROUPS = {f"t{i}": f"g{i // 2}" for i in range(400)}
 HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from data_tools.synthetic import brdf
 from data_tools.synthetic.svbrdf_stationary import FLAT
-from metapp.runs.embedded import embedded_data
+from metapp.runs.inputs.embedded import embedded_data
 from metapp.storage.manifest import read_manifest
 from tests.synthetic.drawn import Drawn, drawn, source_of
 

@@ -15,7 +15,7 @@ from data_tools.synthetic.stationary.families import FAMILIES
 from data_tools.synthetic.svbrdf_stationary import flash_photographs
 from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, render
-from metapp.runs.embedded import embedded_data
+from metapp.runs.inputs.embedded import embedded_data
 from metapp.storage.shards import read_manifest
 from tests.synthetic.drawn import drawn, least_distance
 

@@ -17,9 +17,9 @@ from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.runs.naming import caption_of
-from metapp.runs.plan import Checkpoint
-from metapp.runs.statistics import apart
+from metapp.runs.outputs.statistics import apart
+from metapp.runs.requests.naming import caption_of
+from metapp.runs.requests.plan import Checkpoint
 from metapp.storage.records import Record, tensor_digest
 
 # which fits by a rule are doubtful is known from its own initialisation alone

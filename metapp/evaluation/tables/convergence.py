@@ -19,9 +19,9 @@ from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs.fits import rng_of
-from metapp.runs.naming import observe_of
-from metapp.runs.plan import Plan
+from metapp.runs.fits.fitter import rng_of
+from metapp.runs.requests.naming import observe_of
+from metapp.runs.requests.plan import Plan
 from metapp.storage.records import NUMBER, OPTIONAL, Record, digest
 
 TRACED = 5  # tasks

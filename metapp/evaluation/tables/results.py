@@ -17,9 +17,9 @@ from metapp.evaluation.pictures import draw_paradigms
 from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
-from metapp.runs.naming import caption_of, is_first_protocol
+from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number
-from metapp.runs.statistics import apart
+from metapp.runs.requests.naming import caption_of, is_first_protocol
 
 COMPARED = ("quickft", "general")
 EQUAL = ("general", "quickft", "meta")  # rows of the table of equal steps

@@ -7,8 +7,8 @@ from torch import Generator
 from metapp.evaluation.rows import Row, Table, blank, bytes_column, columns, numbers, paper
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
-from metapp.runs.naming import observe_of
-from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.requests.naming import observe_of
+from metapp.runs.requests.plan import Checkpoint, Plan
 
 COUNTS = (1, 10, 100, 1000)
 

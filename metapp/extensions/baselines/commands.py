@@ -11,8 +11,8 @@ import typer
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, annotated, plain, takes
-from metapp.runs.options import all_read_options
 from metapp.runs.reporter import say
+from metapp.runs.requests.options import all_read_options
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ def baseline(options: Any) -> None:
 
     Example: metapp baseline texture wall.jpg --method quilting
     """
-    from metapp.cli.fitting import table_of
+    from metapp.cli.fits.run import table_of
     from metapp.extensions.baselines.run import run_baseline
-    from metapp.runs.plan import plan
-    from metapp.runs.request import Request
+    from metapp.runs.requests.plan import plan
+    from metapp.runs.requests.request import Request
 
     request = Request(
         options.app,

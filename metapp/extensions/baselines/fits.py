@@ -17,13 +17,13 @@ from torch import Generator
 from metapp.extensions.baselines.baseline import Allowed, Baseline, PreparedBaseline, Training, bytes_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
-from metapp.runs.embedded import embedded_data, embedded_exists
-from metapp.runs.fits import rng_of
-from metapp.runs.inputs import data_folder, data_label
-from metapp.runs.naming import observe_of
-from metapp.runs.options import recorded_options
-from metapp.runs.pictures import PICTURE
-from metapp.runs.plan import Plan
+from metapp.runs.fits.fitter import rng_of
+from metapp.runs.inputs.embedded import embedded_data, embedded_exists
+from metapp.runs.inputs.sources import data_folder, data_label
+from metapp.runs.outputs.pictures import PICTURE
+from metapp.runs.requests.naming import observe_of
+from metapp.runs.requests.options import recorded_options
+from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import versions
 from metapp.storage.records import NUMBER, OPTIONAL, Record
 from metapp.storage.shards import read_manifest, read_shard

@@ -10,11 +10,11 @@ from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import DrawsAnswers
 from metapp.extensions.baselines.fits import FORM, fit_baselines, settings_of, training_folder, training_of
 from metapp.runs import BadOption
-from metapp.runs.inputs import tasks_to_fit
-from metapp.runs.options import name_parts
-from metapp.runs.outputs import OUTPUTS, write_pictures
-from metapp.runs.plan import Plan
+from metapp.runs.inputs.sources import tasks_to_fit
+from metapp.runs.outputs.files import OUTPUTS, write_pictures
 from metapp.runs.reporter import progress
+from metapp.runs.requests.options import name_parts
+from metapp.runs.requests.plan import Plan
 from metapp.storage.records import Record, RunFolder, file_name
 from metapp.storage.text import meant
 

@@ -24,10 +24,10 @@ from metapp.extensions.baselines.fits import (
     training_of,
 )
 from metapp.learning.task import Params, Task
-from metapp.runs.inputs import tasks_to_fit
-from metapp.runs.naming import caption_of, name_of
+from metapp.runs.inputs.sources import tasks_to_fit
+from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import say
-from metapp.runs.statistics import apart
+from metapp.runs.requests.naming import caption_of, name_of
 from metapp.storage.records import Record, RunFolder
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")

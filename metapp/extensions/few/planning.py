@@ -15,10 +15,10 @@ from metapp.extensions.few import gaussian
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.gonio import read_pairs
 from metapp.learning.task import Params
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import plan as plan_of
-from metapp.runs.recorded import read_run
-from metapp.runs.request import Request
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.outputs.recorded import read_run
+from metapp.runs.requests.plan import plan as plan_of
+from metapp.runs.requests.request import Request
 
 RECIPE = "few"
 GRID, PHI = (30, 30), 8

@@ -18,10 +18,10 @@ from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import Plan
-from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.outputs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
+from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta

@@ -20,7 +20,7 @@ from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_
 from metapp.evaluation.tables.results import result_row
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
-from metapp.runs.naming import factor_of
+from metapp.runs.requests.naming import factor_of
 
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
 TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}

@@ -37,7 +37,7 @@ def write_figures(subjects: Sequence[Subject], folder: Path, tables: Sequence[st
         The PNG files.
     """
     from metapp.evaluation.style import save
-    from metapp.runs.naming import name_of
+    from metapp.runs.requests.naming import name_of
 
     files = []
     names = [name for table in tables for name in figure_names(table)] or figure_names()

@@ -13,7 +13,7 @@ from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.style import Drawn, png_of
 from metapp.evaluation.subject import Subject
-from metapp.runs.naming import name_of
+from metapp.runs.requests.naming import name_of
 from metapp.storage.files import write_atomically
 from metapp.storage.html import element, figure, image, table
 from metapp.storage.images import in_8_bits, png_address, png_bytes

@@ -31,10 +31,10 @@ from metapp.extensions.report.html import (
     table_html,
 )
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import is_first_protocol, name_of
-from metapp.runs.plan import Plan
+from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number
-from metapp.runs.statistics import apart
+from metapp.runs.requests.naming import is_first_protocol, name_of
+from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import make_folder, versions
 from metapp.storage import html
 from metapp.storage.html import element

@@ -10,10 +10,10 @@ from metapp.appearance.presentation import measures_of
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.runs.pictures import COMPARED, column_of, write_compared
-from metapp.runs.recorded import SETTINGS, app_as, read_run, tasks_as
+from metapp.runs.outputs.pictures import COMPARED, column_of, write_compared
+from metapp.runs.outputs.recorded import SETTINGS, app_as, read_run, tasks_as
+from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
-from metapp.runs.statistics import Paired, paired
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
 from metapp.storage.records import OPTIONAL, summary

@@ -57,8 +57,8 @@ def _table(compared: Comparison) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.runs.naming import caption_of, title_of
-    from metapp.runs.statistics import FEWEST
+    from metapp.runs.outputs.statistics import FEWEST
+    from metapp.runs.requests.naming import caption_of, title_of
 
     one, other = compared.sides
     found, app = compared.ratio, one.app

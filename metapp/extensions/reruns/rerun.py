@@ -18,12 +18,12 @@ from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import tasks_to_fit
-from metapp.runs.plan import Plan
-from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.inputs.sources import tasks_to_fit
+from metapp.runs.outputs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress
+from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.records import NUMBER, OPTIONAL, finite, misfits, read_theta

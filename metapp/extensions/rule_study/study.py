@@ -13,11 +13,11 @@ from metapp.learning.names import rule_names
 from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import rule_of
 from metapp.paradigms import Job, paradigms
-from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
-from metapp.runs.naming import observe_of
-from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.checkpoints.finding import find_checkpoint, has_general, trained_path
+from metapp.runs.checkpoints.training import Trained, general_of, train_checkpoint
+from metapp.runs.requests.naming import observe_of
+from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.runs.surroundings import precision_of, versions
-from metapp.runs.training import Trained, general_of, train_checkpoint
 from metapp.storage.records import Record, load_checkpoint, tensor_digest
 
 ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none

@@ -16,11 +16,11 @@ from metapp.evaluation.subject import Subject
 from metapp.extensions.rule_study.study import QUICKFT, Case, Design, Study
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
-from metapp.runs.fits import fit_tasks
-from metapp.runs.naming import caption_of
-from metapp.runs.plan import Checkpoint
+from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number, say
-from metapp.runs.statistics import apart
+from metapp.runs.requests.naming import caption_of
+from metapp.runs.requests.plan import Checkpoint
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, Record, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record

@@ -82,7 +82,7 @@ def try_all(
     from metapp.apps import app_names
     from metapp.extensions.viewer.trying import try_app, try_page
     from metapp.runs import BadOption
-    from metapp.runs.checks import check_name
+    from metapp.runs.requests.checks import check_name
 
     tried = []
     for app in apps or ():

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from data_tools.synthetic.examples import EXAMPLES, write_example
 from metapp.extensions.viewer.viewing import Wanted, view_page
-from metapp.runs.execution import Run, execute
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.fits.execution import Run, execute
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.storage import Document
 
 INPUTS, PAGE = "inputs", "try.html"

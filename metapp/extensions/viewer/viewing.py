@@ -16,9 +16,9 @@ from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import factor_of, title_of
-from metapp.runs.recorded import Recorded, app_as, read_run, tasks_as
+from metapp.runs.outputs.recorded import Recorded, app_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
+from metapp.runs.requests.naming import factor_of, title_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.html import write_page

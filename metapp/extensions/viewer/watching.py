@@ -15,7 +15,7 @@ from metapp.learning.app import App
 from metapp.learning.deadline import Stopwatch
 from metapp.learning.learn import Step
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import title_of
+from metapp.runs.requests.naming import title_of
 from metapp.storage import Document
 
 EVERY = 0.25  # seconds between two drawings at least, and as long as one takes

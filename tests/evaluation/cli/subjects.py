@@ -13,8 +13,8 @@ import pytest
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from tests.small_spheres import shrink_spheres
 
 

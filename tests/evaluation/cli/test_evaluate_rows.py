@@ -25,8 +25,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
-from metapp.runs.plan import Checkpoint, plan
-from metapp.runs.request import Request
+from metapp.runs.requests.plan import Checkpoint, plan
+from metapp.runs.requests.request import Request
 from tests.evaluation.cli.subjects import rows, subject_of
 
 

@@ -12,7 +12,7 @@ import torch
 from metapp.evaluation.cell import Cell, Clock, run_cells
 from metapp.learning.task import Task
 from metapp.runs.reporter import duration
-from metapp.runs.request import Portion
+from metapp.runs.requests.request import Portion
 from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import Record, RunFolder
 from tests.quick import app_by

@@ -24,9 +24,9 @@ from metapp.extensions.baselines.table import baseline_cell, baseline_rows, pict
 from metapp.extensions.report.figures import draw as draw_figure
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter
-from metapp.runs.request import Request
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
 from tests.marked import long

@@ -19,7 +19,7 @@ import torch
 from metapp import door
 from metapp.extensions.packs.file import opened_pack, write_pack
 from metapp.extensions.packs.pack import GROWTH
-from metapp.runs.shipped import shipped_path
+from metapp.runs.checkpoints.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, read_records, read_theta, save_checkpoint
 from tests.marked import long
 from tests.small_spheres import run_small

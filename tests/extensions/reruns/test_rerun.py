@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from metapp.extensions.reruns.rerun import ELSEWHERE, ROUNDING
-from metapp.runs.shipped import shipped_path
+from metapp.runs.checkpoints.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.conftest import Result
 

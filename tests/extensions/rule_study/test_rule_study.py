@@ -28,8 +28,8 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule as rule_table
 from metapp.learning.rules import rule_of
 from metapp.paradigms import tuning
-from metapp.runs.plan import Plan, plan
-from metapp.runs.request import Request
+from metapp.runs.requests.plan import Plan, plan
+from metapp.runs.requests.request import Request
 from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres

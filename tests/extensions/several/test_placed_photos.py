@@ -16,8 +16,8 @@ from data_tools.readers import svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from metapp.extensions.several import photos
 from metapp.runs import BadOption
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 
 APP = "svbrdf_nonstationary"
 

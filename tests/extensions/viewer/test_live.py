@@ -156,7 +156,7 @@ def test_the_server_ends_where_a_fit_fails(
     def fail(*_: object) -> None:
         raise FloatingPointError("the fit's parameters are not finite")
 
-    monkeypatch.setattr("metapp.runs.fits.require_finite", fail)
+    monkeypatch.setattr("metapp.runs.fits.fitter.require_finite", fail)
     result = metapp("overfit", "brdf", "--steps", "2", "--data", ten_materials, "--watch")
     assert result.code == 1
     assert len(closed) == 1

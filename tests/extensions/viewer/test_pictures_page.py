@@ -28,7 +28,7 @@ from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
-from metapp.runs.outputs import write_pictures
+from metapp.runs.outputs.files import write_pictures
 from metapp.storage.html import write_page
 from tests.browser import Page, browsing
 

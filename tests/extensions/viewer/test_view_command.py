@@ -17,7 +17,7 @@ from metapp.extensions.viewer.trying import Tried, try_app
 from metapp.extensions.viewer.view import View
 from metapp.extensions.viewer.viewing import PAGE
 from metapp.learning.task import Params, Task
-from metapp.runs.inputs import Source
+from metapp.runs.inputs.sources import Source
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 2

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.data_convert import Out, Quiet
+from metapp.cli.data.convert import Out, Quiet
 from metapp.cli.options import Json, field_of_view, takes
 from metapp.runs.reporter import progress, say
 

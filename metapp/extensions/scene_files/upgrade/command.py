@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import Exit, out, print_json
-from metapp.cli.data_convert import Quiet
+from metapp.cli.data.convert import Quiet
 from metapp.cli.options import Json, takes
 from metapp.runs.reporter import say
 

@@ -10,9 +10,9 @@ from metapp import door
 from metapp.apps import recipe_offers
 from metapp.learning.task import Task
 from metapp.runs import BadOption
+from metapp.runs.checkpoints.shipped import FULL, ships, usual_recipe
 from metapp.runs.reporter import say
-from metapp.runs.request import Request
-from metapp.runs.shipped import FULL, ships, usual_recipe
+from metapp.runs.requests.request import Request
 from metapp.storage.manifest import read_manifest
 
 

@@ -16,12 +16,12 @@ from metapp.learning.task import Params
 from metapp.networks.field import regridded
 from metapp.paradigms import paradigms
 from metapp.paradigms.quickft import TUNED
-from metapp.runs.embedded import embedded_exists
-from metapp.runs.inputs import data_folder, data_label
-from metapp.runs.naming import is_first_protocol, name_of
-from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.checkpoints.shipped import QUICK, shipped_path, ships
+from metapp.runs.inputs.embedded import embedded_exists
+from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import say
-from metapp.runs.shipped import QUICK, shipped_path, ships
+from metapp.runs.requests.naming import is_first_protocol, name_of
+from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.storage import Document
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import Exit, out, print_json
-from metapp.cli.data_convert import Out, Quiet, Split, SplitOption, report
+from metapp.cli.data.convert import Out, Quiet, Split, SplitOption, report
 from metapp.cli.options import Json, takes
-from metapp.runs.convert import Converted, converted
+from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:

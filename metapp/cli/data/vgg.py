@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.data_convert import Quiet
+from metapp.cli.data.convert import Quiet
 from metapp.cli.options import Json
 from metapp.runs.reporter import progress, say
 

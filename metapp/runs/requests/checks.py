@@ -14,7 +14,7 @@ from metapp.learning.names import composition_names, rule_names
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
 from metapp.runs import BadOption
-from metapp.runs.request import Request
+from metapp.runs.requests.request import Request
 from metapp.storage.text import meant
 
 

@@ -10,11 +10,11 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
 from metapp.runs import BadOption
-from metapp.runs.embedded import embedded_exists
-from metapp.runs.inputs import SOURCED, Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
-from metapp.runs.options import options_from_record
-from metapp.runs.plan import Plan, plan
-from metapp.runs.request import Request
+from metapp.runs.inputs.embedded import embedded_exists
+from metapp.runs.inputs.sources import SOURCED, Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.requests.options import options_from_record
+from metapp.runs.requests.plan import Plan, plan
+from metapp.runs.requests.request import Request
 from metapp.storage import Document
 from metapp.storage.records import FIT, read_records
 from metapp.storage.text import meant, path_of

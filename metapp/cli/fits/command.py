@@ -13,11 +13,11 @@ from typer.core import TyperArgument, TyperCommand
 
 from metapp.apps import app_names
 from metapp.cli.console import importing, lines_of_input
-from metapp.cli.fit_options import IGNORED, JSON, OPTIONS, PANELS, declared, own_help, unused
-from metapp.cli.fitting import fit
+from metapp.cli.fits.options import IGNORED, JSON, OPTIONS, PANELS, declared, own_help, unused
+from metapp.cli.fits.run import fit
 from metapp.cli.options import plain
 from metapp.runs.reporter import say
-from metapp.runs.request import Request
+from metapp.runs.requests.request import Request
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -73,7 +73,7 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
 
     def command(json: bool, **options: Any) -> None:
         with importing():
-            from metapp.runs.plan import plan
+            from metapp.runs.requests.plan import plan
         options["export"] = ",".join(options["export"] or ())
         own = {key: plain(options.pop(key)) for key in extended}
         values = {key: value for key, value in options.items() if value is not None}

@@ -14,7 +14,7 @@ from metapp import door
 from metapp.apps import application_of
 from metapp.learning.recipe import Recipe
 from metapp.runs import BadOption
-from metapp.runs.request import Request
+from metapp.runs.requests.request import Request
 from metapp.storage.text import meant, path_of
 
 Owner = door.Application | door.Format | door.Merge | door.Output | door.Watcher

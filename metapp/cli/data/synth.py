@@ -11,10 +11,10 @@ import typer
 
 from metapp import door
 from metapp.cli import completion
-from metapp.cli.data_convert import Quiet, check_folder, report
+from metapp.cli.data.convert import Quiet, check_folder, report
 from metapp.cli.options import Json, annotated, plain, takes
-from metapp.runs.convert import Converted, converted
-from metapp.runs.embedded import embedded_apps, embedded_data, embedded_offer, split_counts
+from metapp.runs.inputs.convert import Converted, converted
+from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_offer, split_counts
 from metapp.runs.reporter import progress
 from metapp.storage.text import meant
 

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from metapp.learning.app import App
-    from metapp.runs.execution import Run
-    from metapp.runs.plan import Plan
-    from metapp.runs.request import Request
+    from metapp.runs.fits.execution import Run
+    from metapp.runs.requests.plan import Plan
+    from metapp.runs.requests.request import Request
 
 NARROWEST = 50  # columns of a table, so that titles stay on a line
 LISTED = 20  # tasks in the table of a run that lists what failed
@@ -36,7 +36,7 @@ def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
         lines: each is a run, answered by a line; None: the plan is the one run.
         json: print an object in place of tables.
     """
-    from metapp.runs.execution import Failure, execute
+    from metapp.runs.fits.execution import Failure, execute
 
     failed = total = 0
     for done in execute(plan, lines):
@@ -104,7 +104,7 @@ def table_of(
     from rich.text import Text
 
     from metapp.evaluation.notes import warned
-    from metapp.runs.naming import caption_of, factor_of, title_of
+    from metapp.runs.requests.naming import caption_of, factor_of, title_of
     from metapp.storage.records import file_name, guarded, summary
 
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])

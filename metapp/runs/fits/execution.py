@@ -13,21 +13,21 @@ import torch
 from metapp import door
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
-from metapp.runs.batch_size import BatchSize, alike, check_batch
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.choosing import chosen_recipe
-from metapp.runs.fits import Fitter, Result
-from metapp.runs.inputs import SOURCED, Source, content_of, sources_to_fit
-from metapp.runs.naming import name_of, observe_of
-from metapp.runs.options import outputs_of, watchers_of
-from metapp.runs.outputs import OUTPUTS, write_fit, write_outputs
-from metapp.runs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
-from metapp.runs.plan import Plan
-from metapp.runs.plan import plan as plan_of
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints.training import train_checkpoint
+from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
+from metapp.runs.fits.fitter import Fitter, Result
+from metapp.runs.inputs.sources import SOURCED, Source, content_of, sources_to_fit
+from metapp.runs.outputs.files import OUTPUTS, write_fit, write_outputs
+from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
-from metapp.runs.request import Request, portion_of
+from metapp.runs.requests.choosing import chosen_recipe
+from metapp.runs.requests.naming import name_of, observe_of
+from metapp.runs.requests.options import outputs_of, watchers_of
+from metapp.runs.requests.plan import Plan
+from metapp.runs.requests.plan import plan as plan_of
+from metapp.runs.requests.request import Request, portion_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
-from metapp.runs.training import train_checkpoint
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, guarded, summary

@@ -15,11 +15,11 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
-from metapp.runs.batch_size import check_batch
-from metapp.runs.checks import check_export, check_name, check_protocol, check_rule
-from metapp.runs.choosing import chosen_recipe
-from metapp.runs.naming import observe_of
-from metapp.runs.options import (
+from metapp.runs.fits.batch_size import check_batch
+from metapp.runs.requests.checks import check_export, check_name, check_protocol, check_rule
+from metapp.runs.requests.choosing import chosen_recipe
+from metapp.runs.requests.naming import observe_of
+from metapp.runs.requests.options import (
     adapted,
     check_options,
     merge_of,
@@ -28,7 +28,7 @@ from metapp.runs.options import (
     shown_options,
     without_adapted,
 )
-from metapp.runs.request import Request, portion_of, seconds_of, time_text
+from metapp.runs.requests.request import Request, portion_of, seconds_of, time_text
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.text import meant

@@ -13,7 +13,7 @@ import typer
 from metapp import door
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, annotated, plain, takes
-from metapp.runs.convert import Converted, convert
+from metapp.runs.inputs.convert import Converted, convert
 from metapp.runs.reporter import say
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from data_tools.formats import formats
-from metapp.cli.data_convert import command_of
+from metapp.cli.data.convert import command_of
 from metapp.cli.group import Group, add_command, add_commands
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")

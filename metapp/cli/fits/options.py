@@ -10,7 +10,7 @@ from metapp.apps import app_names, protocols_of
 from metapp.cli import completion
 from metapp.cli.options import annotated
 from metapp.learning.names import composition_names, rule_names
-from metapp.runs.options import all_options, options_of
+from metapp.runs.requests.options import all_options, options_of
 from metapp.storage import Document
 
 PANELS = INPUT, FIT, OUTPUT, MACHINE = ("Input", "Fit", "Output", "Machine")

@@ -7,8 +7,8 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from metapp.learning.app import App
-from metapp.runs.naming import factor_of, title_of
 from metapp.runs.reporter import number
+from metapp.runs.requests.naming import factor_of, title_of
 from metapp.storage import html
 from metapp.storage.html import element
 from metapp.storage.images import png_address, png_bytes

@@ -15,9 +15,9 @@ from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usua
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
-from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.request import time_text
+from metapp.runs.requests.plan import Plan
+from metapp.runs.requests.request import time_text
 from metapp.storage import Document
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them

@@ -18,8 +18,8 @@ from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import caption_of, factor_of, title_of
 from metapp.runs.reporter import number
+from metapp.runs.requests.naming import caption_of, factor_of, title_of
 from metapp.storage import Document, html
 from metapp.storage.files import write_atomically
 from metapp.storage.html import element

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from metapp.cli.console import print_json
-from metapp.cli.data_convert import Quiet
+from metapp.cli.data.convert import Quiet
 from metapp.cli.options import Json
 from metapp.runs.reporter import progress, say
 

@@ -16,14 +16,14 @@ from metapp.appearance.colour import stretched, tone_map
 from metapp.appearance.presentation import Picture, Presentation, Rendered
 from metapp.learning.app import App, Distilled, stack
 from metapp.learning.task import Params, Task
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export, check_name
-from metapp.runs.options import check_options
-from metapp.runs.plan import plan
-from metapp.runs.recorded import plan_as, read_run, tasks_as
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints.shipped import QUICK
+from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
-from metapp.runs.request import Request
-from metapp.runs.shipped import QUICK
+from metapp.runs.requests.checks import check_export, check_name
+from metapp.runs.requests.options import check_options
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.storage import Document
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import RunFolder, file_name, read_theta

@@ -17,11 +17,11 @@ from data_tools.readers.photos import SIZE
 from metapp import door
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.runs.embedded import embedded_data
-from metapp.runs.memory import tasks_of_objects
-from metapp.runs.options import merge_of, read_options, recorded_options
-from metapp.runs.plan import Plan
+from metapp.runs.inputs.embedded import embedded_data
+from metapp.runs.inputs.memory import tasks_of_objects
 from metapp.runs.reporter import say
+from metapp.runs.requests.options import merge_of, read_options, recorded_options
+from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name

@@ -16,11 +16,11 @@ from metapp.learning.task import Tasks
 from metapp.paradigms import paradigms, ranks
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.runs import BadOption
-from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
-from metapp.runs.inputs import data_folder, data_label
-from metapp.runs.naming import name_of, observe_of
-from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.checkpoints.finding import find_checkpoint, has_general, trained_path
+from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import progress, say
+from metapp.runs.requests.naming import name_of, observe_of
+from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.runs.surroundings import make_folder, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.files import remove_partial

@@ -24,7 +24,7 @@ class Request:
         inputs: files and folders; none: the test tasks of the data set.
         objects: of a program, in memory, instead of files.
         export: forms to write fits in, with commas between them.
-        options: what was given of the options that extensions declare, by name (`metapp.runs.options`).
+        options: what was given of the options that extensions declare, by name (`metapp.runs.requests.options`).
         quiet: no progress, no messages but warnings.
     """
 

@@ -1,0 +1,1 @@
+"""`metapp data`: turn measurements and models into task shards."""

@@ -1,0 +1,1 @@
+"""Checkpoints: those that ship, those that were trained here, and training."""

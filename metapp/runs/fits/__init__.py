@@ -1,0 +1,1 @@
+"""Fits of a plan: one loop over all inputs."""

@@ -1,0 +1,1 @@
+"""What fits read: files, data sets, objects in memory."""
