@@ -7,7 +7,7 @@ import torch
 
 from metapp.runs import BadOption
 from metapp.runs.fits.batch_size import MOST, BatchSize, bytes_left, check_batch, peak_bytes
-from metapp.runs.fits.fitter import batch_size
+from metapp.runs.fits import batch_size
 
 CPU = torch.device("cpu")
 

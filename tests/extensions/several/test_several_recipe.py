@@ -16,10 +16,10 @@ from metapp.apps import recipes_of
 from metapp.extensions.several import checkpoints
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.plan import plan
-from metapp.runs.request import Request
-from metapp.runs.shipped import FULL, shipped_path
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints.shipped import FULL, shipped_path
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.storage.records import load_checkpoint, tensor_digest
 from tests.pictures import noise, write
 
