@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from metapp.runs import BadOption
-from metapp.runs.fits.batch_size import MOST, BatchSize, bytes_left, check_batch, peak_bytes
 from metapp.runs.fits import batch_size
+from metapp.runs.fits.batch_size import MOST, BatchSize, bytes_left, check_batch, peak_bytes
 
 CPU = torch.device("cpu")
 

@@ -57,10 +57,12 @@ def test_another_size(tmp_path: Path) -> None:
     assert large.shape == (3, 96, 96)
     assert torch.equal(large, again)
     assert not torch.equal(large, next(synthetic_tasks("train", 1, seed=1, size=96)).data["image"])
-    folder = embedded_data("texture", count=2, out=tmp_path / "large", quiet=True, size=64)
+    folder = embedded_data("texture", count=2, out=tmp_path / "large", quiet=True, options={"size": 64})
     assert read_manifest(folder).notes["size"] == 64
-    with pytest.raises(ValueError, match=r"^brdf: size 64, but its embedded set has one size; leave --size out\.$"):
-        embedded_data("brdf", count=2, out=tmp_path / "no", quiet=True, size=64)
+    with pytest.raises(
+        ValueError, match=r"^brdf: size 64, but its embedded set has no such option; leave --size out\.$"
+    ):
+        embedded_data("brdf", count=2, out=tmp_path / "no", quiet=True, options={"size": 64})
 
 
 # Under a flash

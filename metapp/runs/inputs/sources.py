@@ -147,9 +147,12 @@ def _sources_of_files(plan: Plan) -> list[Source]:
     numbers: collections.Counter[str] = collections.Counter()
     ordered = []
     for whole in sources:
-        numbers[_stem(whole)] += 1
-        number = numbers[_stem(whole)]
-        ordered.append(sources[whole]._replace(mark=f"-{number}" if number > 1 else ""))
+        stem = _stem(whole)
+        numbers[stem] += 1
+        mark = f"-{numbers[stem]}" if numbers[stem] > 1 else ""
+        if mark:
+            say(f"warning: a second {stem} is called {stem}{mark}")
+        ordered.append(sources[whole]._replace(mark=mark))
     return ordered
 
 
