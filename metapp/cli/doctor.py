@@ -94,15 +94,19 @@ def _version(package: str) -> str:
 
 
 def _vgg(which: str) -> str:
-    from data_tools.vgg import stored
-    from metapp.appearance.features import weights_path
+    from safetensors import SafetensorError
 
-    origin = stored(which)
-    if origin:
-        return f"from {origin.source}"
-    if weights_path(which).is_file():
-        return f"damaged: what is fitted to pictures fails; fetch it again: metapp data vgg --which {which}"
-    return f"not fetched; {VGG[which]}; get it: metapp data vgg --which {which}"
+    from metapp.appearance.features import weights_path
+    from metapp.storage.tensors import opened_tensors
+
+    remedy = f"metapp data vgg --which {which}"
+    if not weights_path(which).is_file():
+        return f"not fetched; {VGG[which]}; get it: {remedy}"
+    try:
+        with opened_tensors(weights_path(which)) as file:
+            return f"from {(file.metadata() or {}).get('source', 'unknown')}"
+    except (OSError, SafetensorError):
+        return f"damaged: what is fitted to pictures fails; fetch it again: {remedy}"
 
 
 def _llvm() -> str:

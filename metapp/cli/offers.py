@@ -14,6 +14,5 @@ OFFERS = (
     Command("join", f"{_HERE}.data.sets:join", under="data", bare_is_help=True),
     Command("noisy", f"{_HERE}.data.sets:noisy", under="data", bare_is_help=True),
     Command("check", f"{_HERE}.data.sets:check", under="data", bare_is_help=True),
-    Command("vgg", f"{_HERE}.data.vgg:vgg", under="data"),
     Command("scene", f"{_HERE}.data.scene:scene", under="data"),
 )

@@ -45,8 +45,8 @@ def vgg(
       metapp data vgg
       metapp data vgg --which vgg19 --weights vgg19-dcbb9e9d.pth
     """
-    from data_tools.vgg import provide
     from metapp.appearance.features import weights_path
+    from metapp.extensions.vgg.weights import provide
 
     with progress(which.value, quiet=quiet) as bar:
 

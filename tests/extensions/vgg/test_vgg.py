@@ -18,8 +18,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from data_tools import vgg
 from metapp.appearance.features import KNOWN, describe_features, load_features
+from metapp.extensions.vgg import weights as vgg
 
 SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
 TREE = {

@@ -1,0 +1,5 @@
+"""ImageNet weights of VGG-16 and VGG-19, which losses on pictures read: found or fetched, once."""
+
+from metapp.door import Command
+
+OFFERS = (Command("vgg", "metapp.extensions.vgg.commands:vgg", under="data"),)
