@@ -118,6 +118,8 @@ def load_checkpoint(
                 raise _Misnamed
             stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
+        if "start" in info:  # as most files that ship name themselves; writing them anew would double their history
+            info["checkpoint"] = info.pop("start")
         if info["schema"] > SCHEMA:
             raise ValueError(f"{path}: schema {info['schema']}, expected at most {SCHEMA}; update metapp.")
         if not all(value.dtype in FLOATS for value in tensors.values()):
