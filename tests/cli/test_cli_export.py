@@ -60,8 +60,10 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
 ) -> None:
     network = neural_fits(1) / "m0"
     run = metapp("meta", "brdf", network, "--json", "--quiet").document["out"]
+    Path("moved").mkdir()
+    moved = network.rename(Path("moved").absolute() / "m0")
     assert "m0: nbrdf is made of the fit and its input" in metapp("export", run, "nbrdf").error
-    done = metapp("export", run, "nbrdf", network)
+    done = metapp("export", run, "nbrdf", moved)
     assert done.code == 0
     assert "distilled" in done.err
     assert Path(run, "nbrdf", "m0", "b3.npy").is_file()
