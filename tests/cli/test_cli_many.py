@@ -13,6 +13,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.runs import BadOption
 from metapp.runs.fits.execution import _Loop
 from metapp.runs.fits.fitter import Fitter
+from metapp.runs.inputs.sources import Source
 from metapp.runs.requests.request import Portion, portion_of
 from metapp.storage.records import read_records
 
@@ -192,3 +193,11 @@ def test_shards_are_a_partition_and_others_are_refused(fit: Callable) -> None:
         assert fit("--shard", text).misuse
     assert "--budget" in fit("--batch", "4", "--budget", "1s").misuse  # not side by side
     assert fit("--batch", "many").misuse
+
+
+def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
+    fit: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = Source.task
+    monkeypatch.setattr(Source, "task", lambda self: task(self)._replace(name="one"))
+    assert sorted(errors(fit("--batch", "8").document)) == ["one", *(f"one-{i}" for i in range(2, 6))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -255,6 +256,7 @@ class _Loop:
         self.remarks: list[str] = []
         self.anew, self.count = False, 0
         self._columns: dict[str, Column] = {}
+        self._names: dict[str, str] = {}  # of tasks, and the places that have them
         self._touched: set[str] = set()  # places of files with another time, and the content of their record
 
     def _finished(self) -> dict[str, Document]:
@@ -307,11 +309,22 @@ class _Loop:
         error.__context__ = error.__cause__ = None
         self.failures.append(Failure(source.place, error.with_traceback(None), source.named))
 
+    def _named(self, source: Source, task: Task) -> Task:
+        """The task by a name of its own in the run: sources of different stems may hold tasks of one name."""
+        name, numbers = task.name, itertools.count(2)
+        while self._names.get(name, source.place) != source.place:
+            name = f"{task.name}-{next(numbers)}"
+        if name != task.name:
+            say(f"warning: a second {task.name} is called {name}")
+        self._names[name] = source.place
+        return task._replace(name=name)
+
     def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
         finished = {} if self.anew else self._finished()
+        self._names |= {record["name"]: place for place, record in finished.items()}
         for source in sources:
             try:
-                task = source.task()
+                task = self._named(source, source.task())
                 if source.stamp and finished.get(source.place, {}).get("content") == content_of([task]):
                     self._touched.add(source.place)
                     continue

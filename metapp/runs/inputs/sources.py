@@ -109,7 +109,7 @@ def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
             say(f"warning: skipped {named(error, Path(source.place))}")
     if not tasks:
         raise ValueError(f"none of the {len(sources)} found could be read.")
-    return tasks, label
+    return distinct(tasks), label
 
 
 def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
