@@ -120,7 +120,12 @@ def _installed() -> tuple[Extension, ...]:
 
 
 def _package(point: importlib.metadata.EntryPoint) -> str:
-    return point.dist.name if point.dist else ""
+    return _name_of(point.dist) if point.dist else ""
+
+
+@functools.cache  # each look at a name parses the package's metadata
+def _name_of(package: importlib.metadata.Distribution) -> str:
+    return package.name
 
 
 def _opened(point: importlib.metadata.EntryPoint) -> Extension:
