@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import platform
 import tempfile
 from collections.abc import Iterator
@@ -31,15 +30,6 @@ def threads(count: int | None) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def return_memory() -> None:
-    """Give freed memory back to the system, where the C library can.
-
-    By itself glibc keeps what lies between values that stay: of inputs that were read, a hundred times their size.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def find_device(name: str, app: App) -> torch.device:

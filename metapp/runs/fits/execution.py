@@ -325,7 +325,8 @@ class _Loop:
         for source in sources:
             try:
                 task = self._named(source, source.task())
-                if source.stamp and finished.get(source.place, {}).get("content") == content_of([task]):
+                content = finished.get(source.place, {}).get("content")
+                if content and content == content_of([task]):
                     self._touched.add(source.place)
                     continue
                 self.fitter.check([task])
