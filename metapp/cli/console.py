@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 def out() -> Console:
     """Standard output, for tables; a pipe has no width of its own."""
-    from rich.console import Console
+    from metapp.cli.terminal import plain_console
 
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 120)
+    return plain_console(width=None if sys.stdout.isatty() else 120)
 
 
 class Exit(enum.IntEnum):

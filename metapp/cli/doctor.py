@@ -38,7 +38,7 @@ def command(
     for name, value in found.items():
         told, after = (": ", "; ") if name == "checkpoints" else (" ", ", ")  # these are lists
         text = after.join(f"{key}{told}{item}" for key, item in value.items()) if isinstance(value, dict) else value
-        out().print(f"{name:<11} {text}", markup=False, soft_wrap=True)
+        out().print(f"{name:<11} {text}", soft_wrap=True)
 
 
 def examine() -> Document:

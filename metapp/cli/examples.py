@@ -72,6 +72,6 @@ def command(
     if needy := [name for name in apps if known[name].needs_vgg]:
         first.append(("metapp data vgg", f"what fits of {' and '.join(needy)} read, once: 64 to 550 MB"))
     lines = [*first, *(line for name in apps for line in found[name])]
-    out().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), markup=False, soft_wrap=True)
+    out().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), soft_wrap=True)
     if files:
         say(f"made: {', '.join(map(str, files))}")

@@ -24,7 +24,7 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     if form in ("json", "csv"):
         rows = [row | ({"table": name} if several else {}) for name in found for _, some in found[name] for row in some]
         if form == "csv":
-            out().print(csv_of(rows), markup=False, soft_wrap=True)
+            out().print(csv_of(rows), soft_wrap=True)
         else:
             print_json({"which": ALL if several else tables[0].name, "rows": rows})
         return
@@ -33,7 +33,7 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
             for subject, rows in found[table.name]:
                 out().print(rich_table(table, subject, rows))
         else:
-            out().print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)
+            out().print(text_table(table, found[table.name], form), soft_wrap=True)
 
 
 def rich_table(table: Table, subject: Subject, rows: list[Row]) -> Any:

@@ -15,6 +15,11 @@ from metapp.cli.streams import leave, one_line
 from metapp.runs.reporter import Bar, Clock, Reporter, duration
 
 
+def plain_console(*, stderr: bool = False, width: int | None = None) -> Console:
+    """A console that prints text as it is: names of files and tasks may look like markup or emoji codes."""
+    return Console(stderr=stderr, width=width, highlight=False, markup=False, emoji=False)
+
+
 class _Speed(ProgressColumn):
     """Steps a second."""
 
@@ -64,7 +69,7 @@ class Terminal(Reporter):
     """Messages and progress on standard error."""
 
     def __init__(self) -> None:
-        self._console = Console(stderr=True, highlight=False)
+        self._console = plain_console(stderr=True)
         self._warned: set[str] = set()
         self._steps = _Lines(self.say, float("-inf"))
 
@@ -77,7 +82,7 @@ class Terminal(Reporter):
         if message.startswith(("error: ", "warning: ", "problem: ")):
             message = one_line(message)
         try:
-            self._console.print(message, markup=False, soft_wrap=True)
+            self._console.print(message, soft_wrap=True)
         except OSError:
             leave(sys.stderr)
 
@@ -85,7 +90,7 @@ class Terminal(Reporter):
     def bar(self, title: str, total: int | None, done: int, long: bool) -> Iterator[Bar]:
         """Show a bar with the time left, the speed and a note."""
         columns: tuple[ProgressColumn, ...] = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
@@ -110,7 +115,7 @@ class Terminal(Reporter):
             yield line
             return
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
             TextColumn("{task.fields[left]}", markup=False),
             TextColumn("{task.fields[note]}", markup=False),

@@ -226,9 +226,9 @@ def check(
             f"{folder}: {manifest.app}, {counts['train']} train + {counts['test']} test tasks, {size / 1e6:,.1f} MB"
         ]
         lines += [f"  {key}: {unit}" for key, unit in manifest.units.items()]
-        out().print("\n".join(lines), markup=False, soft_wrap=True)
+        out().print("\n".join(lines), soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")
-        out().print(f"{len(problems)} problems" if problems else "no problems", markup=False)
+        out().print(f"{len(problems)} problems" if problems else "no problems")
     if problems:
         raise typer.Exit(Exit.FAILED)

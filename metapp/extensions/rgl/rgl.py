@@ -47,6 +47,7 @@ LAST_DEGREES = 89.5
 LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
 SUFFIX = ".bsdf"
 BELOW_ZERO = 1e-6  # of the greatest value of a density: values that little below 0 are noise
+BELOW_BLACK = 0.1  # of the greatest reflectance: saturated colours of measurements, outside of Rec.709, have so much
 LARGEST = 1e9  # of any number; measurements are below 1e6
 # number of axes of each field that `measured` reads
 AXES = {
@@ -245,9 +246,20 @@ def _check_shapes(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 
 def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
-    for name in ("theta_i", "phi_i"):
-        if (np.diff(fields[name]) <= 0).any():
+    for name, low, high in (("theta_i", 0.0, math.pi / 2), ("phi_i", -math.pi, math.pi)):
+        angles = fields[name]
+        if angles.min() < low - 1e-3 or angles.max() > high + 1e-3:
+            raise ValueError(
+                f"{path}: {name} from {angles.min():.4g} to {angles.max():.4g}, expected {low:.4g} to {high:.4g} rad; "
+                "download it again."
+            )
+        if (np.diff(angles) <= 0).any():
             raise ValueError(f"{path}: {name} not ascending, expected ascending angles in rad; download it again.")
+    least, most = float(fields["rgb"].min()), float(fields["rgb"].max())
+    if least < -BELOW_BLACK * most or most <= 0:
+        raise ValueError(
+            f"{path}: rgb from {least:.4g} to {most:.4g}, expected reflectance of 0 or more; download it again."
+        )
     for name in ("vndf", "luminance"):
         slices = fields[name].reshape(-1, *fields[name].shape[2:])
         least, most = float(slices.min()), float(slices.max())
@@ -255,5 +267,7 @@ def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
             raise ValueError(f"{path}: {name} negative or 0 throughout, expected a density; download it again.")
         if least < 0:  # noise of a genuine measurement; `measured` draws directions by it, and `eval` does not use it
             warnings.warn(f"{path}: {name} of down to {least:.1g}, taken for noise below 0.", stacklevel=2)
-    if fields["jacobian"][0] and (fields["sigma"] <= 0).any():
+    if (fields["sigma"] <= 0).any():
         raise ValueError(f"{path}: sigma with values of 0 or less, expected areas above 0; download it again.")
+    if (fields["ndf"] < 0).any():
+        raise ValueError(f"{path}: ndf with values below 0, expected a distribution; download it again.")

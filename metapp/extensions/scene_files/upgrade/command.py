@@ -58,7 +58,7 @@ def upgrade(options: Options) -> None:
     if target:
         write(result.root, target)
     for line in () if options.quiet else lines(result.repairs):
-        out().print(f"{path}: {line}", markup=False, soft_wrap=True)
+        out().print(f"{path}: {line}", soft_wrap=True)
     loaded = target or path
     answer = verdict(loaded, (path.resolve().parent, *roots))
     left = lines(result.left)
