@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-plan bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -89,6 +89,10 @@ bench-plan: setup  ## errors of BRDF fits of planned samples; DATA=<data set> NE
 bench-photo: setup  ## what a flash photo holds beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
+# a laptop runs a part of it: make bench-rules RULES="brdf --train-steps 200 --steps 10 --seeds 1"
+bench-rules: setup  ## all update rules, trained alike with few outer steps, beside a tuned Adam: a table and a figure; hours
+	$(VENV)/bin/python -m benchmarks.bench_rules --out $(RUNS) $(RULES)
+
 # of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
 guiding: setup  ## error over time of guided and regular paths, a table and a figure in runs/guiding; an hour
 	$(VENV)/bin/python -m benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
@@ -124,17 +128,6 @@ table-samples: setup  ## samples that a fit uses
 
 table-convergence: setup  ## errors by Meta's steps, and the steps until it reaches Overfit
 	$(EVALUATE) --which convergence
-
-# every update rule, trained alike; a laptop runs a part of it: make rules OUTER=200 STEPS=10 SEEDS=0
-APPS ?= brdf
-OUTER ?= 500
-STEPS ?= 5 10 20 40
-INITIALISATION ?= encoder
-
-rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OUTER outer steps, a table and a figure; hours
-	$(METAPP) evaluate $(APPS) --which rules --initialisation $(INITIALISATION) --train-steps $(OUTER) $(STEPS:%=--steps %) \
-	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
-	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
 
 table-baselines: setup  ## baselines without a network: error, time and bytes
 	$(EVALUATE) --which baselines

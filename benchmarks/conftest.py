@@ -1,5 +1,5 @@
-"""What the test of a benchmark's own renderer has of all tests: seeds, an empty cache, Mitsuba."""
+"""What tests of benchmarks have of all tests: seeds, an empty cache, Mitsuba, commands, networks."""
 
-from tests.conftest import _caches, _seed, _shared_cache, cache, mi
+from tests.conftest import _caches, _seed, _shared_cache, cache, metapp, mi, neural_fits
 
-__all__ = ["_caches", "_seed", "_shared_cache", "cache", "mi"]
+__all__ = ["_caches", "_seed", "_shared_cache", "cache", "metapp", "mi", "neural_fits"]

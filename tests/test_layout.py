@@ -209,7 +209,6 @@ EXTENSIONS = {
     "report": 720,
     "reruns": 640,
     "rgl": 440,
-    "rule_study": 510,
     "scene_files": 2_030,
     "several": 190,
     "vgg": 450,

@@ -50,7 +50,7 @@ def methods(incomplete: str) -> list[str]:
 
 def tables(incomplete: str) -> list[str]:
     """Tables of `metapp evaluate`."""
-    return _that_begin(incomplete, (*table_names(), ALL, *table_names(studies=True)))
+    return _that_begin(incomplete, (*table_names(), ALL))
 
 
 def devices(incomplete: str) -> list[str]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from metapp import door
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, annotated, plain, takes
+from metapp.cli.options import Json, annotated, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from metapp.runs.requests.request import Portion
 
 LISTED = 8  # rows of a table that are named as missing
-NAMES, STUDIES = table_names(), table_names(studies=True)
-WHICH = (*NAMES, ALL, *STUDIES)
+NAMES = table_names()
+WHICH = (*NAMES, ALL)
 FORMATS = ("rich", "markdown", "latex", "csv")
 
 
@@ -66,7 +66,7 @@ class Evaluation:
         str,
         typer.Option(
             autocompletion=completion.rules,
-            help="Meta's learned rule, default: the recipe's; a table of rules: this one alone, default: all.",
+            help="Meta's learned rule; default: the recipe's.",
         ),
     ] = ""
     observe: Annotated[
@@ -91,18 +91,12 @@ class Evaluation:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
 
 
-# the options of tables, with the table's name
-_OWN = {option.name: (option, offer.name) for offer in door.offers(door.Table) for option in offer.options}
-_FIELDS: list[tuple[str, object, object]] = [
-    *((offer.option.name, annotated(offer.option), field(default=None)) for offer in door.offers(door.Report)),
-    *(
-        (name, annotated(option, given=True, rich_help_panel=f"Options of --which {table}"), field(default=None))
-        for name, (option, table) in _OWN.items()
-    ),
+_REPORTS: list[tuple[str, object, object]] = [
+    (offer.option.name, annotated(offer.option), field(default=None)) for offer in door.offers(door.Report)
 ]
 
 
-@takes(make_dataclass("Options", _FIELDS, bases=(Evaluation,), frozen=True))
+@takes(make_dataclass("Options", _REPORTS, bases=(Evaluation,), frozen=True))
 def command(options: Evaluation) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
 
@@ -131,7 +125,7 @@ def check(options: Evaluation) -> Evaluation:
     """The options, with the default table.
 
     Raises:
-        BadParameter: there is no such table or format, or an option is of another table.
+        BadParameter: there is no such table or format, or --shard stands beside what prints or writes all.
     """
     options = replace(options, which=options.which or "results")
     if extension := door.switched_off(door.Table, options.which):
@@ -144,10 +138,6 @@ def check(options: Evaluation) -> Evaluation:
     flags = [*(["--no-run"] if options.no_run else []), *(offer.option.flag for offer in reports_of(options))]
     if options.shard and flags:
         raise typer.BadParameter(f"--shard: runs a part and prints no table; leave {', '.join(flags)} out.")
-    for name in own_options(options):
-        own, owner = _OWN[name]
-        if owner != options.which:
-            raise typer.BadParameter(f"{own.flag}: only with --which {owner}.")
     return options
 
 
@@ -155,12 +145,6 @@ def reports_of(options: Evaluation) -> dict[door.Report, Path]:
     """What is to be written of the tables, and where."""
     paths = {offer: getattr(options, offer.option.name) for offer in door.offers(door.Report)}
     return {offer: path for offer, path in paths.items() if path}
-
-
-def own_options(options: Evaluation) -> dict[str, Any]:
-    """What was given of the options of tables, by name."""
-    values = {name: plain(getattr(options, name)) for name in _OWN}
-    return {name: value for name, value in values.items() if value}
 
 
 def subjects_of(options: Evaluation) -> list[Subject]:
@@ -171,7 +155,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     from metapp.runs.requests.plan import plan
     from metapp.runs.requests.request import Request, portion_of
 
-    run, own = not options.no_run, own_options(options) | ({"rule": options.rule} if options.rule else {})
+    run = not options.no_run
     names = options.apps or app_names()
     for name in names:
         check_name(name)
@@ -197,7 +181,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     ]
     strict = bool(options.apps) and run
     share, portion = options.overfit_share, portion_of(options.shard)
-    return [Subject(one, run=run, strict=strict, share=share, portion=portion, options=own) for one in plans]
+    return [Subject(one, run=run, strict=strict, share=share, portion=portion) for one in plans]
 
 
 def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:
@@ -206,10 +190,9 @@ def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:
     Raises:
         ValueError: a checkpoint is missing that was asked for.
     """
-    if any(table.name not in STUDIES for table in tables):
-        # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
-        # nobody named have empty cells where a checkpoint is missing
-        assert all(subject.fits for subject in subjects)
+    # all checkpoints before the first fit: a missing one should not be found after an hour; applications that nobody
+    # named have empty cells where a checkpoint is missing
+    assert all(subject.fits for subject in subjects)
     return [cell for table in tables for subject in subjects for cell in table.cells(subject)]
 
 

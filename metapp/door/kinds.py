@@ -388,14 +388,10 @@ class Table(NamedTuple):
     Attributes:
         name: the value of --which.
         table: a `metapp.evaluation.rows.Table`.
-        study: whether it trains for itself, for hours, and is no part of "all".
-        options: its own, whose values are in `metapp.evaluation.subject.Subject.options`.
     """
 
     name: str
     table: str
-    study: bool = False
-    options: tuple[Option, ...] = ()
 
 
 class Figure(NamedTuple):
@@ -405,12 +401,10 @@ class Figure(NamedTuple):
         name: of its file.
         figure: `figure(subject) -> metapp.evaluation.style.Drawn`, or None where nothing was measured yet that
             it could show.
-        table: the study that it is of, which it is drawn with alone; "" for one of the paper's.
     """
 
     name: str
     figure: str
-    table: str = ""
 
 
 class Report(NamedTuple):

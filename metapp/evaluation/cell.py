@@ -28,7 +28,6 @@ class Cell(NamedTuple):
         stage: cells of a lower stage come first, which this one reads.
         threads: that torch works with meanwhile; None: as many as it does.
         guess: seconds that a task takes beside its steps, about, before any was measured.
-        number: of a cell whose tasks one program must measure alone, among such cells; None: they may be divided.
     """
 
     title: str
@@ -39,7 +38,6 @@ class Cell(NamedTuple):
     stage: int = 0
     threads: int | None = None
     guess: float = 0.0
-    number: int | None = None
 
     def records(self) -> list[Record]:
         """The records there are, in the order of the tasks."""
@@ -49,11 +47,7 @@ class Cell(NamedTuple):
     def missing(self, portion: Portion = WHOLE) -> list[Task]:
         """The tasks of a portion that have no record yet."""
         finished = self.folder.finished() if self.folder else {}
-        if self.number is None:
-            tasks = portion.of(self.tasks)
-        else:
-            tasks = list(self.tasks) if self.number % portion.parts == portion.number - 1 else []
-        return [task for task in tasks if task.name not in finished]
+        return [task for task in portion.of(self.tasks) if task.name not in finished]
 
     @property
     def whole(self) -> bool:

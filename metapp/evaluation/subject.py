@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import functools
 import shlex
-from collections.abc import Mapping
 from contextlib import suppress
-from types import MappingProxyType
 from typing import Any
 
 from metapp.appearance.presentation import Presentation
@@ -35,7 +33,6 @@ class Subject:
         run: whether cells without records will be run; else they stay empty.
         share: of the recipe's steps that Overfit takes here.
         portion: of what is missing, that is run here.
-        options: what was given of the options of tables and of the rule, by name.
     """
 
     def __init__(
@@ -46,15 +43,14 @@ class Subject:
         strict: bool,
         share: float = 1.0,
         portion: Portion = WHOLE,
-        options: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         """Look up nothing yet.
 
         Args:
-            plan, run, share, portion, options: as the attributes.
+            plan, run, share, portion: as the attributes.
             strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
         """
-        self.plan, self.run, self.share, self.portion, self.options = plan, run, share, portion, options
+        self.plan, self.run, self.share, self.portion = plan, run, share, portion
         self._strict = strict
         self._cells: dict[str, Cell] = {}
 
@@ -166,9 +162,7 @@ class Subject:
         """The command that fills a table for this application."""
         words = ["metapp", "evaluate", self.app.name, "--which", which, *shared_words(self.plan)]
         words += ["--overfit-share", f"{self.share:g}"] if self.share != 1 else []
-        for name, value in self.options.items():
-            for one in value if isinstance(value, list) else [value]:
-                words += ["--" + name.replace("_", "-"), str(one)]
+        words += ["--rule", self.plan.job.rule] if self.plan.job.rule != self.plan.job.recipe.rule else []
         return shlex.join(words)
 
 

@@ -49,7 +49,7 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         ("metapp meta illumination --observe ", ["reference", "photo"]),
         ("metapp general texture --device c", ["cpu", "cuda"]),
         ("metapp baseline texture --method ", ["nearest", "quilting", "gpdm", "patches"]),
-        ("metapp evaluate --which ", [*table_names(), "all", "rules"]),
+        ("metapp evaluate --which ", [*table_names(), "all"]),
         ("metapp evaluate brdf transport --recipe f", ["full", "few"]),
     ],
 )

@@ -234,3 +234,18 @@ def test_a_full_disk_ends_no_training(
     assert f"{cut.parent}: No space left on device; {cut.name} was not written" in str(recwarn[0].message)
     assert cut.read_bytes() == before
     assert as_file(made, cut.with_name("made")) == expected
+
+
+def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("metapp.storage.training_checkpoint.time.process_time", lambda: clock[0])
+    first = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
+    clock[0] += 7
+    assert first.spent == 7
+    first.progress = first.progress._replace(errors=(1.0,))
+    first.write()
+    clock[0] += 1000
+    second = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
+    assert second.load().errors == (1.0,)
+    clock[0] += 5
+    assert second.spent == 12

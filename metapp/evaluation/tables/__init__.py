@@ -9,7 +9,7 @@ from metapp import door
 if TYPE_CHECKING:
     from metapp.evaluation.rows import Table
 
-ALL = "all"  # all tables but those that train for themselves
+ALL = "all"  # tables
 _HERE = "metapp.evaluation.tables"
 OFFERS = (
     door.Table("results", f"{_HERE}.results:RESULTS"),
@@ -22,9 +22,9 @@ OFFERS = (
 )
 
 
-def table_names(*, studies: bool = False) -> list[str]:
-    """The tables of fits by checkpoints that are there, or those that train for themselves."""
-    return [offer.name for offer in door.offers(door.Table) if offer.study is studies]
+def table_names() -> list[str]:
+    """The names of all tables."""
+    return [offer.name for offer in door.offers(door.Table)]
 
 
 def load_table(name: str) -> Table:

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from metapp.evaluation.subject import Subject
 
 
-def figure_names(table: str = "") -> list[str]:
-    """The figures of a study or, for "", the paper's."""
-    return [offer.name for offer in door.offers(door.Figure) if offer.table == table]
+def figure_names() -> list[str]:
+    """The names of all figures."""
+    return [offer.name for offer in door.offers(door.Figure)]
 
 
 def draw(name: str, subject: Subject) -> Drawn | None:
@@ -31,7 +31,7 @@ def draw(name: str, subject: Subject) -> Drawn | None:
 
 
 def write_figures(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> list[Path]:
-    """Write the figures of a study, if the tables are one, else the paper's, as <app>-<name>.png and .pdf.
+    """Write the figures as <app>-<name>.png and .pdf.
 
     Returns:
         The PNG files.
@@ -40,9 +40,8 @@ def write_figures(subjects: Sequence[Subject], folder: Path, tables: Sequence[st
     from metapp.runs.requests.naming import name_of
 
     files = []
-    names = [name for table in tables for name in figure_names(table)] or figure_names()
     for subject in subjects:
-        for name in names:
+        for name in figure_names():
             drawn = draw(name, subject)
             if drawn:
                 stem = f"{name_of(subject.app)} {name}".replace(" ", "-")

@@ -114,8 +114,8 @@ def rerun(record: Path, task: str, instead: Instead, *, quiet: bool) -> list[Rep
 def _repeated(folder: Path, records: list[Document], instead: Instead) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
-    if "study" in first["settings"] or "error" not in first or not first["settings"].keys() >= OF_FIT:
-        raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
+    if "error" not in first or not first["settings"].keys() >= OF_FIT:
+        raise ValueError(_ALONE.format(first["name"], "no fit"))
     for record in records:
         place = next(misfits(record, FIT), None if record["settings"] == first["settings"] else ".settings")
         if place is not None:

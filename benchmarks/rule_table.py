@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import functools
 import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
-from metapp.evaluation.cell import Cell
+from benchmarks.rule_study import QUICKFT, Case, Design, Study
+from metapp.evaluation.cell import Cell, distinct
 from metapp.evaluation.notes import paired_note, threads_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paired_of, row_of
 from metapp.evaluation.subject import Subject
-from metapp.extensions.rule_study.study import QUICKFT, Case, Design, Study
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.runs.fits.fitter import fit_tasks
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number, say
 from metapp.runs.requests.naming import caption_of
-from metapp.runs.requests.plan import Checkpoint
+from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, Record, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record
@@ -32,44 +30,24 @@ INITIALISATIONS = {
 A_STEP = 5e-3  # seconds of an outer step, for each gradient step, before any was measured
 
 
-@functools.cache
-def study_of(subject: Subject) -> Study:
-    """The study of an application, as the options of the table say."""
-    return Study(subject.plan, Design(**subject.options))
+class Studied(Subject):
+    """An application on a data set, and the study of its rules."""
+
+    def __init__(self, plan: Plan, design: Design) -> None:
+        super().__init__(plan, run=True, strict=True)
+        self.study = Study(plan, design)
 
 
-def cells(subject: Subject) -> list[Cell]:
-    """A training and its fits for each case, one after the other.
-
-    Raises:
-        ValueError: parts of the table are to be run, and there is no General.
-    """
-    if _lacks_general(subject):
-        none = subject.make_cell("rules", None, lambda tasks: iter(()))
-        return [none._replace(tasks=[])]
-    if subject.portion.parts > 1 and study_of(subject).general is None:
-        remedy = "train it first: metapp general with --train"
-        raise ValueError(f"--shard: {subject.title} has no General yet, which all parts begin at; {remedy}.")
-    by_path: dict[Path, Cell] = {}
-    trainings: dict[Path, int] = {}  # QuickFT's search is the same for all seeds
-    for case in study_of(subject).cases():
-        training, fits = train_cell(subject, case), fit_cell(subject, case)
-        assert training.folder is not None
-        number = trainings.setdefault(training.folder.path, len(trainings))
-        for cell in (training, fits):
-            assert cell.folder is not None
-            by_path.setdefault(cell.folder.path, cell._replace(stage=len(by_path), number=number))
-    return list(by_path.values())
+def cells(subject: Studied) -> list[Cell]:
+    """A training and its fits for each case, one after the other."""
+    cases = subject.study.cases()
+    both = distinct([cell for case in cases for cell in (train_cell(subject, case), fit_cell(subject, case))])
+    return [cell._replace(stage=i) for i, cell in enumerate(both)]  # QuickFT's search is the same for all seeds
 
 
-def _lacks_general(subject: Subject) -> bool:
-    """Whether there can be no records, and none are to be made."""
-    return not subject.tasks or (not subject.run and study_of(subject).general is None)
-
-
-def train_cell(subject: Subject, case: Case) -> Cell:
+def train_cell(subject: Studied, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
-    study = study_of(subject)
+    study = subject.study
     settings = study.settings(case, subject.label)
     recipe, seed = study.plan_of(case).request.recipe, settings["seed"]
     words = [subject.label, recipe, f"seed{seed}", case.rule, subject.app.protocol]
@@ -86,11 +64,11 @@ def train_cell(subject: Subject, case: Case) -> Cell:
     return cell._replace(tasks=[Task(case.rule, {})], guess=case.steps * A_STEP * max(outer, 1))
 
 
-def _trained(subject: Subject, case: Case) -> Record:
+def _trained(subject: Studied, case: Case) -> Record:
     """Train a case; a training that diverges is a result, too."""
     begin = time.process_time()
     try:
-        _, prepared, seconds = study_of(subject).train(case)
+        _, prepared, seconds = subject.study.train(case)
     except FloatingPointError as error:
         say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
         return {"error": None, "seconds": time.process_time() - begin, "step": None}
@@ -98,13 +76,13 @@ def _trained(subject: Subject, case: Case) -> Record:
 
 
 def _diverged(cell: Cell) -> bool:
-    """Whether a training has a record of having failed."""
+    """True if a training has a record of having failed."""
     return any(record["step"] is None for record in cell.records())
 
 
-def fit_cell(subject: Subject, case: Case) -> Cell:
+def fit_cell(subject: Studied, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
-    study = study_of(subject)
+    study = subject.study
     trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
     plan = replace(study.plan_of(case), checkpoint=trained)
     settings = plan.settings(subject.label)
@@ -124,11 +102,9 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
     return subject.make_cell(title, folder, measure, case.steps)
 
 
-def rows(subject: Subject) -> list[Row]:
+def rows(subject: Studied) -> list[Row]:
     """A row for each rule and number of steps that has fits of all tasks, of all seeds that have."""
-    if _lacks_general(subject):
-        return []
-    study, all_rows = study_of(subject), []
+    study, all_rows = subject.study, []
     for steps in sorted(set(study.design.steps)):
         reference = [cell for _, cell in _complete(subject, QUICKFT, steps)]
         for rule in (QUICKFT, *study.rules):
@@ -137,14 +113,14 @@ def rows(subject: Subject) -> list[Row]:
     return all_rows
 
 
-def _complete(subject: Subject, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
+def _complete(subject: Studied, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
     """Training and fits of the seeds of a rule of which both are all done."""
-    cases = [case for case in study_of(subject).cases() if (case.rule, case.steps) == (rule, steps)]
+    cases = [case for case in subject.study.cases() if (case.rule, case.steps) == (rule, steps)]
     both = [(train_cell(subject, case), fit_cell(subject, case)) for case in cases]
     return [(training, fits) for training, fits in both if not fits.missing() and not training.missing()]
 
 
-def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]], reference: list[Cell]) -> Row:
+def _row(subject: Studied, rule: str, steps: int, done: list[tuple[Cell, Cell]], reference: list[Cell]) -> Row:
     trainings = [training.records()[0] for training, _ in done]
     of_quickft = rule == QUICKFT
     entries = {
@@ -153,17 +129,17 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
         "seeds": len(done),
         "train_seconds": statistics.fmean(record["seconds"] for record in trainings),
         "validation": statistics.fmean(record["error"] for record in trainings),
-        "start": study_of(subject).design.initialisation,
-        "outer": None if of_quickft else study_of(subject).training(rule).steps,
+        "start": subject.study.design.initialisation,
+        "outer": None if of_quickft else subject.study.training(rule).steps,
     }
     cells, name = [fits for _, fits in done], QUICKFT if of_quickft else "meta"
     row = row_of(subject, name, cells, entries, against={QUICKFT: reference}, beside_paper=False)
     return row | {"apart": apart(paired_of(row, QUICKFT))}
 
 
-def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
+def notes(subject: Studied, all_rows: list[Row]) -> list[str]:
     """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
-    study = study_of(subject)
+    study = subject.study
     design, usual = study.design, study.plan.job.recipe.training(study.plan.job.rule).steps
     return [
         f"each rule is trained for {design.train_steps:,} outer steps (the recipe: {usual:,}) at each number of steps, "
@@ -175,7 +151,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         caption_of(subject.app),
         *paired_note(all_rows),
         *threads_note(all_rows),
-        *_not_run(subject, all_rows),
+        *_diverging(subject, all_rows),
         *(f"{rule}: does not apply, {reason}" for rule, reason in study.refused.items()),
     ]
 
@@ -193,17 +169,13 @@ def _winners(all_rows: list[Row], steps: int) -> str:
     )
 
 
-def _not_run(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What the design holds that has no row, as it was not run or diverged."""
-    study, there = study_of(subject), {(row["rule"], row["steps"]) for row in all_rows}
-    seed = study.plan.request.seed
+def _diverging(subject: Studied, all_rows: list[Row]) -> list[str]:
+    """The rules whose training diverged, by number of steps."""
+    study, there = subject.study, {(row["rule"], row["steps"]) for row in all_rows}
     lines = []
     for steps in sorted(set(study.design.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]
-        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, seed)))]
-        rest = [rule for rule in missing if rule not in diverged]
-        lines += [f"{steps} steps: training diverged: {', '.join(diverged)}"] if diverged else []
-        lines += [f"{steps} steps: not run: {', '.join(rest)}"] if rest else []
+        lines += [f"{steps} steps: training diverged: {', '.join(missing)}"] if missing else []
     return lines
 
 

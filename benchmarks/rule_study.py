@@ -40,7 +40,7 @@ COMPOSED = (
 
 
 class Design(NamedTuple):
-    """What a study trains.
+    """The design of a study.
 
     Attributes:
         train_steps: outer steps of each training.
@@ -72,7 +72,7 @@ class Case(NamedTuple):
 
 
 def training_for(recipe: Recipe, rule: str) -> MetaTraining:
-    """How a rule is trained: as the recipe has it, else as that of its rules whose directions are of the same length.
+    """The training of a rule: as the recipe has it, else as that of its rules whose directions are of the same length.
 
     Without Adam's moments a direction is the gradient itself: that takes the rates of meta-sgd, or a search of one.
     """
@@ -123,7 +123,7 @@ class Study:
         return Plan(request, paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
 
     def training(self, rule: str) -> MetaTraining:
-        """How a rule is trained here: as by its recipe, but for the initialisation, and with so many outer steps.
+        """The training of a rule here: as by its recipe, but for the initialisation, and with so many outer steps.
 
         A recipe that searches an Adam alone does so here, too.
         """
@@ -134,20 +134,15 @@ class Study:
         return replace(training, initialisation=first, steps=self.design.train_steps if training.steps else 0)
 
     @functools.cached_property
-    def general(self) -> Checkpoint | None:
-        """The General that all rules begin at and QuickFT is tuned for; None where this data has none yet."""
+    def general(self) -> Checkpoint:
+        """The General that all rules begin at and QuickFT is tuned for, trained now if this data has none."""
         general = self.plan.by("general")
-        return find_checkpoint(general).checkpoint if has_general(general) else None
-
-    def require_general(self) -> Checkpoint:
-        """General, trained now if this data has none."""
-        if self.general is None:
-            self.general = general_of(self.plan)
-        return self.general
+        checkpoint = find_checkpoint(general).checkpoint if has_general(general) else None
+        return checkpoint or general_of(self.plan)
 
     @functools.cached_property
     def _general_digest(self) -> str:
-        return tensor_digest(self.require_general().prepared.encoder)
+        return tensor_digest(self.general.prepared.encoder)
 
     def settings(self, case: Case, label: str) -> Record:
         """Everything that a training's result depends on, JSON-ready.
@@ -177,22 +172,22 @@ class Study:
 
     def train(self, case: Case) -> Trained:
         """Train a case's rule, or search its QuickFT."""
-        return train_checkpoint(self._trained_by(case), None, self.require_general())
+        return train_checkpoint(self._trained_by(case), None, self.general)
 
     def checkpoint(self, case: Case) -> Checkpoint:
-        """What a case fits by.
+        """The checkpoint that a case fits by.
 
         Raises:
             ValueError: it was not trained yet.
         """
         plan = self._trained_by(case)
         if case.rule != QUICKFT:
-            found = find_checkpoint(plan).checkpoint
-            assert found is not None
-            return found
+            checkpoint = find_checkpoint(plan).checkpoint
+            assert checkpoint is not None
+            return checkpoint
         path = trained_path(plan, QUICKFT)
         alpha = load_checkpoint(path, plan.device)[0].alpha
-        return Checkpoint(self.require_general().prepared._replace(alpha=alpha), str(path), "")
+        return Checkpoint(self.general.prepared._replace(alpha=alpha), str(path), "")
 
     def _trained_by(self, case: Case) -> Plan:
         """The plan that a case is trained by: QuickFT's search draws nothing, so that one seed says all."""

@@ -1,8 +1,9 @@
-"""The rule study: trainings and fits of all rules from one command, cut off and resumed, in parts."""
+"""The rule study: trainings and fits of all rules from one command."""
 
 from __future__ import annotations
 
 import functools
+import json
 import shutil
 import statistics
 from collections.abc import Callable, Iterator
@@ -11,18 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
+from benchmarks import bench_rules
+from benchmarks import rule_study as studies
+from benchmarks.rule_figure import rules
+from benchmarks.rule_study import COMPOSED, QUICKFT, Case, Design, Study, training_for
+from benchmarks.rule_table import Studied, fit_cell, train_cell
 from metapp import door
 from metapp.apps import recipes_of
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.cli.show import rich_table
-from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import load_table
-from metapp.extensions.report.figures import draw
-from metapp.extensions.rule_study import study as studies
-from metapp.extensions.rule_study.study import COMPOSED, QUICKFT, Case, Design, Study, training_for
-from metapp.extensions.rule_study.table import fit_cell, study_of, train_cell
 from metapp.learning.names import rule_names
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule as rule_table
@@ -31,10 +29,9 @@ from metapp.paradigms import tuning
 from metapp.runs.requests.plan import Plan, plan
 from metapp.runs.requests.request import Request
 from metapp.storage.records import load_checkpoint
-from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres
 
-FEW = ("--train-steps", "2", "--steps", "2", "--steps", "3", "--seeds", "2")
+FEW = ("--train-steps", "2", "--steps", "2", "3", "--seeds", "2")
 SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}],)
 
 
@@ -61,41 +58,33 @@ def data(neural_fits: Callable[[int], Path], metapp: Callable, tmp_path: Path) -
 
 
 @pytest.fixture
-def evaluate(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
-    def call(*arguments: str | Path, out: str = "runs") -> Any:
-        return metapp("evaluate", "brdf", "--which", "rules", "--data", data, "--out", tmp_path / out, *FEW, *arguments)
+def bench(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs the study; what it prints."""
+
+    def call(*arguments: str) -> str:
+        bench_rules.main(["brdf", "--data", str(data), "--out", str(tmp_path / "runs"), "--quiet", *FEW, *arguments])
+        return capsys.readouterr().out
 
     return call
-
-
-def figures(result: Any) -> list[dict[str, Any]]:
-    """All of a table's rows but seconds."""
-    assert result.code == 0, result.err
-    rows = result.document["rows"]
-    return [{key: value for key, value in row.items() if "seconds" not in key} for row in rows]
 
 
 def plan_of(**options: Any) -> Plan:
     return plan(Request("brdf", "general", recipe="quick", device="cpu", quiet=True, **options))
 
 
-def subject_of(data: Path, out: Path) -> Subject:
-    return Subject(
-        plan_of(data=data, out=out), run=True, strict=False, options={"train_steps": 2, "steps": [2, 3], "seeds": 2}
-    )
+def studied(data: Path, out: Path) -> Studied:
+    return Studied(plan_of(data=data, out=out), Design(train_steps=2, steps=[2, 3], seeds=2))
 
 
 # From one command
 
 
 @pytest.mark.long
-def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, data: Path, tmp_path: Path) -> None:
-    assert figures(evaluate("--no-run", "--json")) == []
-    done = evaluate("--json", "--figures", tmp_path / "figures")
-    rows = {(row["rule"], row["steps"]): row for row in done.document["rows"]}
+def test_one_command_trains_fits_and_says_what_came_of_it(bench: Callable, data: Path, tmp_path: Path) -> None:
+    rows = {(row["rule"], row["steps"]): row for row in json.loads(bench("--format", "json"))["rows"]}
     names = ("quickft (tuned Adam)", "meta-sgd", "sgd+loss", "adam")  # each once; meta-lgd does not apply
     assert list(rows) == [(name, steps) for steps in (2, 3) for name in names]
-    subject = subject_of(data, tmp_path / "runs")
+    subject = studied(data, tmp_path / "runs")
     for (name, steps), row in rows.items():
         rule = name.partition(" ")[0]
         cells = [fit_cell(subject, Case(rule, steps, seed)) for seed in (0, 1)]
@@ -112,56 +101,26 @@ def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, da
             assert row["vs_quickft"] is None
         else:
             assert row["vs_quickft"] == pytest.approx(row["error"] / rows["quickft (tuned Adam)", steps]["error"])
-    assert [file.name for file in (tmp_path / "figures").glob("*.png")] == ["brdf-rules.png"]
-    text = evaluate("--no-run", "--format", "markdown").out
+    assert [file.name for file in (tmp_path / "runs" / "figures").iterdir()] == ["brdf-rules.png"]
+    text = bench()
     for note in ("trained for 2 outer steps (the recipe: 20,000)", "meta-lgd: does not apply, no parameter lies on"):
         assert note in text
-    assert "not run" not in text
     for steps in (2, 3):  # each case is trained through its own number of steps
-        prepared, info = load_checkpoint(Path(study_of(subject).checkpoint(Case("adam", steps, 1)).source))
+        prepared, info = load_checkpoint(Path(subject.study.checkpoint(Case("adam", steps, 1)).source))
         assert len(prepared.alpha["rate.w1"]) == info["inner_steps"] == steps
         assert (info["seed"], info["training"]["steps"]) == (1, 2)
-        adam = study_of(subject).checkpoint(Case(QUICKFT, steps, 1)).prepared
+        adam = subject.study.checkpoint(Case(QUICKFT, steps, 1)).prepared
         assert adam.encoder
         assert set(adam.alpha) == {"rate", "beta1", "beta2", "eps", "final"}
-    table, console = load_table("rules"), Console(width=100)
-    with console.capture() as shown:
-        console.print(rich_table(table, subject, table.rows(subject)))
-    assert max(map(len, shown.get().splitlines())) <= 100
-    drawn = draw("rules", subject)
+    drawn = rules(subject)
     assert drawn
     assert [axis.get_title() for axis in drawn.figure.axes] == ["2 steps", "3 steps"]
     shutil.rmtree(tmp_path / "runs" / "brdf" / "rules")
-    assert draw("rules", subject) is None
-
-
-@pytest.mark.long
-def test_parts_train_and_fit_what_one_program_does(
-    evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path
-) -> None:
-    parts = [("--json", "--quiet", "--shard", f"{part}/2") for part in (1, 2)]
-    assert "has no General yet, which all parts begin at" in evaluate(*parts[0]).err
-    general = ("general", "brdf", "--train", "--data", data, "--recipe", "quick", "--quiet")
-    for out in ("runs", "whole"):
-        assert metapp(*general, "--out", tmp_path / out).code == 0
-    unbroken = figures(evaluate("--json", "--quiet", out="whole"))
-    made = [evaluate(*part).document for part in parts]
-    assert [part["missing"] for part in made] == [made[1]["made"], 0]
-    assert min(part["made"] for part in made) > 10
-    assert figures(evaluate("--no-run", "--json")) == unbroken
-
-
-def test_a_design_can_grow(evaluate: Callable) -> None:
-    part = figures(evaluate("--rule", "adam", "--json", "--quiet"))
-    assert [row["rule"] for row in part] == ["quickft (tuned Adam)", "adam"] * 2
-    said = evaluate("--no-run", "--format", "markdown").out
-    assert "2 steps: not run: meta-sgd, sgd+loss" in said
-    whole = figures(evaluate("--json", "--quiet"))
-    assert [row for row in whole if row["rule"] in ("adam", "quickft (tuned Adam)")] == part
+    assert rules(subject) is None
 
 
 def test_a_training_that_diverges_is_said_once_and_ends_nothing(
-    evaluate: Callable, monkeypatch: pytest.MonkeyPatch
+    bench: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train, tried = Study.train, []
 
@@ -172,12 +131,15 @@ def test_a_training_that_diverges_is_said_once_and_ends_nothing(
         return train(self, case)
 
     monkeypatch.setattr(Study, "train", diverging)
-    rows = figures(evaluate("--json", "--quiet"))
-    assert {row["rule"] for row in rows} == {"quickft (tuned Adam)", "meta-sgd", "sgd+loss"}
+    assert {row["rule"] for row in json.loads(bench("--format", "json"))["rows"]} == {
+        "quickft (tuned Adam)",
+        "meta-sgd",
+        "sgd+loss",
+    }
     count = len(tried)
-    shown = evaluate("--format", "markdown", "--quiet")
+    text = bench()
     assert len(tried) == count
-    assert "2 steps: training diverged: adam" in shown.out
+    assert "2 steps: training diverged: adam" in text
 
 
 # What is studied
@@ -209,21 +171,3 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
 def test_cases_of_few_steps_come_first() -> None:
     cases = Study(plan_of(seed=4), Design(steps=(9, 2), seeds=2, rule="adam")).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
-
-
-# Seconds of a training
-
-
-def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [100.0]
-    monkeypatch.setattr("metapp.storage.training_checkpoint.time.process_time", lambda: clock[0])
-    first = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
-    clock[0] += 7
-    assert first.spent == 7
-    first.progress = first.progress._replace(errors=(1.0,))
-    first.write()
-    clock[0] += 1000
-    second = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
-    assert second.load().errors == (1.0,)
-    clock[0] += 5
-    assert second.spent == 12
