@@ -17,7 +17,7 @@ from typing import Any
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["torch", "metapp.runs.checkpoints.finding", "metapp.cli.commands", "metapp.apps.brdf.app"]
+    ["torch", "metapp.runs.fits.execution", "metapp.cli.commands", "metapp.apps.brdf.presentation"]
 )
 OUT, ERR = "out.txt", "err.txt"
 

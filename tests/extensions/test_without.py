@@ -4,41 +4,22 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from data_tools.readers.nbrdf import SHAPES
 from metapp import door
+from metapp.apps import app_names
+from tests import forks
 
 NAMES = sorted(
     point.name
     for point in importlib.metadata.entry_points(group=door.GROUP)
     if point.value.startswith("metapp.extensions.")
 )
-LINES = """
-import json, sys
-from metapp import door
-from metapp.apps import app_names
-from metapp.cli.commands import app
-from metapp.cli.console import run
-def call(*words):
-    code = run(lambda: app(list(words), standalone_mode=False, prog_name="metapp"))
-    print(f"\\n== {json.dumps([int(code), *words])}", flush=True)
-for name in app_names():
-    call("meta", name, "--help")
-call("data", "--help")
-call("general", "brdf", sys.argv[1], "--recipe", "quick", "--json", "--quiet")
-call("meta", "brdf", sys.argv[1], "--recipe", "quick", "--json", "--quiet")
-call("evaluate", "brdf", "--data", sys.argv[2], "--no-run", "--quiet")
-call("data", "check", sys.argv[2])
-for words in json.loads(sys.argv[3]):
-    call(*words)
-"""
+NETWORKS = 1
+pytestmark = pytest.mark.usefixtures("compiled")
 
 
 def offered(names: list[str]) -> list[list[str]]:
@@ -53,39 +34,53 @@ def offered(names: list[str]) -> list[list[str]]:
     return [[*filter(None, [offer.under]), offer.name] for offer in commands]
 
 
-def check_without(names: list[str], folder: Path) -> None:
-    rng = np.random.default_rng(0)
-    network = folder / "gold"
-    network.mkdir()
-    for part, shape in SHAPES.items():
-        np.save(network / f"{part}.npy", rng.normal(0, 0.1, shape).astype(np.float32))
-    metapp = [sys.executable, "-m", "metapp"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "150", door.WITHOUT: ",".join(names)}
-    made = [*metapp, "data", "nbrdf", str(network), "--split", "test", "--out", str(folder / "set"), "--quiet"]
-    subprocess.run(made, check=True, env=environment, cwd=folder)
-    commands = offered(names)
-    done = subprocess.run(
-        [sys.executable, "-c", LINES, network, folder / "set", json.dumps(commands)],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=folder,
-        env=environment,
-    )
-    assert "Traceback" not in done.stderr
-    codes = [json.loads(line[3:]) for line in done.stdout.splitlines() if line.startswith("== ")]
-    failed = [words for code, *words in codes if code]
-    assert failed == commands, done.stderr
-    for name in names if commands else ():
-        if offered([name]):
-            assert f"a command of the extension {name}" in done.stderr.replace("\n", " ")
+def call_all(*lines: list[str]) -> None:
+    """Be the `metapp` command for each line of words, and print its exit code before them."""
+    from metapp.cli.commands import app
+    from metapp.cli.console import run
+
+    for words in lines:
+        code = run(lambda words=words: app(words, standalone_mode=False, prog_name="metapp"))
+        print(f"\n== {json.dumps([int(code), *words])}", flush=True)
 
 
-def test_without_all_extensions_the_core_works(tmp_path: Path) -> None:
-    check_without(NAMES, tmp_path)
+@pytest.fixture
+def check_without(networks: Path, tmp_path: Path) -> Callable[[list[str]], None]:
+    """Runs a data set, fits, tables and help without these extensions, in a process of its own."""
+    fit = ["brdf", str(networks / "m0"), "--recipe", "quick", "--json", "--quiet"]
+    core = [
+        ["data", "nbrdf", str(networks), "--split", "test", "--out", "set", "--quiet"],
+        *(["meta", name, "--help"] for name in app_names()),
+        ["data", "--help"],
+        ["general", *fit],
+        ["meta", *fit],
+        ["evaluate", "brdf", "--data", "set", "--no-run", "--quiet"],
+        ["data", "check", "set"],
+    ]
+
+    def check(names: list[str]) -> None:
+        commands = offered(names)
+        environment = {"COLUMNS": "150", door.WITHOUT: ",".join(names)}
+        process = forks.start(call_all, *core, *commands, said=tmp_path / "said", more=environment)
+        process.join()
+        out, errors = ((tmp_path / "said" / name).read_text() for name in (forks.OUT, forks.ERR))
+        assert process.exitcode == 0, errors
+        assert "Traceback" not in errors
+        codes = [json.loads(line[3:]) for line in out.splitlines() if line.startswith("== ")]
+        assert [words for _, *words in codes] == [*core, *commands]
+        assert [words for code, *words in codes if code] == commands, errors
+        for name in names:
+            if offered([name]):
+                assert f"a command of the extension {name}" in errors.replace("\n", " ")
+
+    return check
+
+
+def test_without_all_extensions_the_core_works(check_without: Callable) -> None:
+    check_without(NAMES)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
-def test_without_one_extension_all_else_works(name: str, tmp_path: Path) -> None:
-    check_without([name], tmp_path)
+def test_without_one_extension_all_else_works(name: str, check_without: Callable) -> None:
+    check_without([name])
