@@ -164,7 +164,7 @@ class Engine(NamedTuple):
 
     Attributes:
         name: of it.
-        engine: `engine(tasks_at_once, compiles) -> metapp.learning.adjoint.Engine`, as of `fastest` there.
+        engine: `engine(compiles) -> metapp.learning.adjoint.Engine`, as of `fastest` there.
     """
 
     name: str

@@ -112,19 +112,11 @@ class Stepper(NamedTuple):
 
 @dataclass(frozen=True)
 class Engine:
-    """What takes steps: here torch, by automatic differentiation. extensions offer others.
-
-    Attributes:
-        tasks_at_once: tasks whose steps are backpropagated together, where memory is short; None for all.
-    """
-
-    tasks_at_once: int | None = None
+    """What takes steps: here torch, by automatic differentiation; extensions offer others."""
 
     def stepper(self, rule: UpdateRule, loss: Loss, theta: Params, order: int = 1) -> Stepper:
         """How steps of a rule down a loss are taken from theta, and backpropagated through to an order."""
         step, step_vjp = self.functions(rule.step, loss, order)
-        if self.tasks_at_once:
-            step_vjp = _in_chunks(step_vjp, self.tasks_at_once)
         return Stepper(theta, rule.alpha, rule.init, step, step_vjp, _batch_of if order == 2 else _gradient_of)
 
     def functions(self, step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
@@ -139,17 +131,14 @@ class Engine:
 TORCH = Engine()
 
 
-def fastest(tasks_at_once: int | None = None, *, compiles: bool = False) -> Engine:
+def fastest(*, compiles: bool = False) -> Engine:
     """The engine of an extension, of several the last one's; torch's where there is none.
 
     Args:
-        tasks_at_once: as of the engine.
         compiles: whether the steps are so many that compiling them pays.
     """
     offered = door.offers(door.Engine)
-    if not offered:
-        return Engine(tasks_at_once)
-    engine: Engine = door.load(offered[-1].engine)(tasks_at_once, compiles)
+    engine: Engine = door.load(offered[-1].engine)(compiles) if offered else TORCH
     return engine
 
 
@@ -188,34 +177,6 @@ def steps_by_torch(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Forward
 
 def _leaves(params: Params) -> Params:
     return {key: value.detach().requires_grad_() for key, value in params.items()}
-
-
-def _in_chunks(step_vjp: BackwardStep, size: int) -> BackwardStep:
-    """The same for some tasks at a time, which lowers its memory: tasks do not see each other.
-
-    Tensors without axes, as Adam's products of betas at first, belong to all tasks: their pulls add up.
-    """
-
-    def chunk(trees: Sequence[Params], i: int) -> tuple[Params, Params, Params]:
-        own = [{key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees]
-        if i:  # what is pulled from all tasks' tensors must be counted once
-            own[-1] = {key: value if value.ndim else torch.zeros_like(value) for key, value in own[-1].items()}
-        return step_vjp(*own)
-
-    def whole(pulls: Sequence[Params]) -> Params:
-        return {
-            key: torch.cat([pull[key] for pull in pulls])
-            if value.ndim
-            else sum((p[key] for p in pulls), torch.zeros_like(value))
-            for key, value in pulls[0].items()
-        }
-
-    def chunked(*trees: Params) -> tuple[Params, Params, Params]:
-        count = next(iter(trees[1].values())).shape[0]
-        theta, state, alpha = zip(*(chunk(trees, i) for i in range(0, count, size)), strict=True)
-        return whole(theta), whole(state), whole(alpha)
-
-    return chunked
 
 
 class _LearnThrough(torch.autograd.Function):

@@ -73,7 +73,6 @@ class MetaTraining(OuterLoop):
         tuned: search that Adam on validation tasks, as QuickFT's, before the outer steps, if any.
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML).
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
-        tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
         initialisation: the first one: "random"; "mean" of General's predictions; "encoder", General's own, which
             begins each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
             the same for an encoder that nothing has trained before.
@@ -86,7 +85,6 @@ class MetaTraining(OuterLoop):
     tuned: bool = False
     order: int = 0
     clip: float = float("inf")
-    tasks_at_once: int | None = None
     initialisation: Initialisation = "mean"
     setup: Any = None
     guard: Guard | None = None

@@ -15,36 +15,28 @@ from metapp.learning.task import Batch, Params, Rng, Tasks, drawn
 from metapp.paradigms.outer_loop import train
 from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
 
-GIVEN = "given."  # what names of parameters begin with that a task gives itself, in a condition
-
 
 def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """theta = encode(I)."""
-    return _encoded(Encoding(job.app.condition, job.app.encode), prepared, tasks, rng)
+    encoded = job.app.encode(prepared.encoder, drawn(job.app.condition, tasks, rng))
+    return {key: value.detach() for key, value in encoded.items()}
 
 
 def beginning(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """The same where steps follow: beside it are the parameters that tasks give themselves and that it leaves out."""
-    return _encoded(encoding(job.app), prepared, tasks, rng)
+    return known_of(job.app, tasks) | initialisation(job, prepared, tasks, rng)
 
 
 def encoding(app: App) -> Encoding:
-    """How fits with steps begin."""
+    """The encoding of `beginning`: its condition is that of General's encoder, and what tasks give themselves."""
 
-    def condition(tasks: Tasks, rng: Generator) -> Batch:
-        return app.condition(tasks, rng) | {GIVEN + key: value for key, value in known_of(app, tasks).items()}
+    def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
+        return app.condition(tasks, rng), known_of(app, tasks)
 
-    def encode(encoder: Params, condition: Batch) -> Params:
-        given = {key.removeprefix(GIVEN): value for key, value in condition.items() if key.startswith(GIVEN)}
-        read = {key: value for key, value in condition.items() if not key.startswith(GIVEN)}
-        return given | app.encode(encoder, read)
+    def encode(encoder: Params, condition: tuple[Batch, Params]) -> Params:
+        return condition[1] | app.encode(encoder, condition[0])
 
     return Encoding(condition, encode)
-
-
-def _encoded(how: Encoding, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-    encoded = how.encode(prepared.encoder, drawn(how.condition, tasks, rng))
-    return {key: value.detach() for key, value in encoded.items()}
 
 
 def outer_problem(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:

@@ -53,7 +53,7 @@ def outer_problem(job: Job, prepared: MetaParameters, rng: Generator) -> tuple[M
         clip=training.clip,
         encoding=general.encoding(app) if prepared.encoder else None,
         outer_loss=task_outer_loss(app, recipe.batch),
-        engine=fastest(training.tasks_at_once, compiles=app.traits.compiles),
+        engine=fastest(compiles=app.traits.compiles),
     )
     phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), prepared.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import pytest
 import torch
@@ -136,14 +135,12 @@ def test_one_dimension_in_closed_form(order: int, steps: int) -> None:
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
-    """Also where tasks are walked back in parts, by rules with and without products of betas."""
     phi, mean = brdf_case(rule, randn)
     expected = value_and_grads(mean(order, engine=None), phi)
-    for at_once in (None, 1, 2, TASKS) if rule in ("meta-sgd", "meta-encoder") else (None,):
-        value, grads = value_and_grads(mean(order, Engine(at_once)), phi)
-        assert_alike((value, grads), expected)
-        for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
-            assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
+    value, grads = value_and_grads(mean(order, Engine()), phi)
+    assert_alike((value, grads), expected)
+    for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
+        assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
 
 
 def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
@@ -182,28 +179,25 @@ def test_no_graph_is_kept_between_steps(randn: Callable[..., Tensor]) -> None:
     assert max(alive) == 0
 
 
-@pytest.mark.parametrize("at_once", [None, 1, 2])
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_rule_that_all_tasks_share(order: int, at_once: int | None, randn: Callable[..., Tensor]) -> None:
-    """Adam's products of betas then have no task axis, also where tasks are walked back in parts."""
+def test_a_rule_that_all_tasks_share(order: int, randn: Callable[..., Tensor]) -> None:
+    """Adam's products of betas then have no task axis."""
     start = {"x": randn(TASKS, 3), "beta1": torch.full((1,), 0.8).double()}
     batches = parabolas(randn, STEPS)
     adam = fixed_adam(Adam(1e-2), start, STEPS)
     alpha = {key: value.double() for key, value in adam.alpha.items()}
 
-    def final(leaves: Params, descend: Callable[..., Params], **options: Any) -> Tensor:
+    def final(leaves: Params, descend: Callable[..., Params]) -> Tensor:
         rule = adam._replace(alpha=alpha | {"beta1": leaves["beta1"]})
-        return descend({"x": leaves["x"]}, rule, batches, PARABOLA, order=order, **options)["x"].square().sum()
+        return descend({"x": leaves["x"]}, rule, batches, PARABOLA, order=order)["x"].square().sum()
 
-    found = value_and_grads(lambda leaves: final(leaves, learn_through, engine=Engine(at_once)), start)
+    found = value_and_grads(lambda leaves: final(leaves, learn_through), start)
     assert_alike(found, value_and_grads(lambda leaves: final(leaves, unrolled), start))
     assert found[1]["beta1"].any()
 
 
-@pytest.mark.parametrize(("order", "at_once", "expected"), [(1, None, 5), (1, 1, 5), (2, None, 10), (2, 1, 5 + 15)])
-def test_how_often_the_loss_is_evaluated(
-    order: int, at_once: int | None, expected: int, randn: Callable[..., Tensor]
-) -> None:
+@pytest.mark.parametrize(("order", "expected"), [(1, 5), (2, 10)])
+def test_how_often_the_loss_is_evaluated(order: int, expected: int, randn: Callable[..., Tensor]) -> None:
     """Order 1 keeps each step's gradient, a constant, instead of computing it anew on the way back."""
     evaluations = []
 
@@ -214,7 +208,7 @@ def test_how_often_the_loss_is_evaluated(
     batch = {"A": symmetric(randn(3, 2, 2)), "c": randn(3, 2)}
     theta = {"x": randn(3, 2).requires_grad_()}
     rule = sgd({"rate": torch.full((1, 3), 0.1).double().requires_grad_()})
-    final = learn_through(theta, rule, [batch] * 5, Loss(unused, counted), order=order, engine=Engine(at_once))
+    final = learn_through(theta, rule, [batch] * 5, Loss(unused, counted), order=order)
     assert len(evaluations) == 5
     torch.autograd.grad(final["x"].sum(), [theta["x"], rule.alpha["rate"]])
     assert len(evaluations) == expected
