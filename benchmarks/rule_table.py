@@ -27,7 +27,6 @@ INITIALISATIONS = {
     "mean": "the mean of General's predictions",
     "encoder": "General's own prediction, which QuickFT begins at, too",
 }
-A_STEP = 5e-3  # seconds of an outer step, for each gradient step, before any was measured
 
 
 class Studied(Subject):
@@ -59,9 +58,9 @@ def train_cell(subject: Studied, case: Case) -> Cell:
 
     title = f"rules: train {case.rule}, {case.steps} steps, seed {seed}"
     folder = RunFolder(path, settings, TRAINED)
-    cell = subject.make_cell(title, folder, measure, case.steps)
-    outer = 0 if case.rule == QUICKFT else study.training(case.rule).steps
-    return cell._replace(tasks=[Task(case.rule, {})], guess=case.steps * A_STEP * max(outer, 1))
+    outer = 1 if case.rule == QUICKFT else study.training(case.rule).steps
+    cell = subject.make_cell(title, folder, measure, case.steps * outer)
+    return cell._replace(tasks=[Task(case.rule, {})])
 
 
 def _trained(subject: Studied, case: Case) -> Record:

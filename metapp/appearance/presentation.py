@@ -77,7 +77,6 @@ class Presentation(ABC, Generic[AnyApp]):
         measure: what the error is, in one line.
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
-        image_seconds: that they take a task, about, to tell the time left before any was measured.
         size: height and width of `files`, px; None for the application's own choice.
     """
 
@@ -85,7 +84,6 @@ class Presentation(ABC, Generic[AnyApp]):
     measure: str
     logarithmic: bool = False
     image_measure: str = ""
-    image_seconds: float = 0.1
 
     def __init__(self, app: AnyApp, size: tuple[int, int] | None = None) -> None:
         self.app, self.size = app, size

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-
-Clock = Callable[[str, float, float], None]  # what was done last, seconds so far, seconds left or 0 while unknown
 
 
 class Bar:
@@ -42,14 +40,6 @@ class Reporter:
         """
         return contextlib.nullcontext(Bar())
 
-    def clock(self) -> AbstractContextManager[Clock]:
-        """Show the time left of work whose parts are unlike each other."""
-        return contextlib.nullcontext(_unseen)
-
-
-def _unseen(note: str, spent: float, left: float) -> None:
-    pass
-
 
 _in_force: ContextVar[Reporter] = ContextVar("reporter", default=Reporter())  # noqa: B039  (it has no state)
 
@@ -74,18 +64,6 @@ def progress(
 ) -> AbstractContextManager[Bar]:
     """Show the progress of a job; see `Reporter.bar`. Nothing where quiet."""
     return contextlib.nullcontext(Bar()) if quiet else _in_force.get().bar(title, total, done, long)
-
-
-def clock(*, quiet: bool = False) -> AbstractContextManager[Clock]:
-    """Show the time left; see `Reporter.clock`. Nothing where quiet."""
-    return contextlib.nullcontext(_unseen) if quiet else _in_force.get().clock()
-
-
-def duration(seconds: float) -> str:
-    """Write seconds as a person says them: 12 s, 5 min, 2.5 h."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def number(value: float | None, form: str) -> str:

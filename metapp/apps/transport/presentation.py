@@ -22,7 +22,6 @@ IMAGE_MEASURE = (
     "{notes}equal time is that of regular, in seconds of CPU, "
     "and counts the samples that a fit sees, the fit, its table and the picture"
 )
-SECONDS = 0.012  # of CPU for each pixel of `image_errors`, about
 FILM, PARTS, CELLS = 32, 4, 16  # places along the film, parts of it, cells of directions in each
 EACH = 32  # px of a part
 
@@ -39,7 +38,6 @@ class TransportPresentation(Presentation[Transport]):
         side = app.setup.picture
         notes = "".join(f"{plugin.note}; " for plugin in integrators())
         self.image_measure = IMAGE_MEASURE.format(size=side, notes=notes)
-        self.image_seconds = SECONDS * side**2
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.

@@ -44,7 +44,7 @@ def image_cell(subject: Subject) -> Cell:
             yield {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}, None
 
     cell = subject.make_cell("pictures", folder, measure)
-    return cell._replace(stage=1, guess=shown.image_seconds)
+    return cell._replace(stage=1)
 
 
 def rows(subject: Subject) -> list[Row]:

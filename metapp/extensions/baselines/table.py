@@ -32,7 +32,6 @@ from metapp.storage.records import Record, RunFolder
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
-GUESS = 0.3  # seconds of a fit, about
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -67,7 +66,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
         settings = _settings(subject, baseline, source, subject.label)
         folder = subject.folder(f"baselines/{baseline.name}", settings, FORM)
     cell = subject.make_cell(baseline.name, folder, functools.partial(_measured, subject, baseline, source))
-    return cell._replace(stage=int(baseline.matches), guess=GUESS)
+    return cell._replace(stage=int(baseline.matches))
 
 
 def _settings(subject: Subject, baseline: Baseline, source: Path | None, label: str) -> Record:

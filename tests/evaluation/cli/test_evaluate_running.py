@@ -1,4 +1,4 @@
-"""Cells of tables that are run: their order, portions of them, the time left, threads."""
+"""Cells of tables that are run: their order, portions of them, progress, threads."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.evaluation.cell import Cell, Clock, run_cells
+from metapp.evaluation.cell import Cell, run_cells
 from metapp.learning.task import Task
-from metapp.runs.reporter import duration
+from metapp.runs.reporter import Bar
 from metapp.runs.requests.request import Portion
 from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import Record, RunFolder
@@ -60,15 +60,17 @@ def test_portions_are_disjoint_and_whole(cell: Make, log: list[str]) -> None:
     assert run_cells(cells, quiet=True) == 0
 
 
-def test_the_time_left_is_by_gradient_steps(cell: Make) -> None:
-    long, other = cell("brdf long", "ab", 99), cell("texture long", "a", 49)
-    clock = Clock([(long, list(long.tasks)), (other, list(other.tasks))])
-    assert clock.left() == 0
-    clock.add(long, 10.0)
-    assert clock.left() == pytest.approx(10.0 + 5.0)  # the other takes the mean rate as long as it has none
-    clock.add(other, 1.0)
-    assert clock.left() == pytest.approx(10.0)
-    assert [duration(seconds) for seconds in (5, 300, 7200)] == ["5 s", "5 min", "2.0 h"]
+def test_the_progress_counts_gradient_steps(cell: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[tuple[int, int | None, str]] = []
+    monkeypatch.setattr(Bar, "at", lambda _, *line: lines.append(line))
+    run_cells([cell("brdf long", "ab", 99), cell("texture short", "a", 9)], quiet=True)
+    assert lines == [
+        (0, 210, "texture short, cell 1 of 2"),
+        (10, 210, "texture short a, cell 1 of 2"),
+        (10, 210, "brdf long, cell 2 of 2"),
+        (110, 210, "brdf long a, cell 2 of 2"),
+        (210, 210, "brdf long b, cell 2 of 2"),
+    ]
 
 
 def test_fits_have_the_threads_of_their_application_whatever_ran_before(cell: Make) -> None:
