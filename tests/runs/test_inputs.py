@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from data_tools.readers.nbrdf import SHAPES, read_nbrdf
-from metapp.learning.task import Task
-from metapp.runs.inputs.sources import distinct, sources_to_fit
+from metapp.runs.inputs.names import Names
+from metapp.runs.inputs.sources import sources_to_fit
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
 
@@ -36,10 +35,9 @@ def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: p
 
 
 def test_thousands_of_inputs_of_one_name_are_numbered_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.inputs.sources.say", lambda line: None)
-    tasks = [Task(name, {"x": torch.zeros(1)}) for name in ["a-3", *["a"] * 3000]]
-    begin = time.process_time()
-    names = [task.name for task in distinct(tasks)]
+    monkeypatch.setattr("metapp.runs.inputs.names.say", lambda line: None)
+    begin, taken = time.process_time(), Names()
+    names = [taken.unique(name, f"{i}") for i, name in enumerate(["a-3", *["a"] * 3000])]
     assert time.process_time() - begin < 5
     assert names[:5] == ["a-3", "a", "a-2", "a-4", "a-5"]
     assert len(set(names)) == 3001

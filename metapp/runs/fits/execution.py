@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,6 +17,7 @@ from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter, Result
+from metapp.runs.inputs.names import Names
 from metapp.runs.inputs.sources import SOURCED, Source, content_of, sources_to_fit
 from metapp.runs.outputs.files import OUTPUTS, write_fit, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
@@ -256,7 +256,7 @@ class _Loop:
         self.remarks: list[str] = []
         self.anew, self.count = False, 0
         self._columns: dict[str, Column] = {}
-        self._names: dict[str, str] = {}  # of tasks, and the places that have them
+        self._names = Names()  # of tasks: sources of different stems may hold tasks of one name
         self._touched: set[str] = set()  # places of files with another time, and the content of their record
 
     def _finished(self) -> dict[str, Document]:
@@ -309,22 +309,13 @@ class _Loop:
         error.__context__ = error.__cause__ = None
         self.failures.append(Failure(source.place, error.with_traceback(None), source.named))
 
-    def _named(self, source: Source, task: Task) -> Task:
-        """The task by a name of its own in the run: sources of different stems may hold tasks of one name."""
-        name, numbers = task.name, itertools.count(2)
-        while self._names.get(name, source.place) != source.place:
-            name = f"{task.name}-{next(numbers)}"
-        if name != task.name:
-            say(f"warning: a second {task.name} is called {name}")
-        self._names[name] = source.place
-        return task._replace(name=name)
-
     def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
         finished = {} if self.anew else self._finished()
-        self._names |= {record["name"]: place for place, record in finished.items()}
+        self._names.add({record["name"]: place for place, record in finished.items()})
         for source in sources:
             try:
-                task = self._named(source, source.task())
+                task = source.task()
+                task = task._replace(name=self._names.unique(task.name, source.place))
                 content = finished.get(source.place, {}).get("content")
                 if content and content == content_of([task]):
                     self._touched.add(source.place)

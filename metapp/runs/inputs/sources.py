@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import collections
 import functools
 import hashlib
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +17,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.inputs.memory import tasks_of_objects
+from metapp.runs.inputs.names import Names
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import merge_of, read_options, recorded_options
 from metapp.runs.requests.plan import Plan
@@ -80,7 +79,7 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     tasks = read_shard(folder, "test", app.name, app.holds)
     if not tasks:
         raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split auto or test.")
-    return distinct(tasks), data_label(folder)
+    return [task._replace(name=safe_name(task.name)) for task in tasks], data_label(folder)
 
 
 def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
@@ -96,7 +95,7 @@ def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
         how: dict[str, Any] = {"observe": app.protocol}
         for form in inputs_of(app.name):
             how |= _arguments(plan, form)
-        tasks = distinct(tasks_of_objects(app.name, plan.request.objects, how))
+        tasks = _renamed(tasks_of_objects(app.name, plan.request.objects, how))
         return tasks, label_of(tasks)
     sources, label = sources_to_fit(plan)
     tasks = []
@@ -109,7 +108,7 @@ def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
             say(f"warning: skipped {named(error, Path(source.place))}")
     if not tasks:
         raise ValueError(f"none of the {len(sources)} found could be read.")
-    return distinct(tasks), label
+    return _renamed(tasks), label
 
 
 def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
@@ -144,16 +143,12 @@ def _sources_of_files(plan: Plan) -> list[Source]:
                 sources.setdefault(
                     whole, Source(as_text(whole), functools.partial(read, place), stamp(Path(whole)), named=is_named)
                 )
-    numbers: collections.Counter[str] = collections.Counter()
-    ordered = []
-    for whole in sources:
-        stem = _stem(whole)
-        numbers[stem] += 1
-        mark = f"-{numbers[stem]}" if numbers[stem] > 1 else ""
-        if mark:
-            say(f"warning: a second {stem} is called {stem}{mark}")
-        ordered.append(sources[whole]._replace(mark=mark))
-    return ordered
+    names = Names()  # of stems: of a run's parts on several machines none knows the names of all tasks
+    stems = {whole: _stem(whole) for whole in sources}
+    return [
+        source._replace(mark=names.unique(stems[whole], whole).removeprefix(stems[whole]))
+        for whole, source in sources.items()
+    ]
 
 
 def label_of(tasks: Sequence[Task]) -> str:
@@ -186,22 +181,10 @@ def source_of(record: Document, sources: Sequence[Source], moved: bool = False) 
     return there[0] if len(there) == 1 else None
 
 
-def distinct(tasks: list[Task]) -> list[Task]:
-    """The same tasks, their names made safe and short; where names repeat, later ones are numbered, and it is said."""
-    tasks = [task._replace(name=safe_name(task.name)) for task in tasks]
-    first: set[str] = {task.name for task in tasks}
-    taken: set[str] = set()
-    numbers: dict[str, Iterator[int]] = collections.defaultdict(functools.partial(itertools.count, 2))
-    renamed = []
-    for task in tasks:
-        name = task.name
-        if name in taken:
-            while name in first or name in taken:
-                name = f"{task.name}-{next(numbers[task.name])}"
-            say(f"warning: a second {task.name} is called {name}")
-        taken.add(name)
-        renamed.append(task._replace(name=name))
-    return renamed
+def _renamed(tasks: Sequence[Task]) -> list[Task]:
+    """The same tasks, with names that are safe, short and differ."""
+    names = Names()
+    return [task._replace(name=names.unique(safe_name(task.name), str(i))) for i, task in enumerate(tasks)]
 
 
 def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
