@@ -15,13 +15,13 @@ from metapp.cli.console import print_json
 from metapp.cli.options import Json, annotated, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
+from metapp.runs.requests.request import Portion, Request, portion_of
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
     from metapp.evaluation.rows import Table
     from metapp.evaluation.subject import Subject
-    from metapp.runs.requests.request import Portion
 
 LISTED = 8  # rows of a table that are named as missing
 NAMES = table_names()
@@ -110,7 +110,7 @@ def command(options: Evaluation) -> None:
     names = NAMES if options.which == ALL else [options.which]
     cells = cells_of([load_table(name) for name in (reported if reports else names)], subjects)
     if options.shard:
-        fill_part(cells, subjects[0].portion, options)
+        fill_part(cells, portion_of(options.shard), options)
         return
     fill(cells, subjects, options)
     if not options.quiet:
@@ -135,6 +135,7 @@ def check(options: Evaluation) -> Evaluation:
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
+    portion_of(options.shard)
     flags = [*(["--no-run"] if options.no_run else []), *(offer.option.flag for offer in reports_of(options))]
     if options.shard and flags:
         raise typer.BadParameter(f"--shard: runs a part and prints no table; leave {', '.join(flags)} out.")
@@ -153,7 +154,6 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     from metapp.evaluation.subject import Subject
     from metapp.runs.requests.checks import check_name, check_protocol
     from metapp.runs.requests.plan import plan
-    from metapp.runs.requests.request import Request, portion_of
 
     run = not options.no_run
     names = options.apps or app_names()
@@ -180,8 +180,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
         for protocol in ((options.observe,) if options.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
     strict = bool(options.apps) and run
-    share, portion = options.overfit_share, portion_of(options.shard)
-    return [Subject(one, run=run, strict=strict, share=share, portion=portion) for one in plans]
+    return [Subject(one, run=run, strict=strict, share=options.overfit_share) for one in plans]
 
 
 def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
-from metapp.evaluation.cell import WHOLE, Cell, Measure
+from metapp.evaluation.cell import Cell, Measure
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
@@ -20,7 +20,6 @@ from metapp.runs.inputs.sources import tasks_of_data
 from metapp.runs.reporter import say
 from metapp.runs.requests.naming import name_of, title_of
 from metapp.runs.requests.plan import Plan
-from metapp.runs.requests.request import Portion
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.records import FIT, Record, RunFolder
 
@@ -32,7 +31,6 @@ class Subject:
         plan: of the application's own network; rows differ in paradigm, rule or steps.
         run: whether cells without records will be run; else they stay empty.
         share: of the recipe's steps that Overfit takes here.
-        portion: of what is missing, that is run here.
     """
 
     def __init__(
@@ -42,15 +40,14 @@ class Subject:
         run: bool,
         strict: bool,
         share: float = 1.0,
-        portion: Portion = WHOLE,
     ) -> None:
         """Look up nothing yet.
 
         Args:
-            plan, run, share, portion: as the attributes.
+            plan, run, share: as the attributes.
             strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
         """
-        self.plan, self.run, self.share, self.portion = plan, run, share, portion
+        self.plan, self.run, self.share = plan, run, share
         self._strict = strict
         self._cells: dict[str, Cell] = {}
 
