@@ -25,7 +25,7 @@ BLOCKS = {
     "vgg19": ((64,) * 2, (128,) * 2, (256,) * 4, (512,) * 4, (512,) * 4),
 }
 # how the SHA-256 begins of files of ImageNet's weights, and of VGG-16's as the cache keeps them
-KNOWN = {"vgg16": ("397923af", "a286e44c", "2ecbe4ce", "306c6f39"), "vgg19": ("dcbb9e9d",)}
+KNOWN = {"vgg16": ("397923af", "a286e44c", "306c6f39"), "vgg19": ("dcbb9e9d",)}
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 

