@@ -89,9 +89,8 @@ bench-plan: setup  ## errors of BRDF fits of planned samples; DATA=<data set> NE
 bench-photo: setup  ## what a flash photo holds beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
-# a laptop runs a part of it: make bench-rules RULES="brdf --train-steps 200 --steps 10 --seeds 1"
 bench-rules: setup  ## all update rules, trained alike with few outer steps, beside a tuned Adam: a table and a figure; hours
-	$(VENV)/bin/python -m benchmarks.bench_rules --out $(RUNS) $(RULES)
+	$(VENV)/bin/python -m benchmarks.bench_rules --out $(RUNS)
 
 # of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
 guiding: setup  ## error over time of guided and regular paths, a table and a figure in runs/guiding; an hour

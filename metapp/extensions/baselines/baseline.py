@@ -62,12 +62,10 @@ class Allowed(NamedTuple):
     Attributes:
         samples: that it may draw, as many as Meta's steps do.
         size: bytes of a task's network.
-        error: of Meta's fit of the task, as the application has it, unscaled; None where it is not known.
     """
 
     samples: int
     size: int
-    error: float | None = None
 
 
 class BaselineFit(NamedTuple):
@@ -77,7 +75,7 @@ class BaselineFit(NamedTuple):
         answer: makes what `App.errors_of` judges; not timed, as that of a network is not.
         numbers: that are kept for the task; None where it is a file.
         size: their bytes.
-        reached: whether the fit meets what was asked for.
+        reached: True where it takes no more bytes than a network.
         picture: what it looks like beside the application's fits, linear RGB [H, W, 3], where it is a picture.
     """
 
@@ -114,7 +112,6 @@ class Baseline(NamedTuple):
         cannot: what it cannot do that a network can.
         prepare: (training tasks, what fits may use) -> the baseline at work.
         learns: whether it needs any.
-        matches: whether it spends as many bytes as Meta's error takes, instead of those of a network.
         stored: the tensor of tasks that holds its answers, which were made elsewhere: it has no time; "" for none.
     """
 
@@ -123,7 +120,6 @@ class Baseline(NamedTuple):
     cannot: str
     prepare: Callable[[Training, Allowed], PreparedBaseline]
     learns: bool = True
-    matches: bool = False
     stored: str = ""
 
 
@@ -135,10 +131,10 @@ class DrawsAnswers(Protocol):
         """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""
 
 
-def both_ways(
+def within_size(
     name: str, title: str, cannot: str, rungs: Callable[[Tasks], int], encode: Callable[[Tasks, int], BaselineFit]
-) -> tuple[Baseline, Baseline]:
-    """A way to keep a task's data in fewer or more bytes: at the bytes of a network, and at Meta's error.
+) -> Baseline:
+    """A way to keep a task's data in fewer or more bytes, at the bytes of a network.
 
     Args:
         name, title, cannot: as of `Baseline`.
@@ -146,33 +142,13 @@ def both_ways(
         encode: (task, setting) -> its fit.
     """
 
-    def at_size(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        """The best setting within a network's bytes."""
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         settings = range(rungs(tasks))
         best = bisect.bisect_right(settings, allowed.size, key=lambda rung: encode(tasks, rung).size) - 1
         fitted = encode(tasks, max(best, 0))
         return fitted._replace(reached=fitted.size <= allowed.size)
 
-    def at_error(app: App, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        """The smallest setting with at most Meta's error."""
-        bound, count = allowed.error, rungs(tasks)
-        if bound is None:
-            raise ValueError(f"{name}: Meta's error of {tasks.picked_names()[0]} is not known; fit it first.")
-
-        def is_enough(rung: int) -> bool:
-            return float(app.errors_of(encode(tasks, rung).answer(), tasks)["error"]) <= bound
-
-        enough = bisect.bisect_left(range(count), True, key=is_enough)
-        return encode(tasks, min(enough, count - 1))._replace(reached=enough < count)
-
-    def at_metas(training: Training, allowed: Allowed) -> PreparedBaseline:
-        return PreparedBaseline(functools.partial(at_error, training.app))
-
-    same = f"{title}; as many bytes as Meta's error takes"
-    return (
-        Baseline(name, title, cannot, lambda training, allowed: PreparedBaseline(at_size), learns=False),
-        Baseline(f"{name}@meta", same, cannot, at_metas, learns=False, matches=True),
-    )
+    return Baseline(name, title, cannot, lambda training, allowed: PreparedBaseline(fit), learns=False)
 
 
 def nearest(

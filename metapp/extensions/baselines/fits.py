@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -98,7 +98,6 @@ def fit_baselines(
     baseline: Baseline,
     training: Training,
     tasks: Sequence[Task],
-    errors: Mapping[str, float],
     *,
     warm: bool = True,
 ) -> Iterator[Judged]:
@@ -109,21 +108,18 @@ def fit_baselines(
         baseline: what is fitted.
         training: what it is prepared on.
         tasks: to be fitted.
-        errors: of Meta's fits, as tables print them, by the task's name, for baselines that match these.
         warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
 
     Yields:
-        Of each task. A baseline that matches an error has no time, as its search is no fit, nor one that is stored.
+        Of each task. A baseline that is stored has no time.
 
     Raises:
         ValueError: it cannot be fitted to these tasks.
     """
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         allowed = allowed_for(plan)
-        prepared, timed = baseline.prepare(training, allowed), not (baseline.matches or baseline.stored)
+        prepared, timed = baseline.prepare(training, allowed), not baseline.stored
         for i, task in enumerate(tasks):
-            known = errors.get(task.name)
-            allowed = allowed._replace(error=None if known is None else known / plan.app.traits.scale)
             if warm and i == 0 and timed:
                 _fit_one(plan, prepared, task, allowed)
             yield _fit_one(plan, prepared, task, allowed, timed=timed)

@@ -6,7 +6,6 @@ Coefficients are the largest of orthonormal transforms: Haar wavelets, cosines, 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -24,8 +23,8 @@ from metapp.extensions.baselines.baseline import (
     BaselineFit,
     PreparedBaseline,
     Training,
-    both_ways,
     nearest_photo,
+    within_size,
 )
 from metapp.extensions.baselines.harmonics import from_harmonics, harmonics, orders
 from metapp.extensions.baselines.mirror_balls import gaussian, unwrapped
@@ -169,15 +168,15 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     same = "read a map from a photo"
     sun = f"{same}, nor hold a sun in few"
     rings = f"{same}, nor show a sun that does not ring"
-    codecs = [
-        both_ways("haar", "largest Haar wavelets of radiance", same, _texels, HAAR.encode),
-        both_ways("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
-        both_ways("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
-    ]
     halves = Baseline(
         "halves", "the map itself, in half precision", same, lambda *_: PreparedBaseline(_halves), learns=False
     )
-    return (halves, *itertools.chain(*codecs))
+    return (
+        halves,
+        within_size("haar", "largest Haar wavelets of radiance", same, _texels, HAAR.encode),
+        within_size("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
+        within_size("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
+    )
 
 
 def _map_of(tasks: Tasks) -> Floats:

@@ -45,14 +45,15 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     """Fit what a plan's request names, or its data set's test tasks, by one of the application's baselines.
 
     Raises:
-        BadOption: the application has no such baseline that needs no fit of Meta.
+        BadOption: the application has no such baseline.
         ValueError: an input cannot be read or fitted, or there are no training tasks for a method that learns.
     """
     app, request = plan.app, plan.request
-    known = {each.name: each for each in baselines_of(app) if not each.matches}
-    if method not in known:
-        raise BadOption(f"--method {method}: not one of {app.name}, expected {', '.join(known)}.{meant(method, known)}")
-    baseline, (tasks, label) = known[method], tasks_to_fit(plan)
+    methods = {baseline.name: baseline for baseline in baselines_of(app)}
+    if method not in methods:
+        names = ", ".join(methods)
+        raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{meant(method, methods)}")
+    baseline, (tasks, label) = methods[method], tasks_to_fit(plan)
     source = training_folder(plan) if baseline.learns else None
     if baseline.learns and source is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
@@ -62,7 +63,7 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM, plan.origin())
     records, shown = [], presentation_of(app)
     with progress(method, len(tasks), quiet=request.quiet) as bar:
-        fits = fit_baselines(plan, baseline, training_of(app, source), tasks, {}, warm=False)
+        fits = fit_baselines(plan, baseline, training_of(app, source), tasks, warm=False)
         for task, fitted in zip(tasks, fits, strict=True):
             folder.add(fitted.record, fitted.kept)
             if isinstance(shown, DrawsAnswers):

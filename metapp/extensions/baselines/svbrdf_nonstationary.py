@@ -21,8 +21,8 @@ from metapp.extensions.baselines.baseline import (
     BaselineFit,
     PreparedBaseline,
     Training,
-    both_ways,
     nearest_photo,
+    within_size,
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
@@ -110,8 +110,8 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         return _kept([jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))], ".jpg", lambda maps: maps)
 
     return (
-        *both_ways("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, as_jpeg),
-        *both_ways("png", "PNGs of the maps, with fewer bits, then fewer texels, until they fit", cannot, _count, _png),
+        within_size("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, as_jpeg),
+        within_size("png", "PNGs of the maps, of fewer bits, then texels, until they fit", cannot, _count, _png),
     )
 
 

@@ -58,31 +58,21 @@ def _all_hold(subject: Subject, tensor: str) -> bool:
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
-    """The fits of a baseline; those that match Meta's errors come after Meta's."""
+    """The fits of a baseline."""
     source = training_folder(subject.plan) if baseline.learns and subject.tasks else None
-    missing = (baseline.learns and source is None) or (baseline.matches and subject.cell("meta").folder is None)
     folder = None
-    if subject.tasks and not missing:
-        settings = _settings(subject, baseline, source, subject.label)
+    if subject.tasks and (source or not baseline.learns):
+        settings = settings_of(subject.plan, baseline, source, subject.label)
         folder = subject.folder(f"baselines/{baseline.name}", settings, FORM)
-    cell = subject.make_cell(baseline.name, folder, functools.partial(_measured, subject, baseline, source))
-    return cell._replace(stage=int(baseline.matches))
-
-
-def _settings(subject: Subject, baseline: Baseline, source: Path | None, label: str) -> Record:
-    """Everything that a baseline's figures depend on: also Meta's errors, where it matches them."""
-    meta = subject.cell("meta").folder if baseline.matches else None
-    return settings_of(subject.plan, baseline, source, label) | ({"meta": meta.key} if meta else {})
+    return subject.make_cell(baseline.name, folder, functools.partial(_measured, subject, baseline, source))
 
 
 def _measured(
     subject: Subject, baseline: Baseline, source: Path | None, tasks: list[Task]
 ) -> Iterator[tuple[Record, Params | None]]:
     """The record and the picture of each task, as far as it can be fitted."""
-    metas = subject.cell("meta").records() if baseline.matches else []
-    errors = {record["name"]: record["error"] for record in metas}
     try:
-        for fitted in fit_baselines(subject.plan, baseline, training_of(subject.app, source), tasks, errors):
+        for fitted in fit_baselines(subject.plan, baseline, training_of(subject.app, source), tasks):
             yield fitted.record, fitted.kept
     except ValueError as error:
         say(f"{name_of(subject.app)} {baseline.name}: {error}")
@@ -96,7 +86,7 @@ def repeat(subject: Subject, settings: Record) -> Cell | None:
         return None
     source, (tasks, label) = training_folder(plan) if baseline.learns else None, tasks_to_fit(plan)
     path = plan.request.out / plan.app.name / "baselines" / baseline.name
-    folder = RunFolder(path, _settings(subject, baseline, source, label), FORM)
+    folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM)
     return Cell(baseline.name, tasks, folder, functools.partial(_measured, subject, baseline, source), 0)
 
 
@@ -134,7 +124,6 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
     theta = own_parameters(fit.app)
     entries = {
         "baseline": False,
-        "matches": False,
         "numbers": sum(value.numel() for value in theta.values()),
         "size": size(theta),
         "shared": stored(fit.checkpoint),
@@ -149,7 +138,6 @@ def _row_of_baseline(subject: Subject, baseline: Baseline) -> Row:
     counts = [record["numbers"] for record in records if record["numbers"] is not None]
     entries = {
         "baseline": True,
-        "matches": baseline.matches,
         "numbers": statistics.fmean(counts) if counts else None,
         "size": statistics.fmean(record["size"] for record in records) if records else None,
         "shared": records[-1]["shared"] if records else None,
@@ -163,12 +151,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     by_name = {row["paradigm"]: row for row in all_rows}
     baselines = _able(subject)
     return [
-        *_compared([by_name[baseline.name] for baseline in baselines if not baseline.matches]),
-        *(
-            _matched(by_name[baseline.name], by_name["meta"])
-            for baseline in baselines
-            if baseline.matches and by_name[baseline.name]["tasks"]
-        ),
+        *_compared([by_name[baseline.name] for baseline in baselines]),
         *_missing(subject, all_rows),
         *_described(baselines),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
@@ -195,15 +178,6 @@ def _compared(all_rows: list[Row]) -> list[str]:
     ]
 
 
-def _matched(row: Row, meta: Row) -> str:
-    """How many bytes Meta's error takes."""
-    share = row["size"] / meta["size"]
-    text = f"{row['paradigm']}: {row['size']:,.0f} bytes at Meta's error, {share:.2g} of a network's"
-    if row["unreached"]:
-        text += f"; on {row['unreached']} of {row['tasks']} tasks it does not reach that error with all there are"
-    return text
-
-
 def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What has no records, and how to make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
@@ -221,8 +195,7 @@ def _described(baselines: list[Baseline]) -> list[str]:
     """What baselines are and cannot do, once for those that are the same."""
     named: dict[tuple[str, str], list[str]] = {}
     for baseline in baselines:
-        if not baseline.matches:
-            named.setdefault((baseline.title, baseline.cannot), []).append(baseline.name)
+        named.setdefault((baseline.title, baseline.cannot), []).append(baseline.name)
     return [f"{', '.join(names)}: {title}; cannot {cannot}" for (title, cannot), names in named.items()]
 
 

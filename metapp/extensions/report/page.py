@@ -20,10 +20,9 @@ from metapp.evaluation.tables.results import result_row
 from metapp.extensions.report.drawing import TITLES
 from metapp.extensions.report.figures import draw, figure_names
 from metapp.extensions.report.html import (
-    Pictures,
     anchor,
     drawn_html,
-    identifier,
+    gallery_address,
     link_to,
     notes_html,
     scrolling,
@@ -33,7 +32,7 @@ from metapp.extensions.report.html import (
 from metapp.learning.task import Params, Task
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number
-from metapp.runs.requests.naming import is_first_protocol, name_of
+from metapp.runs.requests.naming import is_first_protocol
 from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import make_folder, versions
 from metapp.storage import html
@@ -65,36 +64,35 @@ def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str
         The file.
     """
     make_folder(folder)
-    pictures = Pictures()
-    sections = [section(subject, pictures, tables) for subject in subjects]
+    sections = [section(subject, tables) for subject in subjects]
     page = html.page(
         TITLE,
         _text("page.css"),
         element("header", element("h1", TITLE), element("p", ABOUT)),
         element("nav", *map(link_to, subjects), '<a href="#made">How this was made</a>', aria_label="Applications"),
-        element("main", glance(subjects, pictures), *sections, colophon(subjects, tables)),
+        element("main", glance(subjects), *sections, colophon(subjects, tables)),
         DIALOG,
         html.data_script("records", {anchor(subject): records_of(subject) for subject in subjects}),
         element("script", _text("page.js")),
     )
-    return [html.write_page(pictures.place(page, folder), folder / "index.html")]
+    return [html.write_page(page, folder / "index.html")]
 
 
 def _text(name: str) -> str:
     return (resources.files("metapp.extensions.report") / name).read_text(encoding="utf-8")
 
 
-def section(subject: Subject, pictures: Pictures, tables: Sequence[str]) -> str:
+def section(subject: Subject, tables: Sequence[str]) -> str:
     """All there is of one application, and these of its tables."""
-    name = anchor(subject)
-    figures = {kind: draw(kind, subject) for kind in figure_names() if kind != "plane"}
-    drawn = {kind: drawn_html(d, f"{name}-{kind}", pictures, _kind(kind)) for kind, d in figures.items() if d}
+    figures = {name: draw(name, subject) for name in figure_names() if name != "plane"}
+    widths = {"trajectories": "figure broad"}
+    drawn = {name: drawn_html(one, widths.get(name, "figure")) for name, one in figures.items() if one}
     strips = drawn.pop("strips", "")
-    gallery = gallery_html(subject, pictures)
+    gallery = gallery_html(subject)
     hint = "The reference beside five results; a click shows the record behind one."
     return "\n".join(
         [
-            f'<section id="{name}">',
+            f'<section id="{anchor(subject)}">',
             element("h2", escape(subject.title)),
             _table("results", subject) if "results" in tables else "",
             f'<div class="figures">{"".join(drawn.values())}</div>' if drawn else "",
@@ -105,10 +103,6 @@ def section(subject: Subject, pictures: Pictures, tables: Sequence[str]) -> str:
             "</section>",
         ]
     )
-
-
-def _kind(figure: str) -> str:
-    return "figure broad" if figure == "trajectories" else "figure"
 
 
 def _table(name: str, subject: Subject) -> str:
@@ -165,9 +159,9 @@ def _fit_command(plan: Plan) -> str:
 # What the report says first
 
 
-def glance(subjects: Sequence[Subject], pictures: Pictures) -> str:
+def glance(subjects: Sequence[Subject]) -> str:
     """Cards and the table."""
-    cards = (card(subject, pictures) for subject in subjects)
+    cards = map(card, subjects)
     return element(
         "section",
         element("h2", "At a glance"),
@@ -178,7 +172,7 @@ def glance(subjects: Sequence[Subject], pictures: Pictures) -> str:
     )
 
 
-def card(subject: Subject, pictures: Pictures) -> str:
+def card(subject: Subject) -> str:
     """One application: the quality-speed plane, the gap closed, the speed-up, and whether Meta wins."""
     rows = [result_row(subject, name) for name in TITLES]
     (gap, speed), (paper_gap, paper_speed) = (carried(rows, f"{of}error", f"{of}seconds") for of in ("", "paper_"))
@@ -187,7 +181,7 @@ def card(subject: Subject, pictures: Pictures) -> str:
         lines.insert(0, f"{_big(gap, '.0%')} of the gap closed {_small(paper_gap, '.0%')}")
     lines += [badge(rows), *(element("small", escape(note)) for note in (*warned(rows), *overfit_note(subject)))]
     drawn = draw("plane", subject)
-    picture = drawn_html(drawn, f"{anchor(subject)}-plane", pictures, "plain") if drawn else ""
+    picture = drawn_html(drawn, "plain") if drawn else ""
     items = element("ul", *(element("li", line) for line in lines))
     return element("article", element("h3", link_to(subject)), picture, items)
 
@@ -246,29 +240,28 @@ def _pair(subject: Subject, paradigm: str) -> str:
 # The gallery: the reference beside the fit of every paradigm, each with the record behind it
 
 
-def gallery_html(subject: Subject, pictures: Pictures) -> str:
+def gallery_html(subject: Subject) -> str:
     """Up to TASKS tasks, evenly spaced, a row each; a click on a fit shows its record."""
-    rows = [_task_html(subject, task, pictures) for task in evenly(subject.tasks, TASKS)]
+    rows = [_task_html(subject, task) for task in evenly(subject.tasks, TASKS)]
     return element("div", *rows, class_="gallery") if any(rows) else ""
 
 
-def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
+def _task_html(subject: Subject, task: Task) -> str:
     """The reference and the fits of one task; "" where none was fitted yet."""
-    shown: list[str] = []
+    figures: list[str] = []
     for name, record, theta in fits_of(subject, task):
-        title, made = TITLES[name], subject.presentation.outputs(theta, task)
-        key = (name_of(subject.app), task.name)
-        if not shown and "reference" in made:
-            address = pictures.add_array(identifier(*key, "reference"), to_srgb(made["reference"]))
-            shown.append(html.figure(html.image(address, f"{task.name}: reference"), "Reference"))
-        address = pictures.add_array(identifier(*key, name), to_srgb(made["fit"]))
+        title, pictures = TITLES[name], subject.presentation.outputs(theta, task)
+        if not figures and "reference" in pictures:
+            address = gallery_address(to_srgb(pictures["reference"]))
+            figures.append(html.figure(html.image(address, f"{task.name}: reference"), "Reference"))
+        address = gallery_address(to_srgb(pictures["fit"]))
         result = f"{number(record['error'], '.3f')}, {record['seconds']:.3g} s"
         picture = html.image(address, f"{task.name}: {title}, error {result}")
         record_of = {"data_of": anchor(subject), "data_row": name, "data_task": task.name}
         button = element("button", picture, class_="record", **record_of)
-        shown.append(html.figure(button, f"{element('b', title)} {escape(result)}", class_=name))
-    row = element("div", *shown, class_="row")
-    return element("div", element("h4", escape(task.name)), row, class_="task") if shown else ""
+        figures.append(html.figure(button, f"{element('b', title)} {escape(result)}", class_=name))
+    row = element("div", *figures, class_="row")
+    return element("div", element("h4", escape(task.name)), row, class_="task") if figures else ""
 
 
 def fits_of(subject: Subject, task: Task) -> Iterator[tuple[str, Record, Params]]:

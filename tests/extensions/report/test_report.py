@@ -16,7 +16,6 @@ import torch
 
 from metapp import door
 from metapp.extensions.report.figures import figure_names
-from metapp.extensions.report.html import EMBEDDED, Pictures, identifier
 
 
 class Page(HTMLParser):
@@ -101,16 +100,6 @@ def test_without_the_extension_tables_are_printed_and_its_options_are_refused(da
     refused = subprocess.run([*command, "--report", tmp_path], capture_output=True, text=True, env=environment)
     assert refused.returncode == 2
     assert "No such option" in refused.stderr
-
-
-def test_pictures_that_are_too_many_lie_beside_the_page(tmp_path: Path) -> None:
-    pictures = Pictures()
-    address = pictures.add("brdf-a", b"\x89PNG" * (EMBEDDED // 4))
-    small = Pictures()
-    assert small.place(small.add("b", b"\x89PNG"), tmp_path).startswith("data:image/png;base64,")
-    assert pictures.place(f'<img src="{address}">', tmp_path) == '<img src="pictures/brdf-a.png">'
-    assert (tmp_path / "pictures" / "brdf-a.png").read_bytes().startswith(b"\x89PNG")
-    assert identifier("svbrdf", "", "a b/ü<>") == "svbrdf-a-b"
 
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
