@@ -28,6 +28,7 @@ from metapp.appearance.latlong import sphere_normals
 from metapp.appearance.metrics import si_rmse
 from metapp.apps.illumination.app import READ, Illumination
 from metapp.apps.illumination.spheres import SIZE, SPHERES, lit_spheres, toned
+from metapp.apps.illumination.variants import of_mean_1
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Training
 from metapp.extensions.baselines.fits import allowed_for
@@ -92,7 +93,7 @@ class Bench:
         baseline = next(each for each in baselines_of(self.app) if each.name == name)
         allowed = allowed_for(self.plans["meta"])
         prepared, rng = baseline.prepare(self.training, allowed), Generator().manual_seed(0)
-        return [self.app.scaled(prepared.fit(stack(self.app, [task]), rng, allowed).answer()) for task in tasks]
+        return [of_mean_1(prepared.fit(stack(self.app, [task]), rng, allowed).answer()) for task in tasks]
 
     def errors(self, made: Tensor, task: Task) -> dict[str, float]:
         """Of a map [1, 3, H, W]; those of `Illumination.errors_of`, and of spheres under the radiance itself."""

@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -214,7 +213,7 @@ class _Products(torch.autograd.Function):
     """Products of channels [B, C, C] of rows [B, N, C], whose gradient is one product, not two and their sum."""
 
     @staticmethod
-    def forward(ctx: Any, rows: Tensor) -> Tensor:
+    def forward(ctx: _Products, rows: Tensor) -> Tensor:
         ctx.save_for_backward(rows)
         if rows.dtype != torch.bfloat16:
             return rows.mT @ rows
@@ -224,7 +223,7 @@ class _Products(torch.autograd.Function):
         return (blocks.mT @ blocks).float().sum(1)
 
     @staticmethod
-    def backward(ctx: Any, pull: Tensor) -> Tensor:
+    def backward(ctx: _Products, pull: Tensor) -> Tensor:
         (rows,) = ctx.saved_tensors
         result: Tensor = rows @ (pull + pull.mT).to(rows.dtype)
         return result

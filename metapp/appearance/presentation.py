@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_args, runtime_checkable
+from types import MappingProxyType
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 from torch import Tensor
 
@@ -77,6 +78,7 @@ class Presentation(ABC, Generic[AnyApp]):
         measure: what the error is, in one line.
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
+        measures: further errors whose means tables state: what they are, by their names in records.
         size: height and width of `files`, px; None for the application's own choice.
     """
 
@@ -84,6 +86,7 @@ class Presentation(ABC, Generic[AnyApp]):
     measure: str
     logarithmic: bool = False
     image_measure: str = ""
+    measures: Mapping[str, str] = MappingProxyType({})
 
     def __init__(self, app: AnyApp, size: tuple[int, int] | None = None) -> None:
         self.app, self.size = app, size
@@ -110,7 +113,7 @@ class Presentation(ABC, Generic[AnyApp]):
         return "has files of one size; leave it out"
 
     @abstractmethod
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -120,6 +123,11 @@ class Presentation(ABC, Generic[AnyApp]):
     def surface(self, theta: Params, task: Task) -> Surface | None:
         """The flat surface that a fit is of (no task axis in theta); None of applications that have none."""
         return None
+
+    def maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Linear maps of a fit (no task axis in theta), [H, W] or [H, W, 3], by name; {} of one that has none."""
+        surface = self.surface(theta, task)
+        return {} if surface is None else linear_maps(surface)
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
@@ -132,35 +140,3 @@ class Presentation(ABC, Generic[AnyApp]):
     def visible(self, task: Task) -> Visible | None:
         """How much a fit may see of a task; None where the application does not say."""
         return None
-
-
-@runtime_checkable
-class HasMeasures(Protocol):
-    """A presentation whose tables state the means of further errors.
-
-    Attributes:
-        measures: what they are, by their names in records.
-    """
-
-    measures: Mapping[str, str]
-
-
-def measures_of(shown: object) -> Mapping[str, str]:
-    """The further errors of a presentation; none of most."""
-    return shown.measures if isinstance(shown, HasMeasures) else {}
-
-
-@runtime_checkable
-class HasMaps(Protocol):
-    """A presentation of fits that are maps, but of no surface."""
-
-    def maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The maps of a fit (no task axis in theta), as of `maps_of`."""
-
-
-def maps_of(shown: Presentation[Any], theta: Params, task: Task) -> dict[str, Tensor]:
-    """Linear maps of a fit (no task axis in theta), [H, W] or [H, W, 3], by name; {} of one that has none."""
-    if isinstance(shown, HasMaps):
-        return shown.maps(theta, task)
-    surface = shown.surface(theta, task)
-    return {} if surface is None else linear_maps(surface)

@@ -7,7 +7,7 @@ presentation. Nothing here is imported before it is asked for.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from metapp import door
 from metapp.storage.text import meant
@@ -74,7 +74,7 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
     return class_of(name)(recipe.setup if setup is None else setup, protocol or next(iter(protocols_of(name)), ""))
 
 
-def presentation_of(app: App, **options: Any) -> Presentation[Any]:
+def presentation_of(app: App, **options: object) -> Presentation[App]:
     """What screens and files need of an application, at its setup and under its protocol.
 
     Args:
@@ -84,5 +84,5 @@ def presentation_of(app: App, **options: Any) -> Presentation[Any]:
     Raises:
         ValueError: nothing can be made by these options.
     """
-    result: Presentation[Any] = door.load(application_of(app.name).presentation)(app, **options)
+    result: Presentation[App] = door.load(application_of(app.name).presentation)(app, **options)
     return result

@@ -6,7 +6,6 @@ import csv
 import io
 from collections.abc import Sequence
 
-from metapp.appearance.presentation import measures_of
 from metapp.evaluation.rows import Row, Table, paired_of
 from metapp.evaluation.subject import Subject
 from metapp.runs.outputs.statistics import FEWEST, Paired, apart
@@ -68,7 +67,7 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
     known = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row.get(f"mean_{key}") is not None]
-        for key, title in measures_of(subject.presentation).items()
+        for key, title in subject.presentation.measures.items()
     }
     return [f"{title}: {', '.join(means)}" for title, means in known.items() if means]
 

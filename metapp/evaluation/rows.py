@@ -10,7 +10,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from metapp.appearance.presentation import measures_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.runs.fits.fitter import ROSE
@@ -218,7 +217,7 @@ def row_of(
 
 def means_of(subject: Subject, records: Sequence[Record]) -> Row:
     """The means of the further errors that the application states, `mean_<name>`, of records that have them."""
-    found = {key: [record[key] for record in records if key in record] for key in measures_of(subject.presentation)}
+    found = {key: [record[key] for record in records if key in record] for key in subject.presentation.measures}
     return {f"mean_{key}": statistics.fmean(values) if values else None for key, values in found.items()}
 
 

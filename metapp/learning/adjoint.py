@@ -13,16 +13,18 @@ from torch.autograd.function import once_differentiable
 from metapp import door
 from metapp.learning.task import Params
 
+AnyData = Any  # what a loss draws from: tasks, most often
+AnyBatch = Any  # what it draws: tensors by name, or a tuple of such; or what is kept of these for the way back
 RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
-ForwardStep = Callable[[Params, Params, Params, Any], tuple[Params, Params, Tensor, Any]]
-BackwardStep = Callable[[Params, Params, Params, Any, Params, Params], tuple[Params, Params, Params]]
+ForwardStep = Callable[[Params, Params, Params, AnyBatch], tuple[Params, Params, Tensor, AnyBatch]]
+BackwardStep = Callable[[Params, Params, Params, AnyBatch, Params, Params], tuple[Params, Params, Params]]
 
 
 class Drawn(NamedTuple):
     """A batch, and the names of the tasks whose samples it holds."""
 
     names: tuple[str, ...]
-    batch: Any
+    batch: AnyBatch
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,11 @@ class Loss:
             each task has its own (it follows the sum, which moves each as if it were alone).
     """
 
-    draw: Callable[[Any, Any, float], Drawn]
-    value: Callable[[Params, Any, Params], Tensor]
+    draw: Callable[[AnyData, Any, float], Drawn]
+    value: Callable[[Params, AnyBatch, Params], Tensor]
     shared: bool = False
 
-    def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """What a step follows, the gradient, and the detached loss of each task, [T].
 
         Args:
@@ -106,7 +108,7 @@ class Stepper(NamedTuple):
     init: Callable[[Params], Params]
     step: ForwardStep
     step_vjp: BackwardStep
-    needed: Callable[[Any, Any], Any]
+    needed: Callable[[AnyBatch, AnyBatch], AnyBatch]
     unpack: Callable[[Params], Params] = same
 
 
@@ -123,7 +125,7 @@ class Engine:
         """`step` and `step_vjp` of a Stepper, of a rule's step."""
         return steps_by_torch(step, loss, order)
 
-    def value(self, loss: Loss, theta: Params, batch: Any) -> Tensor:
+    def value(self, loss: Loss, theta: Params, batch: AnyBatch) -> Tensor:
         """A loss [T], differentiable once in theta."""
         return loss.value(theta, batch, {})
 
@@ -142,25 +144,25 @@ def fastest(*, compiles: bool = False) -> Engine:
     return engine
 
 
-def _batch_of(batch: Any, gradient: Any) -> Any:
+def _batch_of(batch: AnyBatch, gradient: AnyBatch) -> AnyBatch:
     return batch
 
 
-def _gradient_of(batch: Any, gradient: Any) -> Any:
+def _gradient_of(batch: AnyBatch, gradient: AnyBatch) -> AnyBatch:
     return gradient
 
 
 def steps_by_torch(rule_step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
     """`step` and `step_vjp` of a Stepper; the only two functions that are worth compiling."""
 
-    def step(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Params]:
+    def step(alpha: Params, theta: Params, state: Params, batch: AnyBatch) -> tuple[Params, Params, Tensor, Params]:
         grads, losses = loss.gradient(theta, batch, loss_parameters(alpha), graph=False)
         with torch.no_grad():
             moved, state = rule_step(alpha, theta, grads, state)
         return moved, state, losses, grads
 
     def step_vjp(
-        alpha: Params, theta: Params, state: Params, needed: Any, pull_theta: Params, pull_state: Params
+        alpha: Params, theta: Params, state: Params, needed: AnyBatch, pull_theta: Params, pull_state: Params
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
         grads = loss.gradient(theta, needed, loss_parameters(alpha), graph=True)[0] if order == 2 else needed
@@ -182,8 +184,15 @@ def _leaves(params: Params) -> Params:
 class _LearnThrough(torch.autograd.Function):
     """K steps of learning as one node of the graph: keeps the K states, backpropagates one recomputed at a time."""
 
+    stepper: Stepper
+    alpha: Params
+    taken: list[tuple[Params, Params, AnyBatch]]
+    last_state: Params
+
     @staticmethod
-    def forward(ctx: Any, stepper: Stepper, batches: Sequence[Any], *leaves: Any) -> tuple[Tensor, ...]:
+    def forward(
+        ctx: _LearnThrough, stepper: Stepper, batches: Sequence[AnyBatch], *leaves: Tensor
+    ) -> tuple[Tensor, ...]:
         values = (leaf.detach() for leaf in leaves)
         theta, ctx.alpha = ({key: next(values) for key in tree} for tree in (stepper.theta, stepper.alpha))
         state = stepper.init(theta)
@@ -197,7 +206,7 @@ class _LearnThrough(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *pulls: Tensor) -> tuple[Any, ...]:
+    def backward(ctx: _LearnThrough, *pulls: Tensor) -> tuple[Tensor | None, ...]:
         pull_theta = dict(zip(ctx.taken[0][0], (pull.contiguous() for pull in pulls), strict=True))
         pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
@@ -211,7 +220,7 @@ class _LearnThrough(torch.autograd.Function):
 
 
 def learn_through(
-    theta: Params, rule: UpdateRule, batches: Sequence[Any], loss: Loss, *, order: int, engine: Engine = TORCH
+    theta: Params, rule: UpdateRule, batches: Sequence[AnyBatch], loss: Loss, *, order: int, engine: Engine = TORCH
 ) -> Params:
     """Learn on given batches, differentiably in the initialisation and in the rule's alpha.
 
@@ -219,6 +228,6 @@ def learn_through(
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
     """
     stepper = engine.stepper(rule, loss, theta, order)
-    apply: Callable[..., Any] = _LearnThrough.apply
+    apply: Callable[..., tuple[Tensor, ...]] = _LearnThrough.apply
     final = apply(stepper, batches, *stepper.theta.values(), *stepper.alpha.values())
     return stepper.unpack(dict(zip(stepper.theta, final, strict=True)))

@@ -11,7 +11,10 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import torch
 from torch import Generator, Tensor
 
+from metapp.learning.recipe import Setup
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
+
+Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class App(ABC):
         traits: what others must know of it.
     """
 
-    setup: Any = None
+    setup: Setup = None
     protocol: str = ""
     name: ClassVar[str]
     holds: ClassVar[Mapping[str, Held]] = MappingProxyType({})
@@ -116,7 +119,7 @@ class App(ABC):
         Empty where the tasks hold no reference.
         """
 
-    def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, answer: Answer, tasks: Tasks) -> dict[str, Tensor]:
         """The same measures of an answer that need not come from the network, as those of baselines do not.
 
         Args:
@@ -207,7 +210,7 @@ class Doubtful(Protocol):
 class Remarked(Protocol):
     """An application that has more to say of a task, or of its fit, than errors."""
 
-    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
+    def remarks(self, task: Task, theta: Params) -> Mapping[str, object]:
         """Entries of the record of a fit (no task axis in theta), with a reference or without.
 
         `counts`: how many things of a kind a fit sees; `note`: a clause, also printed; others the application names.

@@ -9,12 +9,12 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, same
+from metapp.learning.adjoint import TORCH, AnyBatch, Engine, Loss, UpdateRule, same
 from metapp.learning.deadline import Deadline
 from metapp.learning.learn import Step, checked, descend, last
 from metapp.learning.recipe import Guard
@@ -91,7 +91,7 @@ def descend_guarded(
     yield now._replace(guarded=doubtful)
 
 
-def _judged(loss: Loss, batch: Any, theta: Params) -> Iterate:
+def _judged(loss: Loss, batch: AnyBatch, theta: Params) -> Iterate:
     with torch.no_grad():
         return Iterate(theta, loss.value(theta, batch, {}).nan_to_num(math.inf, math.inf, math.inf))
 

@@ -9,12 +9,23 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through, same
+from metapp.learning.adjoint import (
+    TORCH,
+    AnyBatch,
+    AnyData,
+    Drawn,
+    Engine,
+    Loss,
+    UpdateRule,
+    at_step,
+    learn_through,
+    same,
+)
 from metapp.learning.app import App, OuterLoss, OuterSample, Staged
 from metapp.learning.task import Params, Rng, Tasks, drawn
 
@@ -70,7 +81,7 @@ class Step(NamedTuple):
 def descend(
     params: Params,
     rule: UpdateRule,
-    data: Any,
+    data: AnyData,
     loss: Loss,
     *,
     steps: int,
@@ -146,7 +157,7 @@ def last(items: Iterable[Item]) -> Item:
 
 
 def learn(
-    params: Params, rule: UpdateRule, data: Any, loss: Loss, *, steps: int, rng: Rng, engine: Engine = TORCH
+    params: Params, rule: UpdateRule, data: AnyData, loss: Loss, *, steps: int, rng: Rng, engine: Engine = TORCH
 ) -> Params:
     """The parameters at the end of a descent (`descend`), detached.
 
@@ -170,19 +181,19 @@ def task_outer_loss(app: App, batch: int) -> Loss:
     return _loss_of(app, value, app.outer_sample if isinstance(app, OuterSample) else app.sample, batch)
 
 
-Draw = Callable[[Tasks, Generator, int], Any]
+Draw = Callable[[Tasks, Generator, int], Params]
 
 
 @functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
-def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: Draw, batch: int) -> Loss:
+def _loss_of(app: App, value: Callable[[Params, AnyBatch, Params], Tensor], sample: Draw, batch: int) -> Loss:
     def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
-        return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
+        return Drawn(tasks.picked_names, drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
     loss = Loss(draw, value)
     return staged(loss, app.stage) if isinstance(app, Staged) else loss
 
 
-def staged(loss: Loss, stage: Callable[[Any, float], Any]) -> Loss:
+def staged(loss: Loss, stage: Callable[[AnyData, float], AnyData]) -> Loss:
     """The same loss of a part of the data, (data, done) -> data, that depends on how far a descent is."""
     return replace(loss, draw=lambda data, rng, done: loss.draw(stage(data, done), rng, done))
 
@@ -211,8 +222,8 @@ class Encoding(NamedTuple):
         encode: (encoder, condition) -> parameters [T, ...].
     """
 
-    condition: Callable[[Any, Generator], Any]
-    encode: Callable[[Params, Any], Params]
+    condition: Callable[[AnyData, Generator], AnyBatch]
+    encode: Callable[[Params, AnyBatch], Params]
 
 
 def after_learning(
@@ -243,12 +254,12 @@ def after_learning(
     """
     last_loss = outer_loss or loss
 
-    def draw(tasks: Any, rng: Generator, done: float) -> Drawn:
+    def draw(tasks: AnyData, rng: Generator, done: float) -> Drawn:
         inner = [loss.draw(tasks, rng, i / steps).batch for i in range(steps)]
         outer = last_loss.draw(tasks, rng, 1.0)
         return Drawn(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
 
-    def value(phi: Params, batch: Any, _: Params) -> Tensor:
+    def value(phi: Params, batch: AnyBatch, _: Params) -> Tensor:
         inner, outer, condition = batch
         count = next(iter(outer.values())).shape[0]
         parts = MetaParameters.unflat(phi)
@@ -264,11 +275,11 @@ def after_learning(
 def after_encoding(loss: Loss, encoding: Encoding) -> Loss:
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
-    def draw(tasks: Any, rng: Generator, done: float) -> Drawn:
+    def draw(tasks: AnyData, rng: Generator, done: float) -> Drawn:
         names, batch = loss.draw(tasks, rng, done)
         return Drawn(names, (encoding.condition(tasks, rng), batch))
 
-    def value(prepared: Params, batch: Any, learned: Params) -> Tensor:
+    def value(prepared: Params, batch: AnyBatch, learned: Params) -> Tensor:
         return loss.value(encoding.encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
 
     return Loss(draw, value, shared=True)
@@ -285,13 +296,16 @@ def spread(params: Params, count: int, axis: int) -> Params:
 class _ClipPerTask(torch.autograd.Function):
     """Identity whose gradient is scaled down, task by task, to a norm; meta-gradients are heavy-tailed."""
 
+    limit: float
+    axes: tuple[int, ...]
+
     @staticmethod
-    def forward(ctx: Any, limit: float, axes: tuple[int, ...], *tensors: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: _ClipPerTask, limit: float, axes: tuple[int, ...], *tensors: Tensor) -> tuple[Tensor, ...]:
         ctx.limit, ctx.axes = limit, axes
         return tuple(tensor.view_as(tensor) for tensor in tensors)
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
+    def backward(ctx: _ClipPerTask, *grads: Tensor) -> tuple[Tensor | None, ...]:
         norms = []
         for grad, axis in zip(grads, ctx.axes, strict=True):
             others = [i for i in range(grad.ndim + 1) if i != axis]
@@ -312,6 +326,6 @@ def clip_per_task(theta: Params, alpha: Params, limit: float) -> tuple[Params, P
     """The same values; on the way back each task's gradient over both trees has at most the norm `limit`."""
     keys = [*theta, *alpha]
     axes = (0,) * len(theta) + (1,) * len(alpha)
-    apply: Callable[..., Any] = _ClipPerTask.apply
+    apply: Callable[..., tuple[Tensor, ...]] = _ClipPerTask.apply
     clipped = dict(zip(keys, apply(limit, axes, *theta.values(), *alpha.values()), strict=True))
     return {key: clipped[key] for key in theta}, {key: clipped[key] for key in alpha}

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+Setup = Any  # the sizes of an application's network, of a class of its own
+
 
 @dataclass(frozen=True)
 class Adam:
@@ -86,7 +88,7 @@ class MetaTraining(OuterLoop):
     order: int = 0
     clip: float = float("inf")
     initialisation: Initialisation = "mean"
-    setup: Any = None
+    setup: Setup = None
     guard: Guard | None = None
 
     @property
@@ -121,7 +123,7 @@ class Recipe:
     general: OuterLoop
     meta: dict[str, MetaTraining]
     rule: str
-    setup: Any = None
+    setup: Setup = None
 
     def training(self, rule: str) -> MetaTraining:
         """How a rule is trained, on which network, and what guards its fits after the recipe's number of steps.
@@ -131,7 +133,7 @@ class Recipe:
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
 
-def as_published(recipe: Recipe, setup: Any, *, tasks: int = 5) -> Recipe:
+def as_published(recipe: Recipe, setup: Setup, *, tasks: int = 5) -> Recipe:
     """The recipe of Fischer & Ritschel 2022, of all applications but BRDFs.
 
     Supplement: first-order MAML with Meta-SGD from a random initialisation; Overfit for 10,000 steps.

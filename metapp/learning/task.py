@@ -134,18 +134,14 @@ class Tasks:
         """The tasks at these positions of this view; nothing is copied."""
         return replace(self, rows=self.rows[torch.as_tensor(rows, device=self.rows.device)])
 
+    @functools.cached_property  # each time a GPU must be waited for
     def picked_names(self) -> tuple[str, ...]:
         """The names of the tasks in this view, in order."""
-        return self._picked
-
-    @functools.cached_property
-    def _picked(self) -> tuple[str, ...]:
-        """Read once, as each time is one that a GPU must be waited for."""
         return tuple(self.names[row] for row in self.rows.tolist())
 
     def variants(self, data: dict[str, Tensor]) -> Tasks:
         """Augmented tasks, one of each in this view, in order: tensors [T, ...]."""
-        names = tuple(f"variant of {name}" for name in self.picked_names())
+        names = tuple(f"variant of {name}" for name in self.picked_names)
         return Tasks(names, data, torch.arange(len(names), device=self.rows.device))
 
 

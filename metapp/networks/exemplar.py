@@ -82,29 +82,22 @@ class ExemplarSetup:
         return (self.height >> octave) / self.laid_out[0]
 
 
-def details_of(setup: ExemplarSetup) -> tuple[int, ...]:
-    """Sides in texels that exemplars can have, that of training first: a layout lets them be twice as large."""
-    trained = setup.width >> setup.finer
-    return (trained, 2 * trained) if setup.has_layout else ()
-
-
-def at_detail(setup: ExemplarSetup, side: int) -> ExemplarSetup:
-    """The same setup for exemplars of another side of `details_of`."""
-    finer = details_of(setup).index(side)
-    return replace(setup, height=(setup.height >> setup.finer) << finer, width=side, finer=finer)
-
-
 def with_detail(recipe: Recipe, side: int) -> Recipe:
-    """A recipe for exemplars of another side in px.
+    """A recipe for exemplars of another side in px: that of training, or where there is a layout twice that.
 
     Raises:
         ValueError: its setup has no such choice.
     """
-    sides = details_of(recipe.setup) if isinstance(recipe.setup, ExemplarSetup) else ()
+    setup, sides = recipe.setup, ()
+    if isinstance(setup, ExemplarSetup) and setup.has_layout:
+        trained = setup.width >> setup.finer
+        sides = (trained, 2 * trained)
     if side not in sides:
         expected = f"one of {', '.join(map(str, sides))}" if sides else "no choice; take another recipe"
         raise ValueError(f"expected {expected}")
-    return replace(recipe, setup=at_detail(recipe.setup, side))
+    finer = sides.index(side)
+    height = (setup.height >> setup.finer) << finer
+    return replace(recipe, setup=replace(setup, height=height, width=side, finer=finer))
 
 
 class ExemplarApp(App):

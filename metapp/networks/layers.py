@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -56,11 +55,11 @@ def convolved(params: Params, name: str, x: Tensor) -> Tensor:
 
 class _Tiled(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
+    def forward(ctx: object, x: Tensor) -> Tensor:
         return pad(x, (1, 1, 1, 1), mode="circular")
 
     @staticmethod
-    def backward(ctx: Any, pull: Tensor) -> Tensor:
+    def backward(ctx: object, pull: Tensor) -> Tensor:
         apply: Callable[[Tensor], Tensor] = _Folded.apply
         return apply(pull)
 
@@ -69,7 +68,7 @@ class _Folded(torch.autograd.Function):
     """The adjoint of padding: what lies outside is added to what it is a copy of."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
+    def forward(ctx: object, x: Tensor) -> Tensor:
         rows = x[..., 1:-1, :].clone()
         rows[..., 0, :] += x[..., -1, :]
         rows[..., -1, :] += x[..., 0, :]
@@ -79,7 +78,7 @@ class _Folded(torch.autograd.Function):
         return folded
 
     @staticmethod
-    def backward(ctx: Any, pull: Tensor) -> Tensor:
+    def backward(ctx: object, pull: Tensor) -> Tensor:
         return tiled(pull)
 
 

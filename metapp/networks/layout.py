@@ -46,16 +46,11 @@ def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _quilted(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    block, overlap = blocks_of(exemplar, size)
-    numbers = np.random.default_rng(0)
-    picture = quilted(exemplar.movedim(0, -1).cpu().numpy(), size, numbers, block=block, overlap=overlap, tiles=True)
-    return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)
-
-
-def blocks_of(exemplar: Tensor, size: tuple[int, int]) -> tuple[int, int]:
-    """Side of the blocks that a layout is quilted in, and what neighbours share, in texels."""
+    """A picture that tiles, in blocks of half the side that share a third of theirs with their neighbours."""
     block = max(4, min(*exemplar.shape[1:], *size) // 2)
-    return block, block // 3
+    numbers = np.random.default_rng(0)
+    picture = quilted(exemplar.movedim(0, -1).cpu().numpy(), size, numbers, block=block, overlap=block // 3, tiles=True)
+    return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)
 
 
 def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:

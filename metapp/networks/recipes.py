@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
-from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, Setup, as_published
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import Pyramid, UNet
 
@@ -94,7 +93,7 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0, la
     )
 
 
-def by_protocol(quick: Recipe, photo: Recipe, *, full: Any, paper: Any) -> dict[str, dict[str, Recipe]]:
+def by_protocol(quick: Recipe, photo: Recipe, *, full: Setup, paper: Setup) -> dict[str, dict[str, Recipe]]:
     """The recipes of an application whose fits see the thing itself, "reference", or one photograph of it, "photo".
 
     Args:

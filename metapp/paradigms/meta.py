@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from typing import Any
 
 import torch
 from torch import Generator
 
-from metapp.learning.adjoint import Loss, UpdateRule, fastest
+from metapp.learning.adjoint import Loss, RuleStep, UpdateRule, fastest
 from metapp.learning.app import known_of
 from metapp.learning.learn import (
     MetaParameters,
@@ -71,7 +70,9 @@ def with_gradients(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) 
         theta = initialisation(job, phi, part, rng)
         rule = META.rule(job, phi, theta, META.count(job))
 
-        def recording(alpha: Params, theta: Params, grads: Params, state: Params, step: Any = rule.step) -> Any:
+        def recording(
+            alpha: Params, theta: Params, grads: Params, state: Params, step: RuleStep = rule.step
+        ) -> tuple[Params, Params]:
             for name, value in learned.gather(phi.alpha, grads).items():
                 total[name] = total.get(name, 0) + value
             return step(alpha, theta, grads, state)

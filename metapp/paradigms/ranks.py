@@ -10,14 +10,13 @@ import os
 import socket
 from collections.abc import Iterator
 from datetime import timedelta
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch import distributed as dist
 from torch.utils._pytree import tree_leaves, tree_map
 
-from metapp.learning.adjoint import Loss
+from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.task import Params
 
 WAITS = timedelta(minutes=30)  # for a rank that is slower, before it counts as lost
@@ -93,14 +92,15 @@ def require(tasks: int) -> None:
 class SummedOverRanks(Loss):
     """A mean over tasks, each rank's part of which is differentiated there; the same on all ranks."""
 
-    def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """The gradient of all tasks, and the loss of each, [T]."""
         total = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
         rows = range(number(), total, count())
 
-        def part(leaf: Any) -> Any:
-            own = isinstance(leaf, Tensor) and leaf.shape[:1] == (total,)
-            return leaf[rows.start : total : count()] if own else leaf
+        def part(leaf: object) -> object:
+            if isinstance(leaf, Tensor) and leaf.shape[:1] == (total,):
+                return leaf[rows.start : total : count()]
+            return leaf
 
         grads, own = super().gradient(theta, tree_map(part, batch), learned, graph=graph)
         losses = own.new_zeros(total)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from typing import Any
 
 from torch import Generator
 
@@ -63,7 +62,7 @@ def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
     return training
 
 
-def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, Any]:
+def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, object]:
     """What a checkpoint says about itself: JSON-ready.
 
     Args:

@@ -17,7 +17,6 @@ from torch import Tensor
 from data_tools.readers.brdf_objects import unit_vectors
 from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.appearance.presentation import maps_of
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Params, Task
 from metapp.runs import BadOption
@@ -140,7 +139,7 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        maps = maps_of(self.plan.presentation, self.parameters, self.task)
+        maps = self.plan.presentation.maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Any]:

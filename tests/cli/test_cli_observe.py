@@ -45,7 +45,7 @@ class Seen(Brdf):
         return super().loss(theta, batch, learned)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        return {} if tasks.picked_names()[0].startswith("unknown") else super().errors(theta, tasks)
+        return {} if tasks.picked_names[0].startswith("unknown") else super().errors(theta, tasks)
 
 
 class Shown(BrdfPresentation):

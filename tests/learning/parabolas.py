@@ -16,12 +16,12 @@ def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
 
 
 def draw_exact(tasks: Tasks, rng: Generator, done: float) -> Drawn:
-    return Drawn(tasks.picked_names(), {"c": tasks.data["c"][tasks.rows]})
+    return Drawn(tasks.picked_names, {"c": tasks.data["c"][tasks.rows]})
 
 
 def draw_noisy(tasks: Tasks, rng: Generator, done: float) -> Drawn:
     centre = tasks.data["c"][tasks.rows]
-    return Drawn(tasks.picked_names(), {"c": centre + torch.randn(centre.shape, generator=rng, dtype=centre.dtype)})
+    return Drawn(tasks.picked_names, {"c": centre + torch.randn(centre.shape, generator=rng, dtype=centre.dtype)})
 
 
 EXACT, NOISY = Loss(draw_exact, parabola), Loss(draw_noisy, parabola)

@@ -87,7 +87,7 @@ def given(batches: dict[str, list[Batch]]) -> Loss:
     step = {"next": 0}
 
     def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
-        names, i = tasks.picked_names(), step["next"]
+        names, i = tasks.picked_names, step["next"]
         step["next"] += 1
         picked = [batches[name][i] for name in names]
         return Drawn(names, {key: torch.stack([each[key] for each in picked]) for key in picked[0]})
@@ -195,7 +195,7 @@ def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> N
 
 def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> None:
     def augment(picked: Tasks, rng: Generator) -> Tasks:
-        names = tuple(f"twice {name}" for name in picked.picked_names())
+        names = tuple(f"twice {name}" for name in picked.picked_names)
         return Tasks(names, {"c": 2 * picked.data["c"][picked.rows]}, torch.arange(len(picked)))
 
     drawn = over_tasks(EXACT, count=2, augment=augment).draw(tasks, rng, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -112,7 +112,7 @@ class Brdf(App):
         expected = self.setup.expected_errors(theta, tasks)
         return errors | {name: self.traits.scale * values for name, values in expected.items()}
 
-    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
+    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
         """That no sample was held out, where a measurement has few; that phi_h counts for nothing."""
         notes, half = [], len(task.data["angles"]) // 2
         if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):

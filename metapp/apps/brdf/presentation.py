@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from typing import Any
 
 from torch import Tensor
 
@@ -24,7 +23,7 @@ class BrdfPresentation(Presentation[Brdf]):
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
     image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
 
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The sphere, on black with coverage."""
         scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
         fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -137,13 +137,9 @@ class Illumination(CodedApp):
         return replace(self, setup=replace(self.setup, field=self.field._replace(height=height, width=width)))
 
     def answer(self, theta: Params, data: Batch) -> Tensor:
-        """The same as they are judged and shown; `data` as of `prepare`, [T, ...]."""
+        """The same as they are judged and shown, of mean luminance 1; `data` as of `prepare`, [T, ...]."""
         maps = self.radiance_of(theta)
-        return self.scaled(completed(maps, data) if "seen" in data else maps)
-
-    def scaled(self, maps: Tensor) -> Tensor:
-        """Maps of mean luminance 1, as all are that are fitted: what a file had beside it is its `scale`."""
-        return of_mean_1(maps)
+        return of_mean_1(completed(maps, data) if "seen" in data else maps)
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
@@ -214,7 +210,7 @@ class Illumination(CodedApp):
         return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | shown | self.described(maps))
 
     @torch.no_grad()
-    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
+    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
         """`deviation`, factors by which the fit's luminance may be off, where fits see a photograph."""
         if self.protocol != "photo":
             return {}
@@ -244,7 +240,7 @@ class Illumination(CodedApp):
         """Of maps [T, 3, H, W] of the field's size, linear radiance."""
         if "map" not in tasks.data:
             return {}
-        maps, target = self.scaled(answer), tasks.data["map"][tasks.rows]
+        maps, target = of_mean_1(answer), tasks.data["map"][tasks.rows]
         pictures, references = relight(maps), relight(target)
         error = (pictures - references).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
@@ -14,6 +12,7 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES
 from metapp.apps.illumination.surfaces import relight
+from metapp.apps.illumination.variants import of_mean_1
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
 
@@ -46,7 +45,7 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
         return "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST}x{2 * LARGEST}"
 
     @torch.no_grad()
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
         prepared = {key: value[None] for key, value in self.app.prepare(task).items()}
         fit = self.app.answer({key: value[None] for key, value in theta.items()}, prepared)
@@ -73,12 +72,12 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     def maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The map as `files` writes it."""
         answer = _answer(self.app, {key: value[None] for key, value in theta.items()}, task)
-        return {"radiance": _radiance(self.app.scaled(answer), task).pixels}
+        return {"radiance": _radiance(of_mean_1(answer), task).pixels}
 
     @torch.no_grad()
     def files_of(self, answer: Tensor, task: Task) -> dict[str, Picture]:
         """The same of a map [1, 3, H, W], of its size."""
-        maps = self.app.scaled(answer)
+        maps = of_mean_1(answer)
         return {
             "map": _radiance(maps, task),
             "relit": Picture(tone_map(relight(maps))[0].permute(1, 2, 0), "srgb"),

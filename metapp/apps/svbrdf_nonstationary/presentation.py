@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,7 +48,7 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     of_pictures = {"error": "log L1", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
         photo = photo_of(task, LARGEST)
         shown = {"fit": sheet(self.app.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -23,7 +21,7 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
     title = "svBRDF stat."
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
 
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
         photo = self.app.exemplar(task.data["image"][None].float() / 255)
         light = self.app.light_of(photo)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,7 +30,7 @@ class TexturePresentation(ExemplarPresentation[Texture]):
         "repeat, order: the autocorrelation's peaks on their lattice, as high as the exemplar's at 1"
     )
 
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The exemplar and a texture of its size."""
         exemplar = self.app.exemplar(task.data["image"][None].float() / 255)[0]
         texture = self.generated(theta, self.app.generate, self.once())[0, 0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -71,21 +71,21 @@ class Studio:
         """A picture by Mitsuba's path, with next-event estimation, in as many waves as memory asks for."""
         most = max(1, WAVE // self.size**2)
         counts = [min(most, spp - first) for first in range(0, spp, most)]
-        shots = [self._by({"type": "path"}, count, seed * 2**16 + i) for i, count in enumerate(counts)]
+        shots = [self._by("path", count, seed * 2**16 + i) for i, count in enumerate(counts)]
         total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
         return Shot(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
 
     def by(self, plugin: Plugin, spp: int, seed: int = 0) -> Shot:
         """The same by an integrator of an extension."""
         load(plugin.register)()
-        return self._by({"type": plugin.name}, spp, seed)
+        return self._by(plugin.name, spp, seed)
 
-    def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
+    def _by(self, integrator: str, spp: int, seed: int) -> Shot:
         from metapp.rendering.pictures import rendered, square_sensor  # imports Mitsuba
 
         mi, tracer = self.tracer.mi, self.tracer
         sensor = square_sensor(tracer.scene, self.size)
-        made = mi.load_dict(integrator | {"max_depth": tracer.depth})
+        made = mi.load_dict({"type": integrator, "max_depth": tracer.depth})
         return _timed(lambda: rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
 
     def sampling(self, samples: Tensor) -> float:

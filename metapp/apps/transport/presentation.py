@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -39,7 +38,7 @@ class TransportPresentation(Presentation[Transport]):
         notes = "".join(f"{plugin.note}; " for plugin in integrators())
         self.image_measure = IMAGE_MEASURE.format(size=side, notes=notes)
 
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+    def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
 
         On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no

@@ -189,7 +189,7 @@ def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
     rows = [index.get(place.tobytes(), -1) for place in samples.where.numpy()]
     if min(rows) < 0 or not torch.equal(own[half:], where[half:]):
-        name = tasks.picked_names()[0]
+        name = tasks.picked_names[0]
         raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
     return samples._replace(rows=torch.tensor(rows))
 

@@ -6,7 +6,6 @@ import statistics
 from pathlib import Path
 from typing import NamedTuple
 
-from metapp.appearance.presentation import measures_of
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -140,7 +139,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     shown = presentation_of(one.app)
     found = paired([one.errors()], [other.errors()], groups, logarithmic=shown.logarithmic)
     measures = {}
-    for key, title in measures_of(shown).items():
+    for key, title in shown.measures.items():
         means = one.mean(key), other.mean(key)
         if means[0] is not None and means[1] is not None:
             ratio = paired([one.errors(key)], [other.errors(key)], groups, logarithmic=False)

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from metapp.learning.adjoint import Loss
+from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App, LinearLayer, linear_in
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Before, Part
@@ -35,9 +34,9 @@ class NormalEquations(Loss):
         linear: (params, batch, learned) -> least squares near the loss.
     """
 
-    linear: Callable[[Params, Any, Params], Linear] = field(kw_only=True)
+    linear: Callable[[Params, AnyBatch, Params], Linear] = field(kw_only=True)
 
-    def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals.
 
         And `prior.<W>` [T, C, F] where the least squares have one.
