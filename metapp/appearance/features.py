@@ -105,7 +105,7 @@ def describe_features(which: str) -> str:
 
 @lru_cache(maxsize=4)
 def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is a key of the lru_cache
-    """Whether a file's weights are ImageNet's, by the digest of their source or their own, or unknown."""
+    """The origin of a file's weights by the digest of their source or their own: ImageNet, or unknown."""
     try:
         with opened_tensors(path) as weights:
             digest = (weights.metadata() or {}).get("sha256", "")

@@ -161,7 +161,7 @@ def cosines(angles: Tensor) -> Cosines:
 
 
 def above_horizon(angles: Tensor) -> Tensor:
-    """Whether both directions are above the surface: bool [...] of angles [..., 3 or 4] in rad."""
+    """Test for both directions above the surface: bool [...] of angles [..., 3 or 4] in rad."""
     incident, outgoing, *_ = cosines(angles)
     return (incident > 0) & (outgoing > 0)
 

@@ -1,4 +1,4 @@
-"""How brightness falls off about the flash in a photo of a flat, even material, and how glossy it is by that."""
+"""The fall-off of brightness about the flash in a photo of a flat, even material, and the gloss that it shows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CLIPPED, FEW = 0.98, 0.02  # a ring with more than so few px above so much says 
 
 
 class Gloss(NamedTuple):
-    """What a highlight's profile says of a material.
+    """The properties of a material by its highlight's profile.
 
     Attributes:
         roughness: [B], of the flat even material that looks most alike.

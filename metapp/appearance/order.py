@@ -153,7 +153,7 @@ def _basis(peaks: list[tuple[float, int, int]], side: int) -> tuple[float, list[
 
 
 def order_kept(exemplar: Lattice, made: Tensor) -> float:
-    """How much of an exemplar's order a picture [C, H, W] of the same scale keeps.
+    """The share of an exemplar's order that a picture [C, H, W] of the same scale keeps.
 
     The peaks of its autocorrelation at the exemplar's lattice, which may have moved by MOVED texels, over the
     exemplar's: 1 for as much order, 0 for none; NaN where the exemplar has none.

@@ -40,7 +40,7 @@ class Material(NamedTuple):
 
 
 class Camera(NamedTuple):
-    """How radiance becomes display values.
+    """The curve from radiance to display values.
 
     Attributes:
         exposure: linear value of radiance 1, [T].

@@ -12,11 +12,11 @@ FLOAT32 = "METAPP_FLOAT32"  # of the environment: 1 for float32 everywhere
 
 @cache
 def has_bfloat16() -> bool:
-    """Whether the CPU multiplies bfloat16 by instructions of its own (AVX512-BF16, AMX), faster than float32."""
+    """True if the CPU multiplies bfloat16 by instructions of its own (AVX512-BF16, AMX), faster than float32."""
     known = torch.cpu.get_capabilities()
     return bool(known.get("avx512_bf16") or known.get("amx_bf16"))
 
 
 def in_bfloat16(device: torch.device) -> bool:
-    """Whether features in reduced precision are computed in bfloat16 on a device; METAPP_FLOAT32=1: never."""
+    """True if features in reduced precision are computed in bfloat16 on a device; METAPP_FLOAT32=1: never."""
     return device.type == "cpu" and has_bfloat16() and os.environ.get(FLOAT32, "") in ("", "0")

@@ -1,4 +1,4 @@
-"""How an application is shown: its title, the meaning of its errors, pictures and files of its fits."""
+"""The presentation of an application: its title, the meaning of its errors, pictures and files of its fits."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Rendered(NamedTuple):
 
 
 class Visible(NamedTuple):
-    """What a fit may see of a task.
+    """The part of a task that a fit may see.
 
     Attributes:
         samples: how many it draws from; 1 where each step sees all there is.
@@ -70,7 +70,7 @@ AnyMade = TypeVar("AnyMade")
 
 
 class Presentation(ABC, Generic[AnyApp]):
-    """How an application's fits are shown, named and kept.
+    """The names, pictures and files of an application's fits.
 
     Attributes:
         app: the application, at a recipe's setup and under a protocol.
@@ -95,7 +95,7 @@ class Presentation(ABC, Generic[AnyApp]):
         self._kept: tuple[Params, Task, Any] | None = None
 
     def kept(self, theta: Params, task: Task, make: Callable[[], AnyMade]) -> AnyMade:
-        """What `files` and `surface` are both made of, made once where they are asked for the same fit in turn.
+        """The source of both `files` and `surface`, made once where they are asked for the same fit in turn.
 
         Args:
             theta: the fit; other mappings and tasks count as others, whatever is in them.
@@ -117,7 +117,7 @@ class Presentation(ABC, Generic[AnyApp]):
         """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """What a fit makes for its user, by the file's name without its ending (no task axis in theta)."""
+        """The files that a fit makes for its user, by the file's name without its ending (no task axis in theta)."""
         return {}
 
     def surface(self, theta: Params, task: Task) -> Surface | None:
@@ -138,5 +138,5 @@ class Presentation(ABC, Generic[AnyApp]):
         return {}
 
     def visible(self, task: Task) -> Visible | None:
-        """How much a fit may see of a task; None where the application does not say."""
+        """The amount that a fit may see of a task; None where the application does not say."""
         return None

@@ -80,7 +80,7 @@ def _pixels(exemplar: Picture) -> Picture:
 
 
 Sides = tuple[bool, bool, bool, bool]
-"""Whether there is something above a block, before it, below it, behind it."""
+"""True if there is something above a block, before it, below it, behind it."""
 
 
 def _places(length: int, step: int, *, tiles: bool) -> list[int]:
@@ -95,7 +95,7 @@ Find = Callable[[Picture, Mask, np.random.Generator], tuple[int, int]]
 
 
 def _finder(exemplar: Picture, block: int) -> Find:
-    """What finds where a block of the exemplar begins that agrees with what is there: its errors are correlations."""
+    """Make the search for a block of the exemplar that agrees with what is there: its errors are correlations."""
     height, width, _ = exemplar.shape
     size = (height, width)
     channels = np.fft.rfft2(exemplar, axes=(0, 1))

@@ -24,7 +24,7 @@ def app_names() -> list[str]:
 
 
 def application_of(name: str) -> door.Application:
-    """What is offered of an application.
+    """The offer of an application.
 
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
@@ -43,7 +43,7 @@ def class_of(name: str) -> type[App]:
 
 
 def protocols_of(name: str) -> tuple[str, ...]:
-    """What fits of an application may see, the values of --observe, the default first; () where there is no choice."""
+    """The protocols of an application, the values of --observe, the default first; () where there is no choice."""
     return application_of(name).protocols
 
 
@@ -75,7 +75,7 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
 
 
 def presentation_of(app: App, **options: object) -> Presentation[App]:
-    """What screens and files need of an application, at its setup and under its protocol.
+    """The presentation of an application, at its setup and under its protocol.
 
     Args:
         app: the application.

@@ -44,7 +44,7 @@ class Loss:
     shared: bool = False
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """What a step follows, the gradient, and the detached loss of each task, [T].
+        """The gradient that a step follows, and the detached loss of each task, [T].
 
         Args:
             theta: parameters.
@@ -114,10 +114,10 @@ class Stepper(NamedTuple):
 
 @dataclass(frozen=True)
 class Engine:
-    """What takes steps: here torch, by automatic differentiation; extensions offer others."""
+    """The engine that takes steps: here torch, by automatic differentiation; extensions offer others."""
 
     def stepper(self, rule: UpdateRule, loss: Loss, theta: Params, order: int = 1) -> Stepper:
-        """How steps of a rule down a loss are taken from theta, and backpropagated through to an order."""
+        """The stepper of a rule down a loss from theta, backpropagated through to an order."""
         step, step_vjp = self.functions(rule.step, loss, order)
         return Stepper(theta, rule.alpha, rule.init, step, step_vjp, _batch_of if order == 2 else _gradient_of)
 

@@ -1,4 +1,4 @@
-"""What an application is: a network, the samples it is fitted to, and the distance that says how well it fits."""
+"""Applications: a network, the samples it is fitted to, and the distance that says how well it fits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Answer = Any  # what fits of an application are judged by: its own maps, picture
 
 @dataclass(frozen=True)
 class Traits:
-    """What others must know of an application at a setup.
+    """The properties of an application at a setup that others depend on.
 
     Attributes:
         scale: factor of errors in records and tables; 100 where the paper prints x100.
@@ -69,16 +69,16 @@ class App(ABC):
 
     @property
     def traits(self) -> Traits:
-        """What others must know of it; a class attribute where the setup changes nothing."""
+        """The properties that others depend on; a class attribute where the setup changes nothing."""
         return Traits()
 
     def conditions(self) -> dict[str, str]:
-        """What else its errors depend on, by name: part of every record and caption."""
+        """The further conditions of its errors, by name: part of every record and caption."""
         return {}
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """What fitting needs of a task, computed once: tensors without a task axis."""
+        """Prepare a task for fitting, once: tensors without a task axis."""
 
     @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
@@ -134,7 +134,7 @@ class Staged(Protocol):
     """An application whose fits do not see all from the beginning, such as from coarse to fine."""
 
     def stage(self, tasks: Tasks, done: float) -> Tasks:
-        """What a descent sees of tasks after this share of its steps, in [0, 1]."""
+        """The part of tasks that a descent sees after this share of its steps, in [0, 1]."""
 
 
 @runtime_checkable
@@ -195,7 +195,7 @@ class ReducedPrecision(Protocol):
     """An application whose fits compute in other than float32 on some devices."""
 
     def precision(self, device: torch.device) -> str:
-        """What is computed how, in words: part of every record; "" for float32 throughout."""
+        """The precision of computation, in words: part of every record; "" for float32 throughout."""
 
 
 @runtime_checkable
@@ -203,7 +203,7 @@ class Doubtful(Protocol):
     """An application that sees in a fit alone, without a reference, what is wrong with it."""
 
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """What is wrong with the fit of each task, in short clauses; [] where nothing is."""
+        """The faults of the fit of each task, in short clauses; [] where nothing is."""
 
 
 @runtime_checkable

@@ -30,7 +30,7 @@ class Stopwatch:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """What is done meanwhile does not count."""
+        """Stop the clock meanwhile."""
         begin = self._now()
         try:
             yield
@@ -44,7 +44,7 @@ class Stopwatch:
 
 
 class Pace(NamedTuple):
-    """How long the parts of a fit take, in seconds.
+    """The durations of the parts of a fit, in seconds.
 
     Attributes:
         step: a step, in the mean of a fit.
@@ -90,7 +90,7 @@ class Deadline:
         self.taken: list[int] = []
 
     def plan(self, most: int) -> int:
-        """How many of so many steps fit in the time that is left."""
+        """The number of steps, of so many at most, that fit in the time that is left."""
         self._begin, self.planned = self._clock(), most
         self.taken.append(0)
         if self._pace:
@@ -107,7 +107,7 @@ class Deadline:
                 break
 
     def _is_over(self) -> bool:
-        """Whether one more step would end too late."""
+        """True if one more step would end too late."""
         now = self._clock()
         if self._pace and now + max(self._pace.longest, self._pace.step) + self._pace.rest > self._seconds:
             return True

@@ -97,7 +97,7 @@ def _judged(loss: Loss, batch: AnyBatch, theta: Params) -> Iterate:
 
 
 def rises(losses: list[Tensor], factor: float) -> Tensor:
-    """Whether losses rise, in the second half of the steps, above so many times the lowest before them, [T].
+    """Test for losses that rise, in the second half of the steps, above so many times the lowest before them, [T].
 
     Learned rules often climb early, on their way to something better.
     """

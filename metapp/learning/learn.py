@@ -31,7 +31,7 @@ from metapp.learning.task import Params, Rng, Tasks, drawn
 
 
 class MetaParameters(NamedTuple):
-    """What a paradigm prepares: phi, an initialisation and a rule's hyperparameters; for General an encoder."""
+    """The result of a preparation: phi, an initialisation and a rule's hyperparameters; for General an encoder."""
 
     theta: Params = {}  # noqa: RUF012  (never written to)
     alpha: Params = {}  # noqa: RUF012
@@ -215,7 +215,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
 
 
 class Encoding(NamedTuple):
-    """How an encoder predicts initialisations.
+    """An encoder's prediction of initialisations.
 
     Attributes:
         condition: (tasks, rng) -> the condition that it reads of each task.

@@ -11,7 +11,7 @@ def rule_names() -> list[str]:
 
 
 def composition_names() -> list[str]:
-    """What compositions are made of: short names, and parts."""
+    """The names that compositions are made of: short ones, and parts."""
     return [*(offer.name for offer in door.offers(door.Rule) if offer.short), *part_names()]
 
 

@@ -1,4 +1,4 @@
-"""What a preparation leads to, and how far it is: one that was cut off goes on and ends as if it had not been."""
+"""The result of a preparation, and its progress: one that was cut off goes on and ends as if it had not been."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Prepared(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far a preparation is; what comes before its search and its outer steps is done again from the seed.
+    """The progress of a preparation; what comes before its search and its outer steps is done again from the seed.
 
     Attributes:
         errors: validation errors of the Adams that a search has tried so far, in its order.

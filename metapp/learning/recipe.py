@@ -40,7 +40,7 @@ class Guard:
 
 @dataclass(frozen=True)
 class OuterLoop:
-    """How the outer loop trains a checkpoint on the training tasks.
+    """The outer loop that trains a checkpoint on the training tasks.
 
     Attributes:
         steps: outer steps.
@@ -93,7 +93,7 @@ class MetaTraining(OuterLoop):
 
     @property
     def from_general(self) -> bool:
-        """Whether the first initialisation comes from a prepared General."""
+        """True if the first initialisation comes from a prepared General."""
         return self.initialisation in ("mean", "encoder")
 
 
@@ -126,7 +126,7 @@ class Recipe:
     setup: Setup = None
 
     def training(self, rule: str) -> MetaTraining:
-        """How a rule is trained, on which network, and what guards its fits after the recipe's number of steps.
+        """The training of a rule, its network, and the guard of its fits after the recipe's number of steps.
 
         A rule that the recipe does not have is trained as its default rule, and has no guard of its own.
         """

@@ -1,4 +1,4 @@
-"""What a task is, what it must hold, and the one tree that all parameters live in."""
+"""Tasks, the tensors that they must hold, and the one tree that all parameters live in."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Linear(NamedTuple):
 
 
 class Held(NamedTuple):
-    """What a tensor of a task must be.
+    """The form that a tensor of a task must have.
 
     Attributes:
         shape: sizes; a letter stands for any size, the same wherever it stands in a task.
@@ -72,7 +72,7 @@ _KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torc
 
 
 def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
-    """What is wrong with a task's tensors, a line each: found, expected.
+    """List the errors in a task's tensors, a line each: found, expected.
 
     Args:
         task: from a file that anybody may have written.
@@ -96,7 +96,7 @@ def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
 
 
 def _has_shape(tensor: Tensor, shape: tuple[int | str, ...], sizes: dict[str, int]) -> bool:
-    """Whether a shape fits, given what letters stand for so far; what they stand for here is added."""
+    """Match a shape with the sizes that letters stand for so far; add those that they stand for here."""
     if tensor.ndim != len(shape) or tensor.numel() == 0:
         return False
     pairs = zip(tensor.shape, shape, strict=True)
@@ -149,7 +149,7 @@ Rng = Generator | tuple[Generator, ...]
 
 
 def drawn(draw: Callable[[Tasks, Generator], Params], tasks: Tasks, rng: Rng) -> Params:
-    """What is drawn for tasks, tensors [T, ...].
+    """Draw for tasks: tensors [T, ...].
 
     Args:
         draw: (tasks, generator) -> tensors [T, ...].

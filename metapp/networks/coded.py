@@ -1,4 +1,4 @@
-"""What applications share whose network has a code in every place, which General's encoder reads from a photograph."""
+"""Applications whose network has a code in every place, which General's encoder reads from a photograph."""
 
 from __future__ import annotations
 

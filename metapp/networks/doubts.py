@@ -1,4 +1,4 @@
-"""What may be wrong with pictures and maps like a photograph's, in words; it takes no reference to see it."""
+"""Faults of pictures and maps like a photograph's, in words; they show without a reference."""
 
 from __future__ import annotations
 

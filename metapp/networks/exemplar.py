@@ -1,4 +1,4 @@
-"""What applications share that generate, from noise, a picture with the visual statistics of an exemplar photograph."""
+"""Applications that generate, from noise, a picture with the visual statistics of an exemplar photograph."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App, Traits
-from metapp.learning.recipe import Recipe
+from metapp.learning.recipe import Recipe, Setup
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
@@ -54,11 +54,11 @@ class ExemplarSetup:
     finer: int = 0
 
     def taps_of(self, octave: int) -> int:
-        """How many layers are compared at an octave, 0 the finest."""
+        """The number of layers that are compared at an octave, 0 the finest."""
         return len(self.taps) - (self.octaves - 1 - octave)
 
     def maps_from(self, octave: int) -> int:
-        """How many maps of features there are from an octave to the coarsest."""
+        """The number of maps of features from an octave to the coarsest."""
         return sum(self.taps_of(each) for each in range(octave, self.octaves))
 
     def parts(self, maps: list[Tensor], octave: int) -> list[Tensor]:
@@ -68,7 +68,7 @@ class ExemplarSetup:
 
     @property
     def has_layout(self) -> bool:
-        """Whether the network reads a coarse picture of what to make."""
+        """True if the network reads a coarse picture of what to make."""
         return isinstance(self.network, Pyramid) and self.network.layout > 0
 
     @property
@@ -78,7 +78,7 @@ class ExemplarSetup:
         return self.height >> octave, self.width >> octave
 
     def times(self, octave: int) -> float:
-        """How many times as high and wide pictures of an octave are as their layouts."""
+        """The ratio of the sides of an octave's pictures to those of their layouts."""
         return (self.height >> octave) / self.laid_out[0]
 
 
@@ -88,7 +88,8 @@ def with_detail(recipe: Recipe, side: int) -> Recipe:
     Raises:
         ValueError: its setup has no such choice.
     """
-    setup, sides = recipe.setup, ()
+    setup: Setup = recipe.setup
+    sides: tuple[int, ...] = ()
     if isinstance(setup, ExemplarSetup) and setup.has_layout:
         trained = setup.width >> setup.finer
         sides = (trained, 2 * trained)
@@ -143,7 +144,7 @@ class ExemplarApp(App):
         raise NotImplementedError
 
     def summary(self, maps: list[Tensor], octave: int) -> Tensor:
-        """What the encoder reads [B, S]: means and root mean squares of features."""
+        """The encoder's input [B, S]: means and root mean squares of features."""
         return moments(self.setup.parts(maps, octave))
 
     def summary_size(self) -> int:
@@ -192,7 +193,7 @@ class ExemplarApp(App):
         return {"layout": tasks.data["layout"][tasks.rows]} if self.setup.has_layout else {}
 
     def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
-        """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
+        """The network's output from noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
         network = self.setup.network
         if not isinstance(network, Pyramid):
             return network(theta, noise)
@@ -261,7 +262,7 @@ class ExemplarApp(App):
         return tasks.variants(described | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
-        """What else is known of these exemplars, once their channels are those [T, 3] of before."""
+        """Further data of these exemplars, once their channels are those [T, 3] of before."""
         return {}
 
 

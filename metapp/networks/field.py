@@ -66,7 +66,7 @@ class LocalField(NamedTuple):
         return theta
 
     def __call__(self, theta: Params, places: Tensor) -> Tensor:
-        """What is at every texel.
+        """Evaluate the field at every texel.
 
         Args:
             theta: parameters of T networks, as of `init`.
@@ -86,7 +86,7 @@ class LocalField(NamedTuple):
         return down[first:end] @ z @ across
 
     def decoded(self, theta: Params, code: Tensor, places: Tensor) -> Tensor:
-        """What is at texels where the code is [T, code, h, w] and `places` [T, inputs, h, w]: [T, outputs, h, w]."""
+        """Evaluate texels with a code [T, code, h, w] and `places` [T, inputs, h, w]: [T, outputs, h, w]."""
         size, code, x = places.shape[2:], code.flatten(2), places.flatten(2)
         for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):
             shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
@@ -106,7 +106,7 @@ def regridded(values: Tensor, rows: int, columns: int, *, periodic: bool) -> Ten
 
 @functools.lru_cache(maxsize=8)
 def _interpolation(field: LocalField, device: torch.device) -> tuple[Tensor, Tensor]:
-    """What each row and column takes of those of the code: [height, rows] and [columns, width]."""
+    """The weights of the code's rows and columns in each row and column: [height, rows] and [columns, width]."""
     down = _linear(field.height, field.rows, periodic=False)
     across = _linear(field.width, field.columns, periodic=field.periodic).T.contiguous()
     return down.to(device), across.to(device)

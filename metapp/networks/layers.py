@@ -137,7 +137,7 @@ def styled(theta: Params, name: str, x: Tensor) -> Tensor:
 
 
 def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
-    """What z makes of a layer's channels: what each is scaled by and shifted to, [T * O, 1, 1] both."""
+    """The style of a layer's channels, of z: what each is scaled by and shifted to, [T * O, 1, 1] both."""
     style = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.style"], theta["z"][..., None])
     gain, shift = style[..., 0].chunk(2, 1)
     return 1 + gain.reshape(-1, 1, 1), shift.reshape(-1, 1, 1)

@@ -34,7 +34,7 @@ def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def shrunk(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    """What a layout of a size is quilted of: an exemplar [3, H, W], levelled, stretched, at the layout's scale."""
+    """The source of a layout of a size: an exemplar [3, H, W], levelled, stretched, at the layout's scale."""
     tiling = as_tile(levelled(exemplar), exemplar.shape[1:])
     part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], size, exemplar.shape[1:], strict=True)]
     return interpolate(tiling[None], size=part, mode="area")[0]

@@ -1,4 +1,4 @@
-"""What presentations share of applications that share their networks."""
+"""Presentations of applications that share their networks."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ExemplarPresentation(Presentation[AnyExemplar]):
 
     @torch.no_grad()
     def generated(self, theta: Params, make: Callable[[Params, Tensor], T], size: tuple[int, int]) -> T:
-        """What `make` makes of theta [1, ...] and noise [1, 1, ...] of a size, height and width in px."""
+        """Call `make` with theta [1, ...] and noise [1, 1, ...] of a size, height and width in px."""
         one = {key: value[None] for key, value in theta.items()}
         rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.app.setup.network.noise
         return make(one, torch.randn(1, 1, channels, *size, generator=rng, device=rng.device))

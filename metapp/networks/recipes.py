@@ -1,4 +1,4 @@
-"""What recipes of applications that share their networks have in common."""
+"""Recipes of applications that share their networks."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Ad
 
 
 def pixels(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
-    """How General's encoder is trained beside a generator of pictures."""
+    """The training of General's encoder beside a generator of pictures."""
     return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, validate_every=validate_every)
 
 

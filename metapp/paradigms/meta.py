@@ -105,7 +105,7 @@ def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> Updat
 
 
 def loss(job: Job) -> Loss:
-    """What the steps of the learned rule descend."""
+    """The loss that the steps of the learned rule descend."""
     return rule_of(job.rule).loss(job.app, plain_loss(job))
 
 
@@ -135,7 +135,7 @@ def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
 
 
 def _first(job: Job, training: MetaTraining, data: TrainingData) -> MetaParameters:
-    """What phi begins with: an encoder, the mean of General's predictions, or nothing."""
+    """The first phi: an encoder, the mean of General's predictions, or nothing."""
     if data.first.alpha:
         return data.first
     if training.initialisation == "untrained":

@@ -1,4 +1,4 @@
-"""What a way of training is: an initialisation and a rule; `descend` is the same for all."""
+"""Paradigms: an initialisation and a rule; `descend` is the same for all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a
 
 
 class Job(NamedTuple):
-    """What is fitted and how.
+    """The application of a fit, and its settings.
 
     Attributes:
         app: the application.
@@ -37,7 +37,7 @@ class Job(NamedTuple):
 
 
 class TrainingData(NamedTuple):
-    """What a preparation works on.
+    """The tasks of a preparation, its random numbers, and its beginning.
 
     Attributes:
         to_fit, to_validate: the training tasks, and those of them that validate.

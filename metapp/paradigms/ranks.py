@@ -28,7 +28,7 @@ def number() -> int:
 
 
 def count() -> int:
-    """How many ranks `torchrun` has started; 1 without it."""
+    """The number of ranks that `torchrun` has started; 1 without it."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 

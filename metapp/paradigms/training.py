@@ -53,7 +53,7 @@ def prepare(
 
 
 def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
-    """How a checkpoint is trained, with outer steps instead of the recipe's; None where there is only a search."""
+    """The training of a checkpoint, with outer steps instead of the recipe's; None where there is only a search."""
     if name == "quickft":
         return None
     training = job.recipe.general if name == "general" else job.recipe.training(name)
@@ -63,7 +63,7 @@ def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
 
 
 def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, object]:
-    """What a checkpoint says about itself: JSON-ready.
+    """The description of a checkpoint in its file: JSON-ready.
 
     Args:
         job: application and recipe.

@@ -1,4 +1,4 @@
-"""What the network of learned features reads of anisotropic reflection: the full frame of half and difference vector.
+"""The input of learned features for anisotropic reflection: the full frame of half and difference vector.
 
 Half vectors are turned into a material's own axes, so that what is learned of grooves and threads does not depend on
 how the sample lay. All inputs are the same for light and viewer exchanged: such a network is reciprocal by
@@ -20,7 +20,7 @@ CLEAR = 0.3  # share of the fourfold harmonic, below which the twofold one says 
 
 
 def inputs_of(where: Tensor, turn: Tensor) -> Tensor:
-    """What the network reads.
+    """The network's input.
 
     Args:
         where: half vector, difference vector in the half vector's frame and cos theta_i, [T, 7, N].

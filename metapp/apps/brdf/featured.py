@@ -45,7 +45,7 @@ class Featured(BrdfNetwork):
 
     @property
     def inputs(self) -> int:
-        """How many numbers of a pair of directions it reads."""
+        """The count of numbers of a pair of directions that it reads."""
         return anisotropic.INPUTS if self.anisotropic else INPUTS
 
     @property
@@ -86,7 +86,7 @@ class Featured(BrdfNetwork):
         return with_decoder(own | {"z": z[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
 
     def _read(self, theta: Params, where: Tensor) -> Tensor:
-        """What the network reads, [T, inputs, N] of places [T, 7, N]."""
+        """The network's input, [T, inputs, N] of places [T, 7, N]."""
         return anisotropic.inputs_of(where, theta[TURN]) if self.anisotropic else inputs_of(where)
 
     def features_of(self, theta: Params, where: Tensor) -> Tensor:
@@ -142,7 +142,7 @@ FEATURED, ANISOTROPIC = Featured(), Featured(anisotropic=True)
 
 
 def inputs_of(where: Tensor) -> Tensor:
-    """What the network reads [T, INPUTS, N] of half vector, difference vector and cos theta_i, [T, 7, N].
+    """The network's input [T, INPUTS, N] of half vector, difference vector and cos theta_i, [T, 7, N].
 
     Beside these: cos theta_o, logarithms of both cosines, and functions of theta_h in which narrow and broad lobes
     are equally wide.

@@ -88,7 +88,7 @@ def set_encoder(rng: Generator, inputs: int, width: int, outputs: int) -> Params
 
 
 def read_set(encoder: Params, samples: Tensor) -> Tensor:
-    """What an encoder says of samples [T, N, inputs]: [T, outputs]."""
+    """Read samples [T, N, inputs] by a set encoder: [T, outputs]."""
 
     def dense(name: str, x: Tensor) -> Tensor:
         return x @ encoder[f"{name}.w"] + encoder[f"{name}.b"]

@@ -51,7 +51,7 @@ class BrdfNetwork(ABC):
 
     @property
     def anisotropic(self) -> bool:
-        """Whether it reads phi_h."""
+        """True if it reads phi_h."""
         return False
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""How BRDFs are fitted and what their rules learn."""
+"""Recipes of BRDFs."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class Illumination(CodedApp):
         return photo
 
     def mirrored(self, task: Task) -> dict[str, Tensor]:
-        """What a task's mirror shows, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits see the map."""
+        """The light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits see the map."""
         height, width = self.field.height, self.field.width
         if self.protocol != "photo":
             return {}
@@ -115,7 +115,7 @@ class Illumination(CodedApp):
         return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T} | suns
 
     def _surfaces(self, like: Tensor) -> Tensor:
-        """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
+        """Transport of light to surfaces, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
         return surfaces(self.field.height, self.field.width, like.device).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
@@ -160,7 +160,7 @@ class Illumination(CodedApp):
         return result
 
     def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
-        """How far what surfaces send out is from the target, and its log, [T, 3, S] each."""
+        """Differences of what surfaces send out from the target, and of its log, [T, 3, S] each."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
         return norm(sent - target, learned), norm((sent + DIM).log() - (target + DIM).log(), learned)
 
@@ -219,11 +219,11 @@ class Illumination(CodedApp):
         return {"deviation": deviations(self.spread(one, data), data)[0]}
 
     def spread(self, theta: Params, data: Batch) -> Weibull:
-        """How far fits of photographs may be off; `data` as of `prepare`, [T, ...]."""
+        """The distribution of differences of fits of photographs; `data` as of `prepare`, [T, ...]."""
         return spread_of(self.read_off(theta, data))
 
     def read_off(self, theta: Params, data: Batch) -> Tensor:
-        """What tells how sure fits are, `confidence.features`."""
+        """The features that tell the confidence of fits, `confidence.features`."""
         gloss = body_of(BODY_GAIN * theta["body"])[0].gloss
         left = self._visible_loss(theta, self.radiance_of(theta), data, {})
         return features(self.answer(theta, data), data, gloss @ gloss.new_tensor(GLOSSES), left)

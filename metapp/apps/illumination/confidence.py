@@ -1,4 +1,4 @@
-"""How sure a fit of a photograph is of its map: where that shows it, where it clips, and where all is a guess.
+"""The confidence of a fit of a photograph in its map: where that shows it, where it clips, where all is a guess.
 
 How far the log luminance of each of ROWS x COLUMNS texels is off is taken to have Weibull's distribution. A small
 network predicts it from what the photograph shows of the texel and from the fit itself; `tools/confidence.py` trains
@@ -54,7 +54,7 @@ class Weibull(NamedTuple):
     shape: Tensor
 
     def quantile(self, share: float) -> Tensor:
-        """What that share of differences is below, [T, ROWS, COLUMNS]."""
+        """The difference that a share of them is below, [T, ROWS, COLUMNS]."""
         return self.scale * (-math.log1p(-share)) ** (1 / self.shape)
 
     def surprise(self, off: Tensor) -> Tensor:
@@ -75,7 +75,7 @@ def covered(spread: Weibull, off: Tensor, share: float) -> Tensor:
 
 
 def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
-    """What the network reads, [T, ROWS, COLUMNS, len(FEATURES)].
+    """The network's input, [T, ROWS, COLUMNS, len(FEATURES)].
 
     Args:
         maps: the fits, linear radiance [T, 3, H, W].
@@ -139,7 +139,7 @@ def _shipped(path: Path) -> Params:
 
 
 def spread_of(read: Tensor) -> Weibull:
-    """How sure fits are, by the network that ships, from their features."""
+    """The confidence of fits, by the network that ships, from their features."""
     return predicted({key: value.to(read) for key, value in _shipped(shipped()).items()}, read)
 
 
@@ -169,7 +169,7 @@ def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:
 
 
 def doubt(spread: Weibull) -> Tensor:
-    """How much stripes cover, [T, ROWS, COLUMNS]: from 0 or less, nothing, to 1 or more, as much as they do at all."""
+    """The cover of stripes, [T, ROWS, COLUMNS]: from 0 or less, nothing, to 1 or more, the most."""
     return (spread.quantile(0.5) - SURE) / (UNSURE - SURE)
 
 

@@ -1,4 +1,4 @@
-"""What a mirror ball shows of the light: taken as it is where it is seen, a bound where it clips.
+"""The light that a mirror ball shows: taken as it is where it is seen, a bound where it clips.
 
 Beside its picture a task may hold `seen` [3, H, W], linear radiance in some unit, and `certain` [2, H, W] in [0, 1]:
 the share of each texel that is seen, and the share where all photographs clip, of which `seen` is a lower bound. What
@@ -50,7 +50,7 @@ def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[
 
 
 def in_view(height: int, width: int, across: int = ACROSS) -> Tensor:
-    """How far each texel of a map can be read off a ball of so many px, [height, width] in [0, 1].
+    """The share of each texel of a map that can be read off a ball of so many px, [height, width] in [0, 1].
 
     A texel of the angle pi / height is `across / 4 cos(angle / 2)` times as many px deep at an angle to the camera.
     """
@@ -59,7 +59,7 @@ def in_view(height: int, width: int, across: int = ACROSS) -> Tensor:
 
 
 def resampled(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[str, Tensor]:
-    """What is seen, `seen` [3, H, W] and `certain` [2, H, W], at another resolution."""
+    """The light that is seen, `seen` [3, H, W] and `certain` [2, H, W], at another resolution."""
     shares = resample(certain, height, width).clamp(0, 1)
     weight = certain.sum(0, keepdim=True)
     mean = resample(seen * weight, height, width) / resample(weight, height, width).clamp_min(1e-6)
@@ -74,7 +74,7 @@ def raised(maps: Tensor, data: Batch) -> Tensor:
 
 
 def completed(maps: Tensor, data: Batch) -> Tensor:
-    """What is seen, and maps [T, 3, H, W] where it is not, in its unit.
+    """The light that is seen, and maps [T, 3, H, W] where none is, in its unit.
 
     Where it clips, the brighter of both counts, as if some light was lost for certain.
     """

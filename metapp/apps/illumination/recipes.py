@@ -1,4 +1,4 @@
-"""How environment maps are fitted and what their rules learn."""
+"""Recipes of environment maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What light is judged by: surfaces that losses look at, and the second scene."""
+"""Surfaces under a map, which losses compare, and the second scene, which judges fits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffu
 
 @functools.lru_cache(maxsize=4)
 def surfaces(height: int, width: int, device: torch.device) -> Tensor:
-    """What they send out by a map, [FACED + MIRRORED, height * width]: evenly spread, facing and mirroring."""
+    """Transport of light to surfaces [FACED + MIRRORED, height * width], evenly spread: facing, then mirroring."""
     name, sources = f"surfaces-{height}x{width}", (__file__, latlong.__file__, reflection.__file__)
     return kept(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"].to(device)
 

@@ -265,7 +265,7 @@ class SvbrdfNonstationary(CodedApp):
         return tasks.variants({"photo": small[:, 0], "others": small[:, 1:], "places": places} | data)
 
     def remarks(self, task: Task, theta: Params) -> dict[str, dict[str, int]]:
-        """How many photographs, where fits see them alone."""
+        """The number of photographs, where fits see them alone."""
         return {"counts": {"photos": 1 + len(task.data.get("others", ()))}} if self.protocol == "photo" else {}
 
     @torch.no_grad()

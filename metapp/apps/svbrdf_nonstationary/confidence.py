@@ -1,4 +1,4 @@
-"""How sure General is of the maps that it reads from a photograph.
+"""The confidence of General in the maps that it reads from a photograph.
 
 A map's difference from the truth, at COARSE texels, is taken to have Laplace's distribution, whose scale General
 predicts in each place by maximum likelihood (Kendall & Gal 2017). As a prior of fits of photographs it was no use:

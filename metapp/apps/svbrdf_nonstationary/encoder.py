@@ -78,7 +78,7 @@ class Encoder(NamedTuple):
         return encoder
 
     def __call__(self, encoder: Params, photos: Tensor) -> Params:
-        """What linear photographs [T, 3, H, H] say: `z`, the code [T, code, H, H], and `flash` [T, flash].
+        """Read linear photographs [T, 3, H, H]: `z`, the code [T, code, H, H], and `flash` [T, flash].
 
         And `deviation`, the logs of the maps' deviations [T, deviations, BASE, BASE], if it says any. Where there are
         finer levels, H is at most BASE, or BASE times a power of two.
@@ -102,7 +102,7 @@ class Encoder(NamedTuple):
         return known | {"z": code, "flash": flash}
 
     def _finer_down(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
-        """What the levels above BASE tell that of BASE, and their features, the coarsest first."""
+        """The addition of the levels above BASE to that of BASE, and their features, the coarsest first."""
         count = min(len(self.finer), max(0, (photos.shape[-1] // BASE).bit_length() - 1))
         x, found = None, []
         for level in reversed(range(count)):

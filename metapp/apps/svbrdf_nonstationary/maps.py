@@ -138,7 +138,7 @@ def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 
 
 def inputs_of(photo: Tensor) -> Tensor:
-    """What is known of each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
+    """The field's inputs at each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
 
     The log of its colour, how brightness differs from and among its neighbours, and where it is. Neighbours are as far
     apart in the patch whatever the resolution, so that a field that was fitted at one works at others.

@@ -21,7 +21,7 @@ KEYS = ("others", "places")
 
 
 def several(batch: Batch) -> bool:
-    """Whether photographs have places of their own."""
+    """True if photographs have places of their own."""
     return "places" in batch and batch["places"].shape[1] > 0
 
 

@@ -1,4 +1,4 @@
-"""How non-stationary svBRDFs are fitted and what their rules learn."""
+"""Recipes of non-stationary svBRDFs."""
 
 from __future__ import annotations
 

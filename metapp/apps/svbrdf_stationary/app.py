@@ -277,7 +277,7 @@ class SvbrdfStationary(ExemplarApp):
 
 
 def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
-    """What the network made specular and roughness of, before any range was imposed, [T, B, 1, H, W] each."""
+    """The network's output for specular and roughness, before any range was imposed, [T, B, 1, H, W] each."""
     return _raw_specular(maps.specular), _raw_roughness(maps.roughness)
 
 
@@ -302,7 +302,7 @@ def _chroma(photos: Tensor) -> Tensor:
 
 
 def _shine(photos: Tensor, light: Tensor) -> Tensor:
-    """How sure the highlight is of the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
+    """The highlight's confidence in the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
     found = gloss(avg_pool2d(photos, 2), light)
     low, high = EVIDENT
     sure = ((found.contrast - low) / (high - low)).clamp(0, 1) * (found.roughness < NARROW)

@@ -1,4 +1,4 @@
-"""How stationary svBRDFs are fitted and what their rules learn."""
+"""Recipes of stationary svBRDFs."""
 
 from __future__ import annotations
 

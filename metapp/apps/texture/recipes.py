@@ -1,4 +1,4 @@
-"""How textures are fitted and what their rules learn."""
+"""Recipes of textures."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class Flow(NamedTuple):
         return self.film_gain * theta["film.x"][..., None], table @ blobs(x, self.film_bins)
 
     def trunk(self, theta: Params, x: Tensor, y: Tensor) -> Tensor:
-        """What all directions' splines see of a place on the film: [T, hidden, N]."""
+        """Features of a place on the film, for all directions' splines: [T, hidden, N]."""
         code = self.gain * interpolated(theta["z"], x, y)
         return silu(torch.baddbmm(theta["trunk.shift"][..., None], theta["trunk.kernel"], code))
 
@@ -123,7 +123,7 @@ def blobs(x: Tensor, count: int) -> Tensor:
 
 
 def interpolated(grid: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """What a grid [T, C, rows, columns] over the unit square is at places [T, N] each: bilinear, [T, C, N]."""
+    """Interpolate a grid [T, C, rows, columns] over the unit square at places [T, N] each, bilinearly: [T, C, N]."""
     rows, columns = grid.shape[-2:]
     flat = grid.flatten(2)
     down, across = (y * rows - 0.5).clamp(0, rows - 1), (x * columns - 0.5).clamp(0, columns - 1)

@@ -39,7 +39,7 @@ class TransportPresentation(Presentation[Transport]):
         self.image_measure = IMAGE_MEASURE.format(size=side, notes=notes)
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
+        """The film, and the directions at sixteen parts of it, of the samples and of the fit.
 
         On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
         scene, the densities.

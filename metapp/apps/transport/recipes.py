@@ -1,4 +1,4 @@
-"""How densities of light paths are fitted and what their rules learn."""
+"""Recipes of densities of light paths."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Bin(NamedTuple):
 
 
 def size(bins: int) -> int:
-    """How many numbers describe a spline."""
+    """The count of numbers that describe a spline."""
     return 3 * bins + 1
 
 
@@ -66,7 +66,7 @@ def _at(values: Tensor, index: Tensor) -> Tensor:
 
 
 def _bin(splines: Splines, index: Tensor) -> Bin:
-    """What is needed of a bin and its neighbours."""
+    """The bin of an index, of its neighbours."""
     at = torch.cat([(index - 1).clamp_min(0), index, (index + 1).clamp_max(splines.widths.shape[-2] - 1)], -2)
     widths, masses = (each.expand(*each.shape[:-1], at.shape[-1]).gather(-2, at) for each in splines[:2])
     logs = masses.log() - widths.log()

@@ -102,7 +102,7 @@ def no_memory(alpha: Params, theta: Params) -> Params:
 def move(
     alpha: Params, name: str, value: Tensor, grad: Tensor, direction: Tensor, memory: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """What a network adds to a parameter, and its memory after that.
+    """The addition of a network to a parameter, and its memory after that.
 
     Args:
         alpha: the hyperparameters of this step, with a task axis.

@@ -1,4 +1,4 @@
-"""What a part of a learned rule may say: its hyperparameters, and what it does at each point of a step."""
+"""A part of a learned rule: its hyperparameters, and its action at each point of a step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from metapp.learning.task import Params
 
 
 class Before(NamedTuple):
-    """What a step has before it moves: trees of the same names, tensors [T, ...].
+    """The state of a step before it moves: trees of the same names, tensors [T, ...].
 
     Attributes:
         theta: the parameters.
@@ -64,23 +64,23 @@ class Part:
         return loss
 
     def state(self, alpha: Params, theta: Params) -> Params:
-        """What it remembers from step to step, before the first; `theta` has a task axis."""
+        """The memory that it keeps from step to step, before the first one; `theta` has a task axis."""
         return {}
 
     def gradients(self, alpha: Params, grads: Params) -> Params:
-        """What it makes of the gradients."""
+        """Transform the gradients."""
         return grads
 
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
-        """What it makes of the directions, and what it remembers."""
+        """Transform the directions, and return its memory with them."""
         return directions, {}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """What it makes of the updates, the directions at first; they are subtracted from the parameters."""
+        """Transform the updates, the directions at first; they are subtracted from the parameters."""
         return updates
 
     def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
-        """What it makes of the parameters after the step, and what it remembers."""
+        """Transform the parameters after the step, and return its memory with them."""
         return moved, {}
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
@@ -88,7 +88,7 @@ class Part:
         return alpha
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """What it wants to know of the gradients [T, ...] of a step on training tasks; sums are taken of it."""
+        """Statistics of the gradients [T, ...] of a step on training tasks, which are summed over steps."""
         return {}
 
     def settle(self, alpha: Params, sums: Params) -> Params:

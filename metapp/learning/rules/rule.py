@@ -31,7 +31,7 @@ class LearnedRule:
     parts: tuple[Part, ...]
 
     def has(self, part: str) -> bool:
-        """Whether it has a part of this name."""
+        """True if it has a part of this name."""
         return any(each.name == part for each in self.parts)
 
     def require(self, app: App, theta: Params) -> None:
@@ -111,11 +111,11 @@ class LearnedRule:
 
     @property
     def settled(self) -> tuple[str, ...]:
-        """What names of hyperparameters begin with that are taken from gradients of training tasks."""
+        """The prefixes of hyperparameters that are taken from gradients of training tasks."""
         return tuple(prefix for part in self.parts for prefix in part.settled)
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """What parts want to know of the gradients [T, ...] of a step on training tasks; sums are taken of it."""
+        """Statistics of the gradients [T, ...] of a step on training tasks, which are summed over steps."""
         return {key: value for part in self.parts for key, value in part.gather(alpha, grads).items()}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
