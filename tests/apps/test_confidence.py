@@ -20,11 +20,6 @@ CHANNELS = (3, 3, 1, 3)  # of each map
 
 
 @pytest.fixture
-def rng() -> Generator:
-    return Generator().manual_seed(3)
-
-
-@pytest.fixture
 def app() -> SvbrdfNonstationary:
     return SvbrdfNonstationary(MaterialSetup(field_of(64, 8), 4, sure=True), "photo")
 

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, unpack
+from metapp.appearance.flash import Maps, camera, camera_distance, unpack
 from metapp.appearance.several import ASIDE, ERROR, FARTHEST, NEAREST, held_places
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
@@ -18,16 +18,9 @@ from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Task, Tasks
+from tests.apps.test_svbrdf_nonstationary import material
 
 SIDE, COUNT = 16, 3
-
-
-def material(seed: int, size: int = 32) -> Tensor:
-    """Maps [10, size, size], smooth, with relief."""
-    coarse = torch.rand(1, 8, 4, 4, generator=Generator().manual_seed(seed))
-    smooth = torch.nn.functional.interpolate(coarse, (size, size), mode="bilinear")[0]
-    normal = normal_from_height(4 * smooth[:1], periodic=False)
-    return pack(Maps(0.1 + 0.7 * smooth[1:4], 0.4 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal))
 
 
 def several(seed: int, count: int = COUNT) -> Task:

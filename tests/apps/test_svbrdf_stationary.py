@@ -262,9 +262,6 @@ def test_normals_are_those_of_the_height() -> None:
     assert torch.equal(maps.normal, normal_from_height(height))
 
 
-# Fitting
-
-
 # What a fit makes
 
 

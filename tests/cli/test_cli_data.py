@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -62,23 +60,6 @@ def test_networks_become_a_data_set_split_by_the_rule(metapp: Callable) -> None:
     assert "5 train + 1 test tasks" in result.err
     assert metapp("data", "nbrdf", "in", "--out", "new/out", "--split", "test", "--quiet", *FEW) == (0, "", "")
     assert {task.split for task in read_manifest(Path("new/out")).tasks} == {"test"}
-
-
-def test_bad_files_of_a_folder_are_skipped_with_one_line_each(metapp: Callable, gold: Path) -> None:
-    Path("in").mkdir()
-    shutil.copy(gold, "in/good.binary")
-    Path("in/notes.txt").write_text("about")
-    with Path(shutil.copy(gold, "in/bad.binary")).open("r+b") as stream:
-        stream.seek(12)
-        stream.write(struct.pack("<d", math.nan))
-    result = metapp("data", "merl", "in", "--out", "out", *FEW, "--json")
-    assert result.done["train"] == ["good"]
-    assert len(result.document["skipped"]) == 2
-    *skipped, last = result.err.splitlines()
-    assert all(line.startswith("warning: skipped: ") for line in skipped)
-    assert "notes.txt: 5 bytes" in skipped[0]
-    assert "bad.binary: 1 values are NaN" in skipped[1]
-    assert last.endswith("; 2 skipped")
 
 
 def test_check_says_what_a_set_holds_and_what_is_wrong(metapp: Callable, gold: Path) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
@@ -46,24 +45,6 @@ def shapes_of(split: str, app: str) -> dict[str, tuple[int, ...]]:
 
 
 # Of all of them
-
-
-BAD: dict[str, tuple[Callable[[], object], str]] = {
-    "images": (lambda: [photograph(IN / name / "b.png") for name in ("one", "two")], "two tasks named 'b'"),
-    "flash": (lambda: text(photograph(IN / "a.png")), "a.png: not an image ("),
-    "laval": (lambda: text(environment(IN / "a.exr")), "a.exr: not an image ("),
-    "strips": (lambda: strip(IN / "a.png", 4), "a.png: 160x40 px, 4 tiles, expected 5 squares"),
-    "maps": (lambda: material(IN, without="normal"), "rock: no normal map (rock_diffuse.png, "),
-}
-
-
-@pytest.mark.parametrize("command", BAD)
-def test_a_bad_path_ends_a_conversion_in_one_line(metapp: Callable, command: str) -> None:
-    """One of each; tests/readers hold the others."""
-    make, message = BAD[command]
-    make()
-    assert message in metapp("data", command, IN, "--out", "new/out").refusal
-    assert not Path("new").exists()
 
 
 def test_options_out_of_range(metapp: Callable) -> None:

@@ -20,14 +20,12 @@ from metapp.appearance.presentation import Picture
 from metapp.apps.brdf import recipes
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
-from metapp.cli.fits.run import table_of
 from metapp.evaluation.tables.results import closing
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.runs.checkpoints.finding import checkpoint_name
 from metapp.runs.checkpoints.shipped import shipped_path
-from metapp.runs.outputs.statistics import statistics_of
-from metapp.storage.records import load_checkpoint, read_records, summary
+from metapp.storage.records import load_checkpoint, read_records
 from tests.quick import app_by
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
@@ -229,14 +227,6 @@ def test_meta_is_compared_where_overfit_is_no_floor() -> None:
 
 
 # Tasks without a reference
-
-
-def test_tables_of_tasks_without_reference() -> None:
-    records = [{"name": name, "error": error, "seconds": 1.0} for name, error in (("a", None), ("b", 2.0))]
-    assert summary(records) == {"error": 2.0, "seconds": 1.0}
-    assert summary(records[:1])["error"] is None
-    assert table_of(app_by("brdf"), "meta", records).row_count == 2
-    assert set(statistics_of([{"b": 2.0}], {"b": "b"}).values()) == {2.0}
 
 
 def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, networks: Path) -> None:

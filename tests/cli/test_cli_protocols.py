@@ -166,15 +166,6 @@ def shot() -> Path:
     return flash(Path("in"))
 
 
-@pytest.mark.parametrize("kind", [kind for kind, form in exports_of(SVBRDF).items() if not form.missing()])
-def test_a_photo_becomes_an_asset(metapp: Callable, shot: Path, kind: str) -> None:
-    result = metapp("overfit", SVBRDF, shot, "--observe", "photo", "--json", "--steps", "2", "--export", kind)
-    written = [path for path in Path(result.done["out"], kind).rglob("photo*") if path.is_file()]
-    assert written
-    assert all(path.stat().st_size for path in written)
-    assert f"1 fit written as {kind}" in result.err
-
-
 def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

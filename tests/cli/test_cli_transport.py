@@ -16,7 +16,6 @@ import torch
 
 from data_tools.readers.transport_task import transport_task
 from data_tools.synthetic.cornell import random_scene
-from data_tools.synthetic.transport import UNITS
 from metapp.appearance.presentation import Fitted
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport, TransportSetup
@@ -27,11 +26,9 @@ from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import reading
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
-from metapp.storage.shards import ShardWriter
 from tests.quick import app_by
 
 SPP_OF_TABLES = images.REFERENCE_SPP
-PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 
 
 @pytest.fixture(scope="module")
@@ -45,15 +42,6 @@ def scenes() -> list[Task]:
 def uniform(app: Transport) -> Params:
     """The parameters that fits of it begin with: a uniform density."""
     return {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-
-
-@pytest.fixture
-def data(scenes: list[Task]) -> Path:
-    folder = Path("data")
-    with ShardWriter(folder, "transport", UNITS, {}) as writer:
-        for i, task in enumerate(scenes):
-            writer.add(task, "train" if i < 5 else "test")
-    return folder
 
 
 @pytest.fixture(autouse=True)
@@ -78,25 +66,6 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
-
-
-@pytest.mark.long
-def test_train_fit_and_compare(metapp: Callable, data: Path) -> None:
-    for paradigm in PARADIGMS:
-        train = () if paradigm in ("overfit", "finetune") else ("--train", "--train-steps", "2")
-        document = metapp(paradigm, "transport", "--data", data, "--json", *train).done
-        assert (document["app"], document["paradigm"], len(document["tasks"])) == ("transport", paradigm, 1)
-        assert np.isfinite(document["error"])
-        made = Path(document["out"]) / "outputs" / "box-5"
-        assert {path.name for path in made.iterdir()} == {"guided.exr", "guided.png", "regular.exr", "regular.png"}
-        guided, regular = (oiio.ImageBuf(str(made / f"{name}.exr")).get_pixels() for name in ("guided", "regular"))
-        assert guided.shape == (64, 64, 3)
-        assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)
-        assert (Path(document["out"]) / "pictures.png").is_file()
-    document = metapp("evaluate", "transport", "--data", data, "--json").done
-    rows = {row["paradigm"]: row["error"] for row in document["rows"]}
-    assert set(PARADIGMS) <= set(rows)
-    assert rows["overfit"] < 0  # below the uniform density's
 
 
 @pytest.mark.long

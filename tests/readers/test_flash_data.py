@@ -16,7 +16,7 @@ from data_tools.readers.flash import find_shown, shown, split_by_material
 from data_tools.readers.image_files import focal_length_of
 from data_tools.readers.photos import field_of_view, read_photo, seen_share
 from metapp.door import Label
-from tests.pictures import noise, photograph, write
+from tests.pictures import noise, write
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -121,25 +121,6 @@ def test_a_photograph_found_twice_shows_one_material(tmp_path: Path) -> None:
     touch(tmp_path, "wood/a.jpg", "wood/b.jpg")
     for paths in ([tmp_path, tmp_path / "wood", tmp_path / "wood/a.jpg"], [tmp_path / "wood/a.jpg", tmp_path]):
         assert [each.group for each in find_shown(paths).values()] == ["wood", "wood"]
-
-
-def test_images_and_folders_of_them_are_recognised_and_found(tmp_path: Path) -> None:
-    photograph(tmp_path / "deep" / "er" / "a.JPEG")
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "notes.txt").write_text("about")
-    (tmp_path / "broken.jpg").write_text("about")
-    for name in ("", "deep", "deep/er/a.JPEG", "broken.jpg"):
-        assert photos.recognises(tmp_path / name)
-    for name in ("empty", "notes.txt", "missing.png"):
-        assert not photos.recognises(tmp_path / name)
-    for name in ("b.png", "a.tif", "sub/c.png"):
-        photograph(tmp_path / "set" / name)
-    (tmp_path / "set" / "notes.txt").write_text("about")
-    sources, skipped = photos.find([tmp_path / "set"])
-    assert [photos.read_task(source, 32).name for source in sources] == ["a", "b", "c"]
-    assert len(skipped) == 1
-    with pytest.raises(ValueError, match=r"notes.txt: not an image"):
-        photos.read_task(photos.find([tmp_path / "notes.txt"])[0][0])
 
 
 def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Path:

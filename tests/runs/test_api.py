@@ -124,13 +124,6 @@ def test_a_function_is_fitted() -> None:
     assert torch.equal(gray.task.data["reflectance"][:, 0], gray.task.data["reflectance"][:, 2])
 
 
-def test_arrays_of_samples_are_fitted() -> None:
-    wi, wo = directions(1200)
-    fit = api.fit("brdf", (wi, wo, lambertian(wi, wo)))
-    assert fit.error < 1
-    assert len(fit.task.data["angles"]) == 1200
-
-
 def test_a_bsdf_of_mitsuba_is_fitted() -> None:
     mi = load_mitsuba()
     bsdf = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}})

@@ -75,11 +75,3 @@ def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None
     assert sides == [(256, False), (512, True)]
     refused = metapp("baseline", "texture", "wall.png", "--detail", "300")
     assert (refused.code, "expected one of 256, 512" in refused.err) == (2, True)
-
-
-def test_an_unknown_method_is_refused_and_the_known_ones_are_named(metapp: Callable) -> None:
-    photograph(Path("wall.png"), 9, 80)
-    done = metapp("baseline", "texture", "wall.png", "--method", "magic")
-    assert done.code == 2
-    assert "expected nearest, quilting, gpdm, patches" in done.err
-    assert not Path("runs").exists()

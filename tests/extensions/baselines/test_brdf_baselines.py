@@ -15,7 +15,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training
 from metapp.extensions.baselines.brdf import RidgeOf, baselines, cosines_of, drawn, space_of
-from metapp.extensions.baselines.components import EPSILON, Relative, components, reweighted, ridge
+from metapp.extensions.baselines.components import EPSILON, Relative, components, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
 
@@ -67,16 +67,6 @@ def test_components_are_those_of_the_singular_value_decomposition(rng: Generator
     few = torch.randn(40, 4, generator=rng, dtype=torch.float64)
     for unit in (1e-4, 1, 1e4):
         assert components(unit * few, 20).axes.shape == (40, 3)  # and a mean
-
-
-def test_reweighting_brings_least_squares_to_the_median(rng: Generator) -> None:
-    values = torch.tensor([0.0, 0.0, 0.0, 10.0], dtype=torch.float64)[:, None]  # median 0, mean 2.5
-    axes, slope = torch.ones(4, 1, dtype=torch.float64), torch.ones(4, 1, dtype=torch.float64)
-    found, deviation = ridge(axes, values, None, torch.ones(1), 1e-9), torch.ones(1)
-    for _ in range(60):
-        found = ridge(axes, values, reweighted(slope, found - values), deviation, 1e-9)
-    assert 0 < found.item() < 0.2 * values.mean().item()
-    assert reweighted(slope, values).mean().item() == pytest.approx(1)
 
 
 def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: Generator) -> None:

@@ -114,12 +114,6 @@ def test_an_ldr_picture_is_a_photograph_of_a_ball(tmp_path: Path, name: str) -> 
     assert (photos[..., mask] > 0).float().mean() > 0.99
 
 
-def test_of_a_photograph_the_central_square_counts(tmp_path: Path) -> None:
-    wide = np.pad(eight(), ((0, 0), (40, 40), (0, 0)))
-    pictures = (write(tmp_path / f"{values.shape[1]}.png", values, "uint8") for values in (wide, eight()))
-    assert torch.equal(*(read_task(path).data["photos"] for path in pictures))
-
-
 def test_what_is_no_ball_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"a.png: 128x64 px of uint8, expected an HDR map .* or a photograph"):
         read_task(write(tmp_path / "a.png", noise(128)[:64], "uint8"))

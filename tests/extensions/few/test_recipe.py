@@ -37,17 +37,6 @@ def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
     assert float((some[0].app.reflectance(some[0].parameters, angles) - known).abs().median()) < 0.01
 
 
-def test_few_and_many_samples_are_not_fitted_alike(metapp: Callable, tmp_path: Path) -> None:
-    few, many = tmp_path / "few.csv", tmp_path / "many.csv"
-    head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
-    rows = [f"{10 + 0.05 * i:.2f},0,{70 - 0.05 * i:.2f},{i % 180},0.1,0.1,0.1" for i in range(1200)]
-    few.write_text("\n".join([head, *rows[:20]]))
-    many.write_text("\n".join([head, *rows]))
-    done = metapp("meta", "brdf", few, many)
-    assert "few.csv has 1,000 samples or fewer" in done.misuse
-    assert "many.csv has not" in done.misuse
-
-
 def test_tables_that_depend_on_phi_h_choose_the_anisotropic_recipe(metapp: Callable, tmp_path: Path) -> None:
     file, plain = (table(tmp_path / f"{name}.csv", pairs) for name, pairs in (
         ("brushed", measured(4000)), ("plain", measured(500, anisotropic=False))))  # fmt: skip

@@ -107,8 +107,3 @@ def test_pages_and_captions_do_without(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = TransportPresentation(Transport(TransportSetup(FLOW)))
     assert "guided_path" not in shown.image_measure
     assert set(view_of(shown, THETA, task_of(0)).pictures) == {"reference", "fit"}
-
-
-def test_only_scenes_are_rendered(metapp: Callable) -> None:
-    misuse = metapp("meta", "brdf", "--render", "24").misuse
-    assert "--render: brdf has no such option, only transport; leave it out." in misuse

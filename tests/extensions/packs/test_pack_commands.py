@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 import torch
 
-from metapp import door
 from metapp.extensions.packs.file import opened_pack, write_pack
 from metapp.extensions.packs.pack import GROWTH
 from metapp.runs.checkpoints.shipped import shipped_path
@@ -103,16 +102,6 @@ def test_an_unpacked_run_is_a_run(metapp: Callable, fitted: Callable) -> None:
     assert Path("a/nbrdf/m3/b3.npy").is_file()
 
 
-def test_mitsuba_reads_what_was_unpacked(metapp: Callable, fitted: Callable) -> None:
-    pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-    from metapp.extensions.mitsuba_bsdfs.material import read_material
-
-    for rule in ("ridge", "meta-curvature"):
-        metapp("pack", fitted("meta", "--rule", rule), "--out", f"{rule}.pack", "--bits", "12", "--quiet")
-        assert metapp("unpack", f"{rule}.pack", "--quiet").code == 0
-        assert read_material(Path(rule, "params", "m0.safetensors"))
-
-
 def test_the_shared_network_is_not_in_the_file(metapp: Callable, fitted: Callable) -> None:
     """85,000 weights are those of the checkpoint, bit for bit, and cost next to nothing."""
     run = fitted("meta", "--rule", "ridge")
@@ -171,12 +160,6 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
         write_pack(Path("b.pack"), whole._replace(tensors=tensors))
         assert "is not one of brdf, expected a fit's; pack the fits again." in metapp("unpack", "b.pack").error
         assert not Path("b").exists()
-
-
-def test_without_the_extension_its_commands_are_refused(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(door.WITHOUT, "packs")
-    for command in ("pack", "unpack"):
-        assert "a command of the extension packs" in metapp(command, "a").misuse
 
 
 BOMBS = ("shape", "name", "tasks")

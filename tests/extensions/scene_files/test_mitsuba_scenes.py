@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -213,23 +212,6 @@ def test_what_is_wrong_is_said_in_one_line(name: str, tmp_path: Path) -> None:
         read_task(path, samples=64, held=16)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
-
-
-@needs_mitsuba
-def test_no_library_beside_a_scene_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import mitsuba
-
-    # one that would load, in the place of a plugin that has not been needed yet, here and in the folder we are in
-    own = Path(mitsuba.__file__).parent / "plugins"
-    (tmp_path / "plugins").mkdir()
-    for name in ("cylinder", "evil"):
-        shutil.copy(own / "sphere.so", tmp_path / "plugins" / f"{name}.so")
-    monkeypatch.chdir(tmp_path)
-    shape = f'<shape type="cylinder"><float name="radius" value="0.5"/>{LAMP}</shape>'
-    tracer = Tracer(read_scene(write(tmp_path / "cylinder.xml", xml(CAMERA, shape))))
-    assert "Cylinder" in str(tracer.scene.shapes()[0])
-    with pytest.raises(ValueError, match="a plugin 'evil', expected one of Mitsuba's own"):
-        Tracer({"xml": xml(CAMERA, '<shape type="evil"/>')})
 
 
 def test_a_missing_libllvm_is_not_the_scenes_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

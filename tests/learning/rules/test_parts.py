@@ -54,11 +54,6 @@ def test_at_first_a_part_changes_nothing(base: str, start: Params, single: list[
     assert_equal(path_of(f"{base}+average", start, single[:1]), path_of(base, start, single[:1]))
 
 
-def test_shared_rates_without_a_pace_stay_at_the_first(start: Params, single: list[Params]) -> None:
-    plain = fixed_adam(Adam(FIRST.rate, FIRST.beta1, FIRST.beta2, META_EPS), start, STEPS)
-    assert_same(path_of("shared+betas", start, single), run(plain, start, single))
-
-
 # Closed forms
 
 
