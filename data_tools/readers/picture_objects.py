@@ -10,6 +10,7 @@ picture. Integers are as files hold them: colours sRGB, normals 0..255 for -1..1
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,6 +30,7 @@ from metapp.storage.images import write_exr, write_png
 SIDE = 512  # px of a picture that a function is evaluated for
 ROWS = 512  # of a map of light that a function is evaluated for
 FLASH_PX = 2048  # a side of the photograph of maps, at most
+LARGEST = 3 * 2**28  # numbers of an array, as of an image file
 
 _EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
 _SLACK = 1e-3  # by which rounding may leave [0, 1]
@@ -283,22 +285,37 @@ def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0
 
 
 def array_of(name: str, source: object) -> Array:
-    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array.
+    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array; halves as float32.
 
     Raises:
-        ValueError: no numbers.
+        ValueError: no numbers, masked ones, too many, or a tensor that is not dense.
     """
-    if isinstance(source, Tensor):
-        tensor = source.detach().cpu()
-        return (tensor.float() if tensor.dtype == torch.bfloat16 else tensor).numpy()
+    if isinstance(source, np.ma.MaskedArray) and (masked := np.count_nonzero(np.ma.getmaskarray(source))):
+        raise ValueError(f"{name}: {masked:,} values are masked, expected all; fill them: a.filled(0).")
+    shape = source.shape if isinstance(source, np.ndarray | Tensor) and not getattr(source, "is_nested", False) else ()
+    if (count := math.prod(shape)) > LARGEST:
+        raise ValueError(f"{name}: {count:,} values, expected {LARGEST:,} or fewer; take a part of them.")
     try:
-        values = np.asarray(source)
+        values = _of_tensor(source) if isinstance(source, Tensor) else np.asarray(source)
     except Exception:  # whatever an object of another library raises
         values = np.asarray(None)
     if values.dtype.kind not in "uif":
-        found = f"an array of {values.dtype}" if values.ndim else type(source).__name__
-        raise ValueError(f"{name}: {found}, expected an array of numbers.")
-    return values
+        kind = f"an array of {values.dtype}" if values.ndim else _kind_of(source)
+        raise ValueError(f"{name}: {kind}, expected an array of numbers.")
+    return values.astype(np.float32) if values.dtype == np.float16 else values
+
+
+def _of_tensor(tensor: Tensor) -> Array:
+    """The numbers of a dense tensor."""
+    numbers = tensor.detach().cpu().resolve_neg()
+    return (numbers.float() if numbers.dtype == torch.bfloat16 else numbers).numpy()
+
+
+def _kind_of(source: object) -> str:
+    """A type in words; of a tensor what no array can be made of."""
+    if not isinstance(source, Tensor):
+        return type(source).__name__
+    return f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
 
 
 def texel_places() -> Array:
