@@ -39,7 +39,7 @@ REFUSED = {
 
 @pytest.mark.parametrize(("source", "said"), REFUSED.values(), ids=REFUSED)
 def test_other_arrays_are_refused_in_one_line(source: object, said: str) -> None:
-    with pytest.raises(ValueError, match="^it: ") as caught:
+    with pytest.raises(ValueError, match=r"^it: ") as caught:
         array_of("it", source)
     assert said in str(caught.value)
     assert "expected" in str(caught.value)
