@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hmac
+import io
 import json
 import secrets
+import socket
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -18,6 +20,9 @@ HOST = "127.0.0.1"
 NEWS = "news"
 WAIT_SECONDS = 10.0  # that a question for news waits for some
 LAST_SECONDS = 2.0  # that the end waits for pages that have not heard of it
+CONNECTIONS = 16  # at a time; more are closed
+REQUEST_BYTES, REQUEST_SECONDS = 8192, 5.0  # of a request, all of it
+LONGEST_SERIAL = 18  # digits
 # a page that asks again at once, and is not answered before there is something to show or WAIT_SECONDS are over
 EARLY = page(
     "metapp",
@@ -46,8 +51,7 @@ class Live:
                 """What this server answers."""
                 return live.answer(self.path)
 
-        self._server = ThreadingHTTPServer((HOST, 0), Handler)
-        self._server.daemon_threads = True
+        self._server = _Server((HOST, 0), Handler)
         Handler.host = f"{HOST}:{self._server.server_port}"
         self.address = f"http://{Handler.host}/{self._token}/"
         threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True).start()
@@ -84,10 +88,9 @@ class Live:
         if not hmac.compare_digest(token.encode(), self._token.encode()) or rest not in ("", NEWS):
             return None
         if rest == NEWS:
-            after = parse_qs(query).get("after", ["0"])[0]
-            return json.dumps(
-                self._after(int(after) if after.isascii() and after.isdecimal() else 0)
-            ), "application/json"
+            after = parse_qs(query).get("after", ["0"])[0][:LONGEST_SERIAL]
+            news = self._after(int(after) if after.isascii() and after.isdecimal() else 0)
+            return json.dumps(news), "application/json"
         self._after(0)  # a page shows something
         with self._changed:
             if self._news is None:
@@ -107,10 +110,61 @@ class Live:
             return news
 
 
+_Request = socket.socket | tuple[bytes, socket.socket]
+
+
+class _Server(ThreadingHTTPServer):
+    """A server of few connections at a time, whatever of which leaves the fit alone."""
+
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
+        self._free = threading.BoundedSemaphore(CONNECTIONS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: _Request, client_address: object) -> None:
+        """Answer in a thread of its own, or close it where there are too many."""
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: _Request, client_address: object) -> None:
+        """Answer one."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: _Request, client_address: object) -> None:
+        """Print nothing: the terminal is the fit's."""
+
+
+def _request_of(connection: socket.socket) -> bytes:
+    """The head of a request; b"" where it takes too many bytes or too long."""
+    end, head = time.monotonic() + REQUEST_SECONDS, b""
+    while b"\r\n\r\n" not in head:
+        connection.settimeout(max(end - time.monotonic(), 1e-3))
+        more = connection.recv(REQUEST_BYTES)
+        head += more
+        if not more or len(head) > REQUEST_BYTES or time.monotonic() > end:
+            return b""
+    return head
+
+
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.0"
-    timeout = 30
     host: str
+
+    def setup(self) -> None:
+        """Read the request at once, so that its bytes and seconds have an end."""
+        super().setup()
+        self.rfile = io.BytesIO(_request_of(self.connection))
+        self.connection.settimeout(REQUEST_SECONDS)
 
     def answer(self) -> tuple[str, str] | None:
         """Content and its type."""

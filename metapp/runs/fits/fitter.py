@@ -207,7 +207,9 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
     finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
     if not finite or (errors and not math.isfinite(errors["error"])):
         what = "error is" if finite else "parameters are"
-        raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps.")
+        raise FloatingPointError(
+            f"{task.name}: the fit's {what} not finite; use another checkpoint or paradigm, or fewer steps."
+        )
 
 
 def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:

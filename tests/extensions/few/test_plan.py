@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from data_tools.readers.measured_pairs import task_of_pairs
 from metapp.appearance.geometry import cosines, directions_to_full_circle
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.few.gonio import read_pairs
@@ -76,3 +77,17 @@ def test_what_cannot_be_planned_is_refused(metapp: Callable, words: tuple[object
     assert found in done.err
     assert "Traceback" not in done.err
     assert not Path("a.csv").exists()
+
+
+@pytest.mark.parametrize("rows", [4, 5])
+def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: Path, rows: int) -> None:
+    file = tmp_path / "paint.csv"
+    assert metapp("plan", "brdf", "--samples", rows, "--out", file).code == 0
+    fill_in(file)
+    pairs = read_pairs(file)
+    assert metapp("meta", "brdf", file, "--json").document["error"] < 1
+    (fitted,) = metapp("baseline", "brdf", file, "--method", "ggx_1", "--json").document["tasks"]
+    assert fitted["error"] < 1
+    task = task_of_pairs("arrays", pairs)
+    assert len(task.data["angles"].unique(dim=0)) == rows
+    assert bool(task.data["render"].isfinite().all())

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +16,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from metapp.extensions.viewer import live as module
-from metapp.extensions.viewer.live import HOST, Live
+from metapp.extensions.viewer.live import CONNECTIONS, HOST, Live
 from metapp.extensions.viewer.page import Group, Shown, document
 from metapp.extensions.viewer.view import View
 
@@ -92,6 +94,12 @@ def test_without_news_things_are_as_they_were(live: Live, monkeypatch: pytest.Mo
     assert (news["serial"], news["text"], "group" in news) == (1, "first", False)
 
 
+def test_a_serial_of_any_length_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "WAIT_SECONDS", 0.05)
+    live.tell(page("gold"), "first", [])
+    assert json.loads(get(live, "news?after=" + "9" * 5000)[1])["text"] == "first"
+
+
 def test_a_page_that_is_early_asks_again(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WAIT_SECONDS", 0.05)
     status, text = get(live, "")
@@ -99,6 +107,53 @@ def test_a_page_that_is_early_asks_again(live: Live, monkeypatch: pytest.MonkeyP
     assert "location.reload()" in text
     live.tell(page("gold"), "first", [])
     assert '"live": "news"' in get(live, "")[1]
+
+
+def connected(server: Live) -> socket.socket:
+    address = urlsplit(server.address)
+    return socket.create_connection((address.hostname, address.port), timeout=20)
+
+
+def closed(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1) == b""
+    except ConnectionError:
+        return True
+
+
+def test_idle_connections_are_few_and_end(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REQUEST_SECONDS", 0.5)
+    live.tell(page("gold"), "", [])
+    threads = threading.active_count()
+    idle = [connected(live) for _ in range(5 * CONNECTIONS)]
+    assert all(closed(one) for one in idle[CONNECTIONS:])
+    assert threading.active_count() <= threads + CONNECTIONS
+    assert all(closed(one) for one in idle)
+    assert get(live, "")[0] == 200
+
+
+def test_a_request_has_few_bytes_and_little_time(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REQUEST_SECONDS", 0.5)
+    large, slow = connected(live), connected(live)
+    with contextlib.suppress(ConnectionError):
+        large.sendall(b"GET / HTTP/1.0\r\nX: " + b"x" * 2**22)
+    assert closed(large)
+    begun = time.monotonic()
+    with contextlib.suppress(ConnectionError):
+        while time.monotonic() < begun + 10:  # a byte now and then does not hold it open
+            slow.sendall(b"G")
+            time.sleep(0.05)
+    assert time.monotonic() < begun + 5
+
+
+def test_errors_of_the_server_are_not_printed(live: Live, capfd: pytest.CaptureFixture[str]) -> None:
+    def fail(path: str) -> None:
+        raise RuntimeError(path)
+
+    live.answer = fail  # type: ignore[assignment]
+    with pytest.raises(http.client.HTTPException):
+        get(live, "")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_end_reaches_pages_that_are_open_and_waits_for_none_else() -> None:
