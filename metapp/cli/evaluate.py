@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, make_dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +12,7 @@ import typer
 from metapp import door
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, annotated, takes
+from metapp.cli.options import Json, extended, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
 from metapp.runs.requests.request import Portion, Request, portion_of
@@ -91,13 +91,9 @@ class Evaluation:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
 
 
-_REPORTS: list[tuple[str, object, object]] = [
-    (offer.option.name, annotated(offer.option), field(default=None)) for offer in door.offers(door.Report)
-]
-
-
-@takes(make_dataclass("Options", _REPORTS, bases=(Evaluation,), frozen=True))
-def command(options: Evaluation) -> None:
+@extended(offer.option for offer in door.offers(door.Report))
+@takes(Evaluation)
+def command(options: Evaluation, **own: Path) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
 
     Example: metapp evaluate brdf --which quickft
@@ -105,8 +101,9 @@ def command(options: Evaluation) -> None:
     from metapp.cli.show import show
 
     reported = NAMES if options.which in ("", ALL) else [options.which]
-    options = check(options)
-    subjects, reports = subjects_of(options), reports_of(options)
+    reports = {offer: own[offer.option.name] for offer in door.offers(door.Report) if offer.option.name in own}
+    options = check(options, reports)
+    subjects = subjects_of(options)
     names = NAMES if options.which == ALL else [options.which]
     cells = cells_of([load_table(name) for name in (reported if reports else names)], subjects)
     if options.shard:
@@ -121,7 +118,7 @@ def command(options: Evaluation) -> None:
             say(f"{offer.option.name}: {file}")
 
 
-def check(options: Evaluation) -> Evaluation:
+def check(options: Evaluation, reports: Iterable[door.Report]) -> Evaluation:
     """The options, with the default table.
 
     Raises:
@@ -136,16 +133,10 @@ def check(options: Evaluation) -> Evaluation:
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
     portion_of(options.shard)
-    flags = [*(["--no-run"] if options.no_run else []), *(offer.option.flag for offer in reports_of(options))]
+    flags = [*(["--no-run"] if options.no_run else []), *(offer.option.flag for offer in reports)]
     if options.shard and flags:
         raise typer.BadParameter(f"--shard: runs a part and prints no table; leave {', '.join(flags)} out.")
     return options
-
-
-def reports_of(options: Evaluation) -> dict[door.Report, Path]:
-    """What is to be written of the tables, and where."""
-    paths = {offer: getattr(options, offer.option.name) for offer in door.offers(door.Report)}
-    return {offer: path for offer, path in paths.items() if path}
 
 
 def subjects_of(options: Evaluation) -> list[Subject]:

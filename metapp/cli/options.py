@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import enum
 import inspect
-from collections.abc import Callable
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Iterable
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -50,29 +50,70 @@ def plain(value: Any) -> Any:
     return value.value if isinstance(value, enum.Enum) else value
 
 
-def takes(options: Callable[..., Options]) -> Callable[[Callable[[Options], Result]], Callable[..., Result]]:
-    """Make a command of a function of one object: each field of its dataclass is an argument or option, as annotated.
+def takes(options: Callable[..., Options]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Make a command of a function whose first argument is a dataclass: its fields are arguments and options.
 
     Args:
         options: the dataclass; its fields are annotated by `typer.Argument` and `typer.Option`.
     """
+    names = [field.name for field in fields(options)]  # type: ignore[arg-type]  # a dataclass
 
-    def decorate(function: Callable[[Options], Result]) -> Callable[..., Result]:
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         def command(**values: Any) -> Result:
-            return function(options(**values))
+            own = {name: values.pop(name) for name in names}
+            return function(options(**own), **values)
 
-        hints = get_type_hints(options, include_extras=True)
-        parameters = [
-            inspect.Parameter(
-                field.name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=inspect.Parameter.empty if field.default is MISSING else field.default,
-                annotation=hints[field.name],
-            )
-            for field in fields(options)  # type: ignore[arg-type]  # a dataclass
-        ]
-        command.__name__, command.__doc__, command.__annotations__ = function.__name__, function.__doc__, hints
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
-        return command
+        return signed(command, function, parameters_of(options))
 
     return decorate
+
+
+def extended(
+    options: Iterable[door.Option], *, given: bool = True
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Add options that extensions declare to a command, whose `**own` takes their values, of choices the words.
+
+    Args:
+        options: those of one name are one.
+        given: whether it takes those alone that were given, without defaults.
+    """
+    by_name = {option.name: option for option in options}
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        def command(**values: Any) -> Result:
+            own = {name: plain(values.pop(name)) for name in by_name}
+            return function(**values, **{name: value for name, value in own.items() if not given or value is not None})
+
+        more = [
+            option_parameter(name, None if given else option.default, annotated(option, given=given))
+            for name, option in by_name.items()
+        ]
+        return signed(command, function, [*parameters_of(function), *more])
+
+    return decorate
+
+
+def option_parameter(name: str, default: object, annotation: object) -> inspect.Parameter:
+    """A parameter of a command."""
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def parameters_of(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """The parameters of a command or of a dataclass, with their annotations, but for `**`."""
+    hints = get_type_hints(function, include_extras=True)
+    signature = inspect.signature(function)
+    return [
+        option_parameter(name, parameter.default, hints[name])
+        for name, parameter in signature.parameters.items()
+        if parameter.kind is not parameter.VAR_KEYWORD
+    ]
+
+
+def signed(
+    command: Callable[..., Result], like: Callable[..., object], parameters: list[inspect.Parameter]
+) -> Callable[..., Result]:
+    """A command that typer sees with these parameters, under the name and with the help of another function."""
+    command.__name__, command.__doc__ = like.__name__, like.__doc__
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
+    return command

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable
-from dataclasses import field, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from metapp import door
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, annotated, plain, takes
+from metapp.cli.options import Json, extended
 from metapp.runs.inputs.convert import Converted, convert
 from metapp.runs.reporter import say
 
@@ -43,24 +42,25 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no s
 def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
     """Make the command that converts files of a format; with the options that it declares."""
 
-    def command(options: Any) -> None:
-        own = {option.name: plain(getattr(options, option.name)) for option in about.options}
-        conversion = form.conversion(options.paths, options.split.value, own)
+    def command(
+        paths: list[Path],
+        folder: Out,
+        split: Split = Split.AUTO,
+        quiet: Quiet = False,
+        as_json: Json = False,
+        **own: object,
+    ) -> None:
+        conversion = form.conversion(paths, split.value, own)
         for line in conversion.remarks:
             say(f"warning: {line}")
-        done = convert(conversion, options.paths, options.folder, options.split.value, options.quiet)
-        report(done, options.quiet, options.as_json)
+        report(convert(conversion, paths, folder, split.value, quiet), quiet, as_json)
 
     command.__name__, command.__doc__ = form.name, about.help
-    options: list[tuple[str, object] | tuple[str, object, object]] = [
-        ("paths", Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)]),
-        ("folder", Out),
-        ("split", Annotated[Split, typer.Option("--split", help=about.split_help)], field(default=Split.AUTO)),
-        *((option.name, annotated(option), field(default=option.default)) for option in about.options),
-        ("quiet", Quiet, field(default=False)),
-        ("as_json", Json, field(default=False)),
-    ]
-    return takes(make_dataclass(form.name, options))(command)
+    command.__annotations__ |= {
+        "paths": Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)],
+        "split": Annotated[Split, typer.Option("--split", help=about.split_help)],
+    }
+    return extended(about.options, given=False)(command)
 
 
 def report(done: Converted, quiet: bool, as_json: bool) -> None:

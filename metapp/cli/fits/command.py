@@ -15,7 +15,7 @@ from metapp.apps import app_names
 from metapp.cli.console import importing, lines_of_input
 from metapp.cli.fits.options import IGNORED, JSON, OPTIONS, PANELS, declared, own_help, unused
 from metapp.cli.fits.run import fit
-from metapp.cli.options import plain
+from metapp.cli.options import option_parameter, plain, signed
 from metapp.runs.reporter import say
 from metapp.runs.requests.request import Request
 
@@ -75,7 +75,7 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         with importing():
             from metapp.runs.requests.plan import plan
         options["export"] = ",".join(options["export"] or ())
-        own = {key: plain(options.pop(key)) for key in extended}
+        own = {key: plain(options.pop(key)) for key in own_options}
         values = {key: value for key, value in options.items() if value is not None}
         request = Request(
             paradigm=name, options={key: value for key, value in own.items() if value is not None}, **values
@@ -90,17 +90,14 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         some = (replace(request, inputs=(Path(line),)) for line in lines_of_input()) if lines else None
         fit(planned, some, json=json)
 
-    extended = declared()
+    own_options = declared()
     hints, defaults = get_type_hints(Request), {field.name: field.default for field in fields(Request)}
-    keyword, parameters = inspect.Parameter.KEYWORD_ONLY, []
+    parameters = []
     for option, shown in OPTIONS.items():
         several = SEVERAL.get(option)
         default = None if several else inspect.Parameter.empty if option == "app" else defaults[option]
-        annotation: Any = Annotated[several or hints[option], shown]
-        parameters.append(inspect.Parameter(option, keyword, default=default, annotation=annotation))
-    parameters += [inspect.Parameter(key, keyword, default=None, annotation=value) for key, value in extended.items()]
-    parameters.append(inspect.Parameter("json", keyword, default=False, annotation=Annotated[bool, JSON]))
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        parameters.append(option_parameter(option, default, Annotated[several or hints[option], shown]))
+    parameters += [option_parameter(key, None, value) for key, value in own_options.items()]
+    parameters.append(option_parameter("json", False, Annotated[bool, JSON]))
     command.__doc__ = summary
-    return command
+    return signed(command, command, parameters)

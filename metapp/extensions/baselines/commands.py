@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
-from metapp.cli.options import Json, annotated, plain, takes
+from metapp.cli.options import Json, extended, takes
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import all_read_options
 
@@ -51,18 +51,9 @@ class Options:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
 
 
-# as for fits: how inputs are read, and at which resolution
-_OWN = all_read_options()
-_WHOLE = make_dataclass(
-    "Whole",
-    [(name, annotated(option, given=True), field(default=None)) for name, option in _OWN.items()],
-    bases=(Options,),
-    frozen=True,
-)
-
-
-@takes(_WHOLE)
-def baseline(options: Any) -> None:
+@extended(all_read_options().values())  # as for fits: how inputs are read, and at which resolution
+@takes(Options)
+def baseline(options: Options, **own: object) -> None:
     """Run a baseline without a neural network and evaluate it in the same way as fits.
 
     Example: metapp baseline texture wall.jpg --method quilting
@@ -78,7 +69,7 @@ def baseline(options: Any) -> None:
         options.inputs or [],
         recipe=options.recipe,
         observe=options.observe,
-        options={name: plain(value) for name in _OWN if (value := getattr(options, name)) is not None},
+        options=own,
         data=options.data,
         out=options.out,
         seed=options.seed,
