@@ -19,7 +19,8 @@ from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number, say
 from metapp.runs.requests.naming import caption_of
 from metapp.runs.requests.plan import Checkpoint, Plan
-from metapp.storage.records import FIT, NUMBER, OPTIONAL, Record, RunFolder, digest
+from metapp.storage.forms import NUMBER, OPTIONAL
+from metapp.storage.records import FIT, Record, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record
 INITIALISATIONS = {

@@ -8,7 +8,6 @@ import fcntl
 import filecmp
 import glob
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -47,31 +46,23 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Errors of writing a file name it and its folder: those of the system and of libraries often do not.
+    """Errors of writing a file name it and its folder, which those of the system often do not.
 
     Raises:
         OSError: instead of one without a file name or of an unfinished file.
     """
     try:
         yield
-    except Exception as error:
-        code = error.errno if isinstance(error, OSError) else _code_in(str(error))
-        told = str(getattr(error, "filename", None) or "")
-        if not code or (told and Path(told).parent != path.parent):
+    except OSError as error:
+        if not error.errno or (error.filename and Path(str(error.filename)).parent != path.parent):
             raise
-        room = "free some space or choose another folder" if code in _FULL else "choose another folder"
-        named = OSError(f"{path.parent}: {os.strerror(code)}; {path.name} was not written; {room}.")
-        named.errno = code
+        room = "free some space or choose another folder" if error.errno in _FULL else "choose another folder"
+        named = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {room}.")
+        named.errno = error.errno
         raise named from error
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-
-
-def _code_in(message: str) -> int | None:
-    """The system's error number in a message of safetensors."""
-    found = re.search(r"(?:os error|code:) (\d+)", message)
-    return int(found[1]) if found else None
 
 
 def _sync(path: Path) -> None:

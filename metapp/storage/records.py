@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import math
 import statistics
-import sys
 import unicodedata
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,63 +21,19 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
+from metapp.storage.forms import NUMBER, OPTIONAL, holds
 from metapp.storage.tensors import opened_tensors, read_tensors
 from metapp.storage.text import as_text
 
 Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
-SMALL_BYTES = 2**16  # of a record file: below it replaced lines stay
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)
 
-NUMBER, OPTIONAL = int | float, int | float | None
 # what a document must hold, as `holds` reads it: of a fit's record, and of what a checkpoint says about itself
 FIT = {"error": OPTIONAL, "seconds": NUMBER}
 CHECKPOINT = {"schema": int}
 _RECORD = {"name": str, "key": str, "settings": dict}
-
-
-def holds(value: Any, form: Any) -> bool:
-    """Whether a JSON document has a form, as `misfits` reads it."""
-    return next(misfits(value, form), None) is None
-
-
-def misfits(value: Any, form: Any, place: str = "") -> Iterator[str]:
-    """The places of a JSON document, such as `.settings.seed`, that have not a form.
-
-    A form is a type, or a union of several, of which numbers must be finite; a range of whole numbers; a list of one
-    form, that of all items; a tuple of forms, one for each item of a list; a dictionary of the forms of those entries
-    that must be there, or, where `?` follows the name, may be; where `...` is the name, the form of all.
-    """
-    if isinstance(form, dict) and isinstance(value, dict):
-        if ... in form:
-            for key, each in value.items():
-                yield from misfits(each, form[...], f"{place}.{key}")
-            return
-        for key, of in form.items():
-            name = key.removesuffix("?")
-            if name in value:
-                yield from misfits(value[name], of, f"{place}.{name}")
-            elif name == key:
-                yield f"{place}.{name}"
-    elif isinstance(form, list | tuple) and isinstance(value, list):
-        forms = form if isinstance(form, tuple) else form * len(value)
-        if len(forms) != len(value):
-            yield place
-        else:
-            for i, (each, of) in enumerate(zip(value, forms, strict=True)):
-                yield from misfits(each, of, f"{place}.{i}")
-    elif isinstance(form, dict | list | tuple) or not _is(value, form):
-        yield place
-
-
-def _is(value: Any, form: Any) -> bool:
-    """Whether a value is of a type, finite if a number, or in a range."""
-    if isinstance(form, range):
-        return type(value) is int and value in form
-    if isinstance(value, bool) or not isinstance(value, form):
-        return False
-    return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
 
 
 def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
@@ -176,9 +130,9 @@ class RunFolder:
     """A run's folder: `record.jsonl`, one line a task, and `params/<task>.safetensors`.
 
     Lines are appended, whole or not at all, and what several programs add at once stays. Of a task's lines the last one
-    counts, since its parameters are those on disk; the others are removed once they are most of a large file. Lines
-    carry the run's key, a digest of all settings; those of another key are another run's: they stay, and count for that
-    run alone. A run that was cut off resumes at its first missing task.
+    counts, since its parameters are those on disk. Lines carry the run's key, a digest of all settings; those of
+    another key are another run's, and count for that run alone. A run that was cut off resumes at its first missing
+    task.
 
     Args:
         path: the folder, made at the first record.
@@ -201,7 +155,6 @@ class RunFolder:
         self.key = digest(settings)
         self._form = form or {}
         self._read: tuple[Any, dict[str, Document]] = (None, {})
-        self._live_bytes = 0  # of the lines that counted when replaced ones were last looked for
 
     @property
     def file(self) -> Path:
@@ -234,26 +187,6 @@ class RunFolder:
             whole = {**record, "key": self.key, "settings": self.settings, **self.origin}
             line = json.dumps(as_text(finite(whole)), allow_nan=False)
             append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
-            with contextlib.suppress(OSError):  # the record is kept, whatever happens to replaced ones
-                self._remove_replaced()
-
-    def _remove_replaced(self) -> None:
-        """Remove lines that do not count any more: else a fit repeated n times reads n lines each time."""
-        size = self.file.stat().st_size
-        if size < max(SMALL_BYTES, 2 * self._live_bytes):
-            return
-        lines = self.file.read_bytes().split(b"\n")
-        tasks = [self._task_of(line) for line in lines]
-        last = {task: number for number, task in enumerate(tasks)}
-        kept = [line for number, line in enumerate(lines) if tasks[number] is None or last[tasks[number]] == number]
-        if 2 * len(kept) < len(lines):
-            write_atomically(self.file, lambda target: target.write_bytes(b"\n".join(kept)))
-        self._live_bytes = sum(map(len, kept))
-
-    def _task_of(self, line: bytes) -> tuple[str, str] | None:
-        """Name and key of a record; None where the line is none."""
-        record = _parsed(line)
-        return (record["name"], record["key"]) if holds(record, _RECORD | self._form) else None
 
     def params(self, task: str) -> Path:
         """The file of a task's parameters."""

@@ -97,17 +97,12 @@ def test_a_kill_at_any_call_leaves_nothing_that_the_next_run_does_not_mend(
     assert calls >= 5
 
 
-class Refused(Exception):
-    """What a library raises that does not name the file."""
-
-
 @pytest.mark.parametrize(
     "error",
     [
         OSError(errno.ENOSPC, "No space left on device"),
         OSError(errno.EDQUOT, "Disk quota exceeded"),
         PermissionError(errno.EACCES, "Permission denied"),
-        Refused("Error while serializing: I/O error: No space left on device (os error 28)"),
     ],
 )
 def test_failed_writes_name_the_folder(error: Exception, tmp_path: Path) -> None:

@@ -22,7 +22,8 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits.fitter import rng_of
 from metapp.runs.requests.naming import observe_of
 from metapp.runs.requests.plan import Plan
-from metapp.storage.records import NUMBER, OPTIONAL, Record, digest
+from metapp.storage.forms import NUMBER, OPTIONAL
+from metapp.storage.records import Record, digest
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)

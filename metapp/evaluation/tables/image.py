@@ -11,7 +11,8 @@ from metapp.evaluation.notes import overfit_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
-from metapp.storage.records import OPTIONAL, Record
+from metapp.storage.forms import OPTIONAL
+from metapp.storage.records import Record
 
 FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
 

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from metapp.storage import Document
 from metapp.storage.files import check_readable, write_atomically
-from metapp.storage.records import holds
+from metapp.storage.forms import holds
 
 SCHEMA = 1
 BITS = (2, 16)  # of a whole number, at least and at most

@@ -24,7 +24,8 @@ from metapp.runs.reporter import progress, say
 from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
+from metapp.storage.forms import OPTIONAL, holds
+from metapp.storage.records import FIT, RunFolder, read_theta
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by

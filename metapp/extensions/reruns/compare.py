@@ -15,7 +15,8 @@ from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
-from metapp.storage.records import OPTIONAL, summary
+from metapp.storage.forms import OPTIONAL
+from metapp.storage.records import summary
 
 FORM = {"error": OPTIONAL, "settings": SETTINGS}  # of records of fits, and of methods without a network
 TOLD = (

@@ -26,7 +26,8 @@ from metapp.runs.reporter import progress
 from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage import Document
-from metapp.storage.records import NUMBER, OPTIONAL, finite, misfits, read_theta
+from metapp.storage.forms import NUMBER, OPTIONAL, misfits
+from metapp.storage.records import finite, read_theta
 from metapp.storage.text import path_of
 
 FORM = {"key": str, "settings": {"app": str}}
