@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
+from metapp.learning.draws import normal, uniform
+
 DECADES = (0.5, 1.0)  # by which outliers are off, up or down
 
 
@@ -17,12 +19,8 @@ def factors(rng: Generator, shape: tuple[int, ...], noise: Tensor | float, outli
         noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %; broadcasts.
         outliers: share of samples that are off by DECADES, all channels alike; broadcasts.
     """
-
-    def uniform() -> Tensor:
-        return torch.rand(*shape, 1, generator=rng, device=rng.device)
-
-    factor = torch.exp(noise * torch.randn(*shape, 3, generator=rng, device=rng.device))
+    factor = torch.exp(noise * normal(rng, *shape, 3))
     low, high = DECADES
-    decades = low + (high - low) * uniform()
+    decades = low + (high - low) * uniform(rng, *shape, 1)
     decades = decades * (2 * torch.randint(2, (*shape, 1), generator=rng, device=rng.device) - 1)
-    return factor * torch.where(uniform() < outliers, 10**decades, 1.0)
+    return factor * torch.where(uniform(rng, *shape, 1) < outliers, 10**decades, 1.0)

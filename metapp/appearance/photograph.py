@@ -18,6 +18,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals, texel_of
+from metapp.learning.draws import uniform
 from metapp.storage.tensors import kept
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
@@ -65,7 +66,7 @@ def photograph(maps: Tensor, rng: Generator, size: int = 64) -> Tensor:
     Returns:
         Display values in [0, 1], [T, 3, size, size]; black outside the disc.
     """
-    drawn = torch.rand(len(maps), 11, generator=rng, device=rng.device).to(maps)
+    drawn = uniform(rng, len(maps), 11).to(maps)
     materials = draw_material(drawn[:, :8])
     kinds = materials.gloss.argmax(1)
     radiance = maps.new_zeros(len(maps), 3, size, size)

@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import camera_distance
+from metapp.learning.draws import normal, uniform
 
 MOST = 9  # photographs of a drawn material
 ASIDE = 0.6  # half sides, at most, of all photographs but the first
@@ -25,12 +26,11 @@ def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Te
 
     The first is straight above the patch, at `camera_distance`.
     """
-    device = rng.device
-    angle = 2 * math.pi * torch.rand(materials, photos, 1, generator=rng, device=device)
-    aside = ASIDE * torch.rand(materials, photos, 1, generator=rng, device=device).sqrt()
-    share = torch.rand(materials, photos, 1, generator=rng, device=device)
+    angle = 2 * math.pi * uniform(rng, materials, photos, 1)
+    aside = ASIDE * uniform(rng, materials, photos, 1).sqrt()
+    share = uniform(rng, materials, photos, 1)
     height = camera_distance() * NEAREST * (FARTHEST / NEAREST) ** share
     places = torch.cat([aside * angle.cos(), aside * angle.sin(), height], -1)
     places[:, 0] = places.new_tensor([0.0, 0.0, camera_distance()])
-    off = ERROR * places[..., 2:] * torch.randn(materials, photos, 3, generator=rng, device=device)
+    off = ERROR * places[..., 2:] * normal(rng, materials, photos, 3)
     return places, off

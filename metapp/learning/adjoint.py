@@ -119,7 +119,9 @@ class Engine:
     def stepper(self, rule: UpdateRule, loss: Loss, theta: Params, order: int = 1) -> Stepper:
         """The stepper of a rule down a loss from theta, backpropagated through to an order."""
         step, step_vjp = self.functions(rule.step, loss, order)
-        return Stepper(theta, rule.alpha, rule.init, step, step_vjp, _batch_of if order == 2 else _gradient_of)
+        return Stepper(
+            theta, rule.alpha, rule.init, step, step_vjp, lambda batch, gradient: batch if order == 2 else gradient
+        )
 
     def functions(self, step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
         """`step` and `step_vjp` of a Stepper, of a rule's step."""
@@ -142,14 +144,6 @@ def fastest(*, compiles: bool = False) -> Engine:
     offered = door.offers(door.Engine)
     engine: Engine = door.load(offered[-1].engine)(compiles) if offered else TORCH
     return engine
-
-
-def _batch_of(batch: AnyBatch, gradient: AnyBatch) -> AnyBatch:
-    return batch
-
-
-def _gradient_of(batch: AnyBatch, gradient: AnyBatch) -> AnyBatch:
-    return gradient
 
 
 def steps_by_torch(rule_step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:

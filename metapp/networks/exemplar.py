@@ -13,6 +13,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App, Traits
+from metapp.learning.draws import normal, uniform
 from metapp.learning.recipe import Recipe, Setup
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
@@ -219,14 +220,14 @@ class ExemplarApp(App):
     def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
         """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
         size = (self.setup.height >> octave, self.setup.width >> octave)
-        return torch.randn(tasks, count, self.setup.network.noise, *size, generator=rng, device=rng.device)
+        return normal(rng, tasks, count, self.setup.network.noise, *size)
 
     def init_encoder(self, rng: Generator) -> Params:
         encoder = encoder_of({}, self.setup.network.init(rng, 1), ("z",))
         sizes = (self.summary_size(), HIDDEN, HIDDEN, self.setup.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]
-            noise = torch.randn(outputs, inputs, generator=rng, device=rng.device)
+            noise = normal(rng, outputs, inputs)
             encoder[f"mlp{layer}.w"] = noise * math.sqrt(2 / inputs)
             encoder[f"mlp{layer}.b"] = torch.zeros(outputs, device=rng.device)
         return encoder
@@ -247,15 +248,13 @@ class ExemplarApp(App):
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """These exemplars cropped, flipped, transposed and with their channels permuted, at random."""
-        count, device, octave = len(tasks), rng.device, self.octave(tasks.data)
+        count, octave = len(tasks), self.octave(tasks.data)
         exemplars = []
-        for row, flip, turn in zip(
-            tasks.rows, *torch.rand(2, count, generator=rng, device=device).tolist(), strict=True
-        ):
+        for row, flip, turn in zip(tasks.rows, *uniform(rng, 2, count).tolist(), strict=True):
             image = self.crop(tasks.data["image"][row].float() / 255, rng)
             image = image.flip(-1) if flip < 0.5 else image
             exemplars.append(self.exemplar((image.mT if turn < 0.5 else image)[None], octave))
-        channels = torch.rand(count, 3, generator=rng, device=device).argsort(1)[..., None, None]
+        channels = uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
         described = self.describe(images, octave) | self.laid_out(images)

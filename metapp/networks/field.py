@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
+from metapp.learning.draws import uniform
 from metapp.learning.task import Params
 
 TEXELS = 2**17  # of what each texel has for itself: 16 MB of 32 channels, which the next rows get again, still mapped
@@ -50,18 +51,18 @@ class LocalField(NamedTuple):
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
 
-        def uniform(*shape: int, bound: float) -> Tensor:
-            return (2 * torch.rand(count, *shape, generator=rng, device=rng.device) - 1) * bound
+        def within(bound: float, *shape: int) -> Tensor:
+            return (2 * uniform(rng, count, *shape) - 1) * bound
 
-        theta = {"z": uniform(self.code, self.rows, self.columns, bound=0.1 / self.gain)}
+        theta = {"z": within(0.1 / self.gain, self.code, self.rows, self.columns)}
         for layer in range(self.layers):
             inputs = self.hidden if layer else self.inputs
             bound = math.sqrt(6 / inputs) if layer else self.frequency / math.sqrt(inputs)
-            theta[f"layer{layer}.kernel"] = uniform(self.hidden, inputs, bound=bound)
-            theta[f"layer{layer}.code"] = uniform(self.hidden, self.code, bound=1.5 / math.sqrt(self.code))
-            theta[f"layer{layer}.shift"] = uniform(self.hidden, bound=0.1 if layer else math.pi)
-        theta["out.kernel"] = uniform(self.outputs, self.hidden, bound=1 / math.sqrt(self.hidden))
-        theta["out.code"] = uniform(self.outputs, self.code, bound=1 / math.sqrt(self.code))
+            theta[f"layer{layer}.kernel"] = within(bound, self.hidden, inputs)
+            theta[f"layer{layer}.code"] = within(1.5 / math.sqrt(self.code), self.hidden, self.code)
+            theta[f"layer{layer}.shift"] = within(0.1 if layer else math.pi, self.hidden)
+        theta["out.kernel"] = within(1 / math.sqrt(self.hidden), self.outputs, self.hidden)
+        theta["out.code"] = within(1 / math.sqrt(self.code), self.outputs, self.code)
         theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
 

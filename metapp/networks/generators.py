@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate
 
+from metapp.learning.draws import normal
 from metapp.learning.task import Params
 from metapp.networks import layers
 from metapp.networks.layers import enlarged, enlarged_rows, init_styled, rows_of, styled, styled_by_rows
@@ -57,7 +58,7 @@ class UNet(NamedTuple):
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
         theta = init_styled(rng, count, self.code, self.layers())
-        kernel = torch.randn(count, self.outputs, self.channels(0), 1, 1, generator=rng, device=rng.device)
+        kernel = normal(rng, count, self.outputs, self.channels(0), 1, 1)
         theta["out.kernel"] = kernel * math.sqrt(1 / self.channels(0))
         theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
@@ -137,7 +138,7 @@ class Pyramid(NamedTuple):
         theta = init_styled(rng, count, self.code, self.layers())
         for level in range(self.levels):
             inputs = self.channels(level)
-            kernel = torch.randn(count, self.outputs, inputs, 1, 1, generator=rng, device=rng.device)
+            kernel = normal(rng, count, self.outputs, inputs, 1, 1)
             theta[f"out{level}.kernel"] = kernel * (0.5 / math.sqrt(inputs))
             theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta

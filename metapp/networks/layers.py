@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, leaky_relu_, pad
 
+from metapp.learning.draws import normal
 from metapp.learning.task import Params
 
 SLOPE = 0.2
@@ -33,7 +34,7 @@ def add_layer(
         inputs: channels that it reads, and the sides of a convolution's kernel.
         gain: standard deviation of what comes out where that of what goes in is 1.
     """
-    noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
+    noise = normal(rng, outputs, *inputs)
     params[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
     params[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
 
@@ -106,14 +107,10 @@ def init_styled(rng: Generator, count: int, code: int, layers: Mapping[str, tupl
     Returns:
         `z` [count, code], and of each layer what `styled` says.
     """
-
-    def normal(*shape: int, scale: float) -> Tensor:
-        return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
-
-    theta = {"z": normal(code, scale=1.0)}
+    theta = {"z": normal(rng, count, code)}
     for name, (inputs, outputs) in layers.items():
-        theta[f"{name}.kernel"] = normal(outputs, inputs, 3, 3, scale=math.sqrt(2 / (9 * inputs)))
-        theta[f"{name}.style"] = normal(2 * outputs, code, scale=0.3 / math.sqrt(code))
+        theta[f"{name}.kernel"] = normal(rng, count, outputs, inputs, 3, 3) * math.sqrt(2 / (9 * inputs))
+        theta[f"{name}.style"] = normal(rng, count, 2 * outputs, code) * (0.3 / math.sqrt(code))
         theta[f"{name}.shift"] = torch.zeros(count, 2 * outputs, device=rng.device)
     return theta
 

@@ -10,6 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.learning.app import stack
+from metapp.learning.draws import normal
 from metapp.learning.task import Params, Task
 from metapp.networks.coded import CodedApp
 from metapp.networks.exemplar import SHOWN, ExemplarApp
@@ -58,7 +59,7 @@ class ExemplarPresentation(Presentation[AnyExemplar]):
         """Call `make` with theta [1, ...] and noise [1, 1, ...] of a size, height and width in px."""
         one = {key: value[None] for key, value in theta.items()}
         rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.app.setup.network.noise
-        return make(one, torch.randn(1, 1, channels, *size, generator=rng, device=rng.device))
+        return make(one, normal(rng, 1, 1, channels, *size))
 
     def whole(self) -> tuple[int, int]:
         """The size of `files`: the one asked for, else TILED times the exemplar's."""

@@ -21,8 +21,9 @@ from metapp.appearance.geometry import (
     directions_to_full_circle,
     half_difference,
     rusinkiewicz_to_directions,
+    turned_about_normal,
 )
-from metapp.apps.brdf.anisotropic import axes_of, inputs_of, turned
+from metapp.apps.brdf.anisotropic import axes_of, inputs_of
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -52,7 +53,7 @@ def test_inputs_are_those_of_light_and_viewer_exchanged_and_turn_with_the_materi
     turn, none = torch.full((1, 1), 0.4), torch.zeros(1, 1)
     first = inputs_of(where.T[None], none)
     torch.testing.assert_close(first, inputs_of(exchanged.T[None], none), rtol=1e-3, atol=1e-4)
-    around = turned(where[None], turn).transpose(1, 2)
+    around = torch.cat([turned_about_normal(where[:, :3], turn[0]), where[:, 3:]], 1).T[None]
     torch.testing.assert_close(first, inputs_of(around, turn), rtol=1e-3, atol=1e-4)
     assert float((first - inputs_of(around, none)).abs().max()) > 0.1
 

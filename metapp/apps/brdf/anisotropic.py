@@ -83,15 +83,6 @@ def axes_of(samples: Batch) -> Tensor:
     return turn[:, None].to(samples["where"])
 
 
-def turned(where: Tensor, angle_rad: Tensor) -> Tensor:
-    """Half and difference vectors and cos theta_i [T, N, 7] of materials turned by angles [T, 1] about the normal."""
-    half_x, half_y = where[..., 0], where[..., 1]
-    cosine, sine = angle_rad.cos(), angle_rad.sin()
-    result = where.clone()
-    result[..., 0], result[..., 1] = cosine * half_x - sine * half_y, sine * half_x + cosine * half_y
-    return result
-
-
 def random_azimuths(count: int) -> Tensor:
     """phi_h [count] in rad for samples of an isotropic material, the same for each: any would do."""
     return torch.rand(count, generator=torch.Generator().manual_seed(0)) * math.tau

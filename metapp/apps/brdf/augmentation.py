@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import outgoing_cosine
+from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Params, Tasks
 
 SAMPLES = 8192
@@ -27,20 +28,17 @@ def mixed(tasks: Tasks, rng: Generator) -> Params:
     mine = torch.expm1(target[tasks.rows[:, None], columns])
     if where.stride(0) == 0:
         other = tasks.rows[torch.randint(count, (count, 1), generator=rng, device=device)]
-        share = 2 * torch.rand(count, 1, 1, generator=rng, device=device)
+        share = 2 * uniform(rng, count, 1, 1)
         mine = torch.lerp(torch.expm1(target[other, columns]), mine, share.clamp(max=1))
-    channels = torch.rand(count, 1, 3, generator=rng, device=device).argsort(-1).expand_as(mine)
-    gain = torch.exp(0.3 * torch.randn(count, 1, 3, generator=rng, device=device))
-    gain = gain * torch.exp(0.3 * torch.randn(count, 1, 1, generator=rng, device=device))
+    channels = uniform(rng, count, 1, 3).argsort(-1).expand_as(mine)
+    gain = torch.exp(0.3 * normal(rng, count, 1, 3))
+    gain = gain * torch.exp(0.3 * normal(rng, count, 1, 1))
     return {"where": where[tasks.rows[:, None], columns], "target": torch.log1p(mine.gather(2, channels) * gain)}
 
 
 def within_reach(where: Tensor, rng: Generator) -> Tensor:
     """Which samples [T, N, 7] an instrument sees, bool [T, N]: of a share of materials none beyond an angle."""
-
-    def uniform() -> Tensor:
-        return torch.rand(len(where), 1, generator=rng, device=rng.device)
-
     low, high = MEASURED_RAD
-    limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)
+    chance, share = uniform(rng, len(where), 1), uniform(rng, len(where), 1)
+    limit = torch.where(chance < CUT, torch.cos(low + (high - low) * share), 0.0)
     return torch.minimum(where[..., 6], outgoing_cosine(where.transpose(1, 2))) >= limit

@@ -14,10 +14,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
 
-from metapp.appearance.geometry import outgoing_cosine
+from metapp.appearance.geometry import outgoing_cosine, turned_about_normal
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
+from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Linear, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
@@ -61,11 +62,11 @@ class Featured(BrdfNetwork):
         sizes = {"w1": (self.width, self.inputs), "w2": (self.width, self.width), "w3": (self.features, self.width)}
         theta = {}
         for name, (rows, columns) in sizes.items():
-            noise = torch.randn(count, rows, columns, generator=rng, device=rng.device)
+            noise = normal(rng, count, rows, columns)
             theta[name] = noise * math.sqrt((2 if name != "w3" else 1) / columns)
             theta[name.replace("w", "b")] = torch.zeros(count, rows, 1, device=rng.device)
         for name in ("film1", "film2"):
-            noise = torch.randn(count, 2 * self.width, self.code, generator=rng, device=rng.device)
+            noise = normal(rng, count, 2 * self.width, self.code)
             theta[name] = noise * 0.1 / math.sqrt(self.code)
         theta["z"] = torch.zeros(count, self.code, 1, device=rng.device)
         if self.anisotropic:
@@ -120,8 +121,9 @@ class Featured(BrdfNetwork):
         """Turn anisotropic materials about the normal."""
         if not self.anisotropic:
             return data
-        turn = 2 * math.pi * torch.rand(len(data["where"]), 1, generator=rng, device=rng.device)
-        return data | {"where": anisotropic.turned(data["where"], turn)}
+        turn = 2 * math.pi * uniform(rng, len(data["where"]), 1)
+        half, rest = data["where"].split((3, 4), -1)
+        return data | {"where": torch.cat([turned_about_normal(half, turn), rest], -1)}
 
     def folded(self, theta: Params) -> Folded:
         """The code and the features' own layer are multiplied out."""

@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
 from metapp.apps.brdf.network import BrdfNetwork, Folded, shapes_of
+from metapp.learning.draws import normal
 from metapp.learning.task import Batch, Params
 
 WIDTHS = (6, 21, 21, 3)
@@ -26,7 +27,7 @@ class Nbrdf(BrdfNetwork):
         """Kaiming-normal weights and zero biases, [count, ...]."""
         theta = {}
         for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-            noise = torch.randn(count, outputs, inputs, generator=rng, device=rng.device)
+            noise = normal(rng, count, outputs, inputs)
             theta[f"w{layer}"] = noise * math.sqrt((2 if layer < 3 else 1) / inputs)
             theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
         return theta
@@ -81,7 +82,7 @@ def set_encoder(rng: Generator, inputs: int, width: int, outputs: int) -> Params
     encoder = {}
     for name, (rows, columns) in sizes.items():
         gain = 0.1 if name == "out" else math.sqrt(2)
-        noise = torch.randn(rows, columns, generator=rng, device=rng.device)
+        noise = normal(rng, rows, columns)
         encoder[f"{name}.w"] = noise * gain / math.sqrt(rows)
         encoder[f"{name}.b"] = torch.zeros(columns, device=rng.device)
     return encoder

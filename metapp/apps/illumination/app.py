@@ -17,12 +17,13 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.confidence import Weibull, deviations, features, spread_of
 from metapp.apps.illumination.encoder import Encoder
-from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
+from metapp.apps.illumination.mirror import completed, is_mirror, photographed, resampled, seen_loss
 from metapp.apps.illumination.spheres import sphere_errors
 from metapp.apps.illumination.suns import GIVEN, joined, parted, suns_of, with_suns
-from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
+from metapp.apps.illumination.surfaces import FACED, MIRRORED, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Traits
+from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField
@@ -106,7 +107,7 @@ class Illumination(CodedApp):
         if self.protocol != "photo":
             return {}
         if not {"seen", "certain"} <= task.data.keys():
-            return nothing_seen(height, width)
+            return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
         return resampled(task.data["seen"].float(), task.data["certain"].float(), height, width)
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
@@ -205,7 +206,7 @@ class Illumination(CodedApp):
         photos, shown = photograph(maps, rng, size), dict[str, Tensor]()
         if self.protocol == "photo":
             balls, shown = photographed(maps, rng, size)
-            mirrors = (torch.rand(len(maps), generator=rng, device=rng.device) < MIRRORS)[:, None, None, None]
+            mirrors = (uniform(rng, len(maps)) < MIRRORS)[:, None, None, None]
             photos, shown["certain"] = torch.where(mirrors, balls, photos), shown["certain"] * mirrors
         return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | shown | self.described(maps))
 
@@ -241,7 +242,7 @@ class Illumination(CodedApp):
         if "map" not in tasks.data:
             return {}
         maps, target = of_mean_1(answer), tasks.data["map"][tasks.rows]
-        pictures, references = relight(maps), relight(target)
+        pictures, references = relighting.relight(maps), relighting.relight(target)
         error = (pictures - references).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)
         return {

@@ -16,6 +16,7 @@ from torch.nn.functional import relu
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.latlong import directions, mean_luminance, resample, solid_angles
 from metapp.appearance.photograph import develop, draw_camera, mirror
+from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import norm
 
@@ -26,11 +27,6 @@ LOST = 2.0  # times the light of the clip at least is there; General tells how m
 ACROSS = 256  # px of a ball in the photographs of training tasks
 
 
-def nothing_seen(height: int, width: int) -> dict[str, Tensor]:
-    """Of a task without mirror."""
-    return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
-
-
 def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[str, Tensor]]:
     """Photographs of mirror balls under maps [T, 3, H, W], by random cameras, and what is read from them.
 
@@ -39,7 +35,7 @@ def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[
     Returns:
         Display values in [0, 1], [T, 3, size, size]; and `seen` [T, 3, H, W], `certain` [T, 2, H, W].
     """
-    drawn = torch.rand(len(maps), 3, generator=rng, device=rng.device).to(maps)
+    drawn = uniform(rng, len(maps), 3).to(maps)
     balls = REFLECTANCE * mirror(maps, size)
     camera = draw_camera(drawn, balls)
     texels = develop(REFLECTANCE * maps, camera).clamp_max(1)

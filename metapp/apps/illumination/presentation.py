@@ -11,10 +11,10 @@ from metapp.appearance.presentation import Picture, Visible
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES
-from metapp.apps.illumination.surfaces import relight
 from metapp.apps.illumination.variants import of_mean_1
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
+from metapp.rendering.second_scene import relighting
 
 LARGEST = 1024  # rows of a map
 
@@ -80,7 +80,7 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
         maps = of_mean_1(answer)
         return {
             "map": _radiance(maps, task),
-            "relit": Picture(tone_map(relight(maps))[0].permute(1, 2, 0), "srgb"),
+            "relit": Picture(tone_map(relighting.relight(maps))[0].permute(1, 2, 0), "srgb"),
         }
 
     def map_of(self, theta: Params, task: Task) -> Picture:
@@ -104,7 +104,7 @@ def _radiance(maps: Tensor, task: Task) -> Picture:
 
 def shown(maps: Tensor, photo: Tensor) -> Tensor:
     """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
-    lit = tone_map(relight(maps))[0]
+    lit = tone_map(relighting.relight(maps))[0]
     height, width = lit.shape[1:]
     across = width // 3
     whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]

@@ -1,4 +1,4 @@
-"""Surfaces under a map, which losses compare, and the second scene, which judges fits."""
+"""Surfaces under a map, whose light losses compare."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from torch.nn.functional import normalize
 
 from metapp.appearance import latlong, reflection
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
-from metapp.rendering.second_scene import relighting
 from metapp.storage.tensors import kept
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
@@ -37,8 +36,3 @@ def _spread(count: int) -> Tensor:
     y, phi = 1 - 2 * i / count, i * (math.pi * (1 + math.sqrt(5)))
     radius = (1 - y * y).sqrt()
     return torch.stack([radius * phi.sin(), y, -radius * phi.cos()], 1)
-
-
-def relight(maps: Tensor) -> Tensor:
-    """Pictures [T, 3, h, w] of the second scene, linear."""
-    return relighting.relight(maps)

@@ -7,6 +7,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import relu
 
 from metapp.appearance.latlong import mean_luminance
+from metapp.learning.draws import normal, uniform
 
 # shares of the maps that get another contrast, that are mixed with another one, that get lamps
 REGRADED, MIXED, LIT = 1 / 2, 1 / 3, 1 / 3
@@ -27,7 +28,7 @@ def turned(maps: Tensor, rng: Generator) -> Tensor:
     """Turned about the vertical, half of them mirrored."""
     count, width = len(maps), maps.shape[-1]
     turns = torch.randint(width, (count, 1), generator=rng, device=rng.device)
-    mirrored = _happens(rng, (count, 1), 0.5)
+    mirrored = uniform(rng, count, 1) < 0.5
     columns = (torch.arange(width, device=rng.device) + turns) % width
     columns = torch.where(mirrored, columns.flip(1), columns)
     return maps.gather(3, columns[:, None, None].expand_as(maps))
@@ -35,36 +36,30 @@ def turned(maps: Tensor, rng: Generator) -> Tensor:
 
 def tinted(maps: Tensor, rng: Generator) -> Tensor:
     """Maps [T, 3, H, W], each channel times a random gain of about 15 %."""
-    return maps * torch.exp(0.15 * torch.randn(len(maps), 3, 1, 1, generator=rng, device=rng.device))
+    return maps * torch.exp(0.15 * normal(rng, len(maps), 3, 1, 1))
 
 
 def regraded(maps: Tensor, rng: Generator) -> Tensor:
     """Some to the power of 0.74 to 1.35, mostly 0.8 to 1.2."""
     shape = (len(maps), 1, 1, 1)
-    power = torch.exp((0.2 * torch.randn(shape, generator=rng, device=rng.device)).clamp(-0.3, 0.3))
-    return maps ** torch.where(_happens(rng, shape, REGRADED), power, 1.0)
+    power = torch.exp((0.2 * normal(rng, *shape)).clamp(-0.3, 0.3))
+    return maps ** torch.where(uniform(rng, *shape) < REGRADED, power, 1.0)
 
 
 def mixed(maps: Tensor, rng: Generator) -> Tensor:
     """Some with the map before them, in any proportion."""
     shape = (len(maps), 1, 1, 1)
-    share = torch.rand(shape, generator=rng, device=rng.device)
-    return torch.lerp(maps.roll(1, 0), maps, torch.where(_happens(rng, shape, MIXED), share, 1.0))
+    share = uniform(rng, *shape)
+    return torch.lerp(maps.roll(1, 0), maps, torch.where(uniform(rng, *shape) < MIXED, share, 1.0))
 
 
 def lit(maps: Tensor, rng: Generator) -> Tensor:
     """Some with a few more lamps of about a texel, anywhere, of radiance 1 to exp(BRIGHTEST)."""
     count, _, height, width = maps.shape
 
-    def draw(*shape: int) -> Tensor:
-        return torch.rand(count, LAMPS, *shape, generator=rng, device=rng.device)
-
-    rows = relu(1 - (torch.arange(height, device=rng.device) - (height - 1) * draw(1)).abs())
-    away = (torch.arange(width, device=rng.device) - width * draw(1)).abs()
+    rows = relu(1 - (torch.arange(height, device=rng.device) - (height - 1) * uniform(rng, count, LAMPS, 1)).abs())
+    away = (torch.arange(width, device=rng.device) - width * uniform(rng, count, LAMPS, 1)).abs()
     columns = relu(1 - torch.minimum(away, width - away))  # around the horizon
-    lamps = torch.einsum("tlh,tlw,tlc->tchw", rows, columns, torch.exp(BRIGHTEST * draw(1)) * (0.7 + 0.6 * draw(3)))
-    return maps + torch.where(_happens(rng, (count, 1, 1, 1), LIT), lamps, 0.0)
-
-
-def _happens(rng: Generator, shape: tuple[int, ...], share: float) -> Tensor:
-    return torch.rand(shape, generator=rng, device=rng.device) < share
+    light = torch.exp(BRIGHTEST * uniform(rng, count, LAMPS, 1)) * (0.7 + 0.6 * uniform(rng, count, LAMPS, 3))
+    lamps = torch.einsum("tlh,tlw,tlc->tchw", rows, columns, light)
+    return maps + torch.where(uniform(rng, count, 1, 1, 1) < LIT, lamps, 0.0)

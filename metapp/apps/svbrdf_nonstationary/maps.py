@@ -18,6 +18,7 @@ from metapp.appearance.flash import (
     positions,
     render,
 )
+from metapp.learning.draws import uniform
 
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
 FLASH = 4  # numbers that describe a flash
@@ -122,7 +123,7 @@ def oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 
 def mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     """Places of a light and of a viewer who sees it mirrored somewhere in a smooth patch, [*shape, 2, 3]."""
-    centre = 1.6 * torch.rand(*shape, 2, generator=rng, device=rng.device) - 0.8
+    centre = 1.6 * uniform(rng, *shape, 2) - 0.8
     centre = torch.cat([centre, torch.zeros_like(centre[..., :1])], -1)
     towards = _directions(rng, shape)
     mirrored = towards * towards.new_tensor([-1.0, -1.0, 1.0])
@@ -131,7 +132,7 @@ def mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 
 def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     """Unit vectors [*shape, 3], evenly spread in solid angle about the normal, no more oblique than STEEPEST."""
-    z, turn = torch.rand(2, *shape, generator=rng, device=rng.device)
+    z, turn = uniform(rng, 2, *shape)
     z, phi = STEEPEST + (1 - STEEPEST) * z, 2 * math.pi * turn
     sine = (1 - z * z).sqrt()
     return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)

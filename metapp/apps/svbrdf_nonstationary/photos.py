@@ -15,6 +15,7 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import BRIGHTER, Maps, unpack
 from metapp.appearance.several import held_places
 from metapp.apps.svbrdf_nonstationary.maps import BRIGHT, CLIPPED, FLASH, flashes_of, linear, photographed
+from metapp.learning.draws import normal
 from metapp.learning.task import Batch, Task
 
 KEYS = ("others", "places")
@@ -67,7 +68,7 @@ def drawn_photos(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tens
     """Photographs [T, count, 3, S, S], linear, of 8 bits, of maps [T, 10, S, S], and the places that are given."""
     places, off = held_places(len(maps), count, rng)
     true, measured = (each[:, :, None].expand(-1, -1, 2, -1) for each in (places, places + off))
-    brighter = BRIGHTER / BRIGHT * torch.randn(len(maps), 1, count, generator=rng, device=rng.device)
+    brighter = BRIGHTER / BRIGHT * normal(rng, len(maps), 1, count)
     flash = torch.cat([brighter.new_zeros(len(maps), FLASH - 1, count), brighter], 1)
     shown = linear_to_srgb(photographed(unpack(maps), flashes_of(flash, true)).clamp(0, 1))
     return srgb_to_linear((shown * 255).round() / 255), measured

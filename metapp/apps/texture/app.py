@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.features import describe_precision, distance, gram
+from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.doubts import of_order
 from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
@@ -78,7 +79,7 @@ class Texture(ExemplarApp):
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A square part of the image, at a random place and scale."""
         size = image.shape[-1]
-        scale, left, top = torch.rand(3, generator=rng, device=rng.device).tolist()
+        scale, left, top = uniform(rng, 3).tolist()
         side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
         x, y = round(left * (size - side)), round(top * (size - side))
         return image[:, y : y + side, x : x + side]

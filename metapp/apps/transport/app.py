@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
+from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
@@ -105,10 +106,10 @@ class Transport(App):
         Directions are counted from axes that the data's tracer mirrors with the scene.
         """
         count, device = len(tasks), rng.device
-        mirrored = torch.rand(count, 1, 1, generator=rng, device=device) < 0.5
+        mirrored = uniform(rng, count, 1, 1) < 0.5
         image = tasks.data["image"][tasks.rows]
         image = torch.where(mirrored[..., None], image.flip(3), image)
-        image = image * torch.exp(JITTER * torch.randn(image.shape, generator=rng, device=device))
+        image = image * torch.exp(JITTER * normal(rng, *image.shape))
         samples = tasks.data["samples"][tasks.rows]
         across = torch.zeros(samples.shape[2], dtype=torch.bool, device=device)
         across[0], across[2::2] = True, True

@@ -10,6 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad, silu
 
 from metapp.apps.transport import spline
+from metapp.learning.draws import normal
 from metapp.learning.task import Params
 
 
@@ -47,23 +48,20 @@ class Flow(NamedTuple):
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` flows, each tensor [count, ...]; all are the identity."""
 
-        def normal(*shape: int, scale: float) -> Tensor:
-            return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
-
         def zeros(*shape: int) -> Tensor:
             return torch.zeros(count, *shape, device=rng.device)
 
         theta = {
-            "z": normal(self.code, self.rows, self.columns, scale=0.1 / self.gain),
+            "z": normal(rng, count, self.code, self.rows, self.columns) * (0.1 / self.gain),
             "film.x": zeros(spline.size(self.film_bins)),
             "film.y": zeros(3, self.film_bins, self.film_bins),
-            "trunk.kernel": normal(self.hidden, self.code, scale=math.sqrt(2 / self.code)),
+            "trunk.kernel": normal(rng, count, self.hidden, self.code) * math.sqrt(2 / self.code),
             "trunk.shift": zeros(self.hidden),
         }
         for i in range(self.directions):
-            theta[f"mix{i}.kernel"] = normal(self.hidden, self.hidden, scale=math.sqrt(2 / self.hidden))
+            theta[f"mix{i}.kernel"] = normal(rng, count, self.hidden, self.hidden) * math.sqrt(2 / self.hidden)
             if i:
-                theta[f"mix{i}.blobs"] = normal(self.hidden, i * self.blobs, scale=1.0)
+                theta[f"mix{i}.blobs"] = normal(rng, count, self.hidden, i * self.blobs)
             theta[f"mix{i}.shift"] = zeros(self.hidden)
             theta[f"out{i}.kernel"] = zeros(spline.size(self.bins), self.hidden)
             theta[f"out{i}.shift"] = zeros(spline.size(self.bins))
