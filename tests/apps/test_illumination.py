@@ -255,7 +255,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
     # a map's mean luminance is known: 1
     monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: (1.1 * tasks.data["map"]).log())
     assert app.errors(theta, tasks)["error"].max() < 1e-5
-    monkeypatch.setattr(app.__class__, "scaled", lambda app, maps: maps)
+    monkeypatch.setattr("metapp.apps.illumination.app.of_mean_1", lambda maps: maps)
     torch.testing.assert_close(app.errors(theta, tasks)["relative"], torch.full((4,), 0.1), atol=1e-3, rtol=0)
 
 
