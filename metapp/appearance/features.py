@@ -157,8 +157,8 @@ def _convolution(which: str, path: str, name: str, inputs: int, outputs: int) ->
     convolution = nn.Conv2d(inputs, outputs, 3, padding=1)
     try:
         with opened_tensors(path) as weights:
-            known = [part for part in ("weight", "bias") if f"{name}.{part}" in weights.keys()]  # noqa: SIM118
-            convolution.load_state_dict({part: weights.get_tensor(f"{name}.{part}") for part in known})
+            parts = [part for part in ("weight", "bias") if f"{name}.{part}" in weights.keys()]  # noqa: SIM118
+            convolution.load_state_dict({part: weights.get_tensor(f"{name}.{part}") for part in parts})
     except SafetensorError:
         raise _damaged(which, path) from None
     except RuntimeError:

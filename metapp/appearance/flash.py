@@ -69,8 +69,8 @@ def statistics(maps: Maps) -> Tensor:
     sine of the angle between normal and patch normal.
     """
     specular = maps.specular.mean(-3, keepdim=True)
-    shown = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / GAMMA)
-    channels = torch.cat([shown, maps.roughness, tilt(maps.normal)], -3).flatten(-2)
+    display = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / GAMMA)
+    channels = torch.cat([display, maps.roughness, tilt(maps.normal)], -3).flatten(-2)
     return torch.stack([channels.mean(-1), (channels.var(-1, unbiased=False) + 1e-8).sqrt()], -2)
 
 

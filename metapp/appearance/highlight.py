@@ -77,11 +77,11 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
         Roughness to about 10 %, below 0.2, where the lobe is a few px wide, to 25 %.
     """
     means, belongs = profile(photos.clamp(1e-3, 1) ** GAMMA, light)
-    shown = means.clamp_min(1e-4) ** (1 / GAMMA)
+    display = means.clamp_min(1e-4) ** (1 / GAMMA)
     inside = (belongs.sum(-1) > 2).to(means)[:, None]
     over = (photos.amax(1, keepdim=True) > CLIPPED).to(means)
     clipped = (profile(over, light)[0] > FEW).to(means)
-    weight = inside * shown / means.clamp_min(1e-4) / GAMMA  # of display values, not of radiance
+    weight = inside * display / means.clamp_min(1e-4) / GAMMA  # of display values, not of radiance
     body, lobes = _flat(light)
     # what diffuse red, green, blue and F0 add
     rows = body.new_zeros(len(body), len(ROUGHNESSES), 3, RINGS, 4)
@@ -93,13 +93,13 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
         used = (weight[:, None] * counts)[..., None]
         a = (rows * used).flatten(2, 3)
         y = (means[:, None, ..., None] * used).expand(*rows.shape[:-1], 1).flatten(2, 3)
-        found = torch.linalg.solve(a.mT @ a + 1e-4 * torch.eye(4).to(a), a.mT @ y).clamp_min(0)
-        made = (rows @ found[:, :, None]).squeeze(-1)
+        solution = torch.linalg.solve(a.mT @ a + 1e-4 * torch.eye(4).to(a), a.mT @ y).clamp_min(0)
+        made = (rows @ solution[:, :, None]).squeeze(-1)
         counts = torch.maximum((1 - clipped)[:, None], (made < means[:, None]).to(made))
-    wrong = (made.clamp(1e-4, 1) ** (1 / GAMMA) - shown[:, None]) * inside[:, None]
+    wrong = (made.clamp(1e-4, 1) ** (1 / GAMMA) - display[:, None]) * inside[:, None]
     best = wrong.square().mean((2, 3)).argmin(1)
     row = torch.arange(len(best), device=best.device)
-    specular, under = found[row, best, 3, 0], found[row, best, :3, 0]
+    specular, under = solution[row, best, 3, 0], solution[row, best, :3, 0]
     lobe, beneath = specular[:, None] * lobes[row, best], under.mean(1)[:, None] * body
     contrast = lobe[:, 0] / (lobe[:, 0] + beneath[:, 0] + 0.01)
     by_ring = belongs.sum(-1)

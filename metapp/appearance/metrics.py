@@ -30,8 +30,8 @@ def dssim(pictures: Tensor, references: Tensor) -> Tensor:
     Both are divided by the reference's mean before; shapes as of `mape`.
     """
     exposure = references.mean((1, 2, 3), keepdim=True).clamp_min(torch.finfo(references.dtype).tiny)
-    shown, wanted = tone_map(pictures / exposure), tone_map(references / exposure)
-    return 1 - ssim(shown, wanted).flatten(1).mean(1)
+    mapped, wanted = tone_map(pictures / exposure), tone_map(references / exposure)
+    return 1 - ssim(mapped, wanted).flatten(1).mean(1)
 
 
 def si_rmse(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:

@@ -86,11 +86,11 @@ def lattice_of(image: Tensor) -> Lattice:
     """The lattice of a picture [C, H, W], of at least 16 px a side."""
     image = image.double().cpu()
     correlation = autocorrelation(image)
-    found = _basis(_peaks(correlation, image.shape[-2:]), min(image.shape[-2:]))
+    basis = _basis(_peaks(correlation, image.shape[-2:]), min(image.shape[-2:]))
     vectors, heights = torch.zeros(2, 2, dtype=image.dtype), torch.zeros(2, dtype=image.dtype)
-    for i, (height, y, x) in enumerate(found[1]):
+    for i, (height, y, x) in enumerate(basis[1]):
         vectors[i], heights[i] = _refined(correlation, y, x), height
-    return Lattice(vectors, heights, found[0])
+    return Lattice(vectors, heights, basis[0])
 
 
 def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
@@ -129,13 +129,13 @@ def _peaks(correlation: Tensor, size: torch.Size) -> list[tuple[float, int, int]
     local = correlation[None, None]
     for window in ((9, 1), (1, 9)):
         local = max_pool2d(local, window, stride=1, padding=(window[0] // 2, window[1] // 2))
-    found = []
+    peaks = []
     for row, column in ((correlation == local[0, 0]) & (correlation > LEAST)).nonzero().tolist():
         y, x = row - height, column - width
         reaches = abs(y) <= LONGEST * height and abs(x) <= LONGEST * width
         if (y, x) > (0, 0) and reaches and math.hypot(y, x) >= SHORTEST:
-            found.append((float(correlation[row, column]), y, x))
-    return sorted(found, reverse=True)[:CANDIDATES]
+            peaks.append((float(correlation[row, column]), y, x))
+    return sorted(peaks, reverse=True)[:CANDIDATES]
 
 
 def _basis(peaks: list[tuple[float, int, int]], side: int) -> tuple[float, list[tuple[float, int, int]]]:

@@ -13,8 +13,8 @@ FLOAT32 = "METAPP_FLOAT32"  # of the environment: 1 for float32 everywhere
 @cache
 def has_bfloat16() -> bool:
     """True if the CPU multiplies bfloat16 by instructions of its own (AVX512-BF16, AMX), faster than float32."""
-    known = torch.cpu.get_capabilities()
-    return bool(known.get("avx512_bf16") or known.get("amx_bf16"))
+    capabilities = torch.cpu.get_capabilities()
+    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
 def in_bfloat16(device: torch.device) -> bool:

@@ -231,15 +231,16 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
     if not tasks:
         raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
     prepared = [app.prepare(task) for task in tasks]
-    common = [key for key in prepared[0] if all(key in each for each in prepared)]  # a task may lack what is optional
-    for task, each in zip(tasks, prepared, strict=True):
+    # a task may lack what is optional
+    common = [key for key in prepared[0] if all(key in tensors for tensors in prepared)]
+    for task, tensors in zip(tasks, prepared, strict=True):
         for key in common:
-            if each[key].shape != prepared[0][key].shape:
+            if tensors[key].shape != prepared[0][key].shape:
                 raise ValueError(
-                    f"{task.name}: {key} {tuple(each[key].shape)}, expected {tuple(prepared[0][key].shape)} as of "
+                    f"{task.name}: {key} {tuple(tensors[key].shape)}, expected {tuple(prepared[0][key].shape)} as of "
                     f"{tasks[0].name}; convert both with the same settings."
                 )
-    data = {key: _stack([each[key] for each in prepared], device) for key in common}
+    data = {key: _stack([tensors[key] for tensors in prepared], device) for key in common}
     names, groups = (task.name for task in tasks), (task.group or task.name for task in tasks)
     return Tasks(tuple(names), data, torch.arange(len(tasks), device=device), tuple(groups))
 

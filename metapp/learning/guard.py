@@ -66,8 +66,8 @@ def descend_guarded(
     losses: list[Tensor] = []
 
     def descent(theta: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Rng) -> Iterator[Step]:
-        own = descend(theta, rule, tasks, loss, steps=deadline.planned, rng=rng, engine=engine)
-        return checked(deadline.within(own), every=0)
+        steps_taken = descend(theta, rule, tasks, loss, steps=deadline.planned, rng=rng, engine=engine)
+        return checked(deadline.within(steps_taken), every=0)
 
     for after in descent(params, rule, tasks, loss, rng):
         before, now = now, after

@@ -90,8 +90,8 @@ def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
         elif not bool(torch.isfinite(tensor).all()):
             problems.append(f"tensor '{key}' holds NaN or infinite values, expected finite ones")
         elif held and not held.low <= float(tensor.min()) <= float(tensor.max()) <= held.high:
-            found = f"{float(tensor.min()):g} to {float(tensor.max()):g}"
-            problems.append(f"tensor '{key}' holds {found}, expected {held.low:g} to {held.high:g}")
+            range_of = f"{float(tensor.min()):g} to {float(tensor.max()):g}"
+            problems.append(f"tensor '{key}' holds {range_of}, expected {held.low:g} to {held.high:g}")
     return problems
 
 
@@ -158,8 +158,8 @@ def drawn(draw: Callable[[Tasks, Generator], Params], tasks: Tasks, rng: Rng) ->
     """
     if isinstance(rng, Generator):
         return draw(tasks, rng)
-    each = [draw(tasks.select([i]), own) for i, own in enumerate(rng)]
-    return {key: torch.cat([one[key] for one in each]) for key in each[0]}
+    draws = [draw(tasks.select([i]), own) for i, own in enumerate(rng)]
+    return {key: torch.cat([one[key] for one in draws]) for key in draws[0]}
 
 
 def copied(rng: Rng) -> Rng:

@@ -46,9 +46,9 @@ def of_blobs(photo: Tensor, maps: Maps) -> list[str]:
         photo: [3, H, W], evenly lit, display values.
         maps: of the same size, without leading axes.
     """
-    shown = {name: part.clamp(0, 1) ** (1 / GAMMA) for name, part in zip(maps._fields[:2], maps[:2], strict=True)}
+    display = {name: part.clamp(0, 1) ** (1 / GAMMA) for name, part in zip(maps._fields[:2], maps[:2], strict=True)}
     allowed = uneven(photo) + NOISE
-    times = {name: uneven(part) / allowed for name, part in (shown | {"roughness": maps.roughness}).items()}
+    times = {name: uneven(part) / allowed for name, part in (display | {"roughness": maps.roughness}).items()}
     worst = max(times, key=lambda name: times[name])
     blobs = f"blobs in {worst} that the photo does not show, {times[worst]:.1f} times its contrast"
     return [blobs] if times[worst] > BLOBS else []

@@ -125,12 +125,12 @@ class ExemplarApp(App):
 
         Those of what a fit descends are in reduced precision where the application's are.
         """
-        features, each = load_features(self.setup.features, self.setup.taps, images), []
+        features, maps = load_features(self.setup.features, self.setup.taps, images), []
         for coarser in reversed(range(octave, self.setup.octaves)):
             times = 2 ** (coarser - octave)
             some = avg_pool2d(images, times) if times > 1 else images
-            each += features(some, self.setup.taps_of(coarser), reduced=self.reduced)
-        return each
+            maps += features(some, self.setup.taps_of(coarser), reduced=self.reduced)
+        return maps
 
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
         """All that fitting and encoding need of exemplars of the size of an octave, those of coarser ones first.

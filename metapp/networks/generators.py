@@ -126,12 +126,12 @@ class Pyramid(NamedTuple):
 
     def layers(self) -> dict[str, tuple[int, int]]:
         """(inputs, outputs) of each 3x3 convolution, in order of use."""
-        each = {}
+        layers = {}
         for level in reversed(range(self.levels)):
             outputs = self.channels(level)
-            each[f"join{level}"] = (self.channels(level + 1) + self.noise + self.layout, outputs)
-            each[f"draw{level}"] = (outputs, outputs)
-        return each
+            layers[f"join{level}"] = (self.channels(level + 1) + self.noise + self.layout, outputs)
+            layers[f"draw{level}"] = (outputs, outputs)
+        return layers
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
@@ -166,8 +166,8 @@ class Pyramid(NamedTuple):
         for level in reversed(range(self.finest, self.levels)):
             x = self._level(theta, level, x, pooled[level - self.finest])
             kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
-            own = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
-            picture = own if picture is None else enlarged(picture) + own
+            addition = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
+            picture = addition if picture is None else enlarged(picture) + addition
         assert picture is not None
         result: Tensor = picture.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result

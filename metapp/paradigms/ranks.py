@@ -102,9 +102,9 @@ class SummedOverRanks(Loss):
                 return leaf[rows.start : total : count()]
             return leaf
 
-        grads, own = super().gradient(theta, tree_map(part, batch), learned, graph=graph)
-        losses = own.new_zeros(total)
-        losses[rows.start : total : count()] = own
+        grads, part_losses = super().gradient(theta, tree_map(part, batch), learned, graph=graph)
+        losses = part_losses.new_zeros(total)
+        losses[rows.start : total : count()] = part_losses
         flat = torch.cat([*(grad.flatten() * (len(rows) / total) for grad in grads.values()), losses])
         with _lost_ranks():
             dist.all_reduce(flat)

@@ -33,7 +33,7 @@ def search(
     Returns:
         How far it is at the end.
     """
-    tasks, known = to_tune_on(job, data.to_validate), data.since.errors
+    tasks, earlier = to_tune_on(job, data.to_validate), data.since.errors
     total = min(1 + sum(len(choices) for choices in SEARCHED), data.steps or sys.maxsize)
     best, best_adam = Prepared(phi_of(first)), first
     errors: list[float] = []
@@ -47,11 +47,11 @@ def search(
 
     for adam in candidates():
         phi, tried = phi_of(adam), len(errors)
-        errors.append(known[tried] if tried < len(known) else validation_error(paradigm, job, phi, tasks))
+        errors.append(earlier[tried] if tried < len(earlier) else validation_error(paradigm, job, phi, tasks))
         error, done = errors[-1], len(errors)
         if error < best.validation:
             best, best_adam = Prepared(phi, error, done, (*best.curve, (done, None, error))), adam
-        if done >= len(known) and not data.since.outer:
+        if done >= len(earlier) and not data.since.outer:
             note = f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}"
             yield Progress(tuple(errors), best=best, done=done, total=total, note=note)
     return Progress(tuple(errors), best=best)

@@ -203,12 +203,12 @@ class Illumination(CodedApp):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Augmented maps, and new photographs under them, some of mirrors where fits see photographs."""
         maps, size = varied(tasks.data["map"][tasks.rows], rng), tasks.data["photo"].shape[-1]
-        photos, shown = photograph(maps, rng, size), dict[str, Tensor]()
+        photos, mirrored = photograph(maps, rng, size), dict[str, Tensor]()
         if self.protocol == "photo":
-            balls, shown = photographed(maps, rng, size)
+            balls, mirrored = photographed(maps, rng, size)
             mirrors = (uniform(rng, len(maps)) < MIRRORS)[:, None, None, None]
-            photos, shown["certain"] = torch.where(mirrors, balls, photos), shown["certain"] * mirrors
-        return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | shown | self.described(maps))
+            photos, mirrored["certain"] = torch.where(mirrors, balls, photos), mirrored["certain"] * mirrors
+        return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | mirrored | self.described(maps))
 
     @torch.no_grad()
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
@@ -273,5 +273,5 @@ def body_of(body: Tensor) -> tuple[Material, Camera]:
 @functools.lru_cache(maxsize=4)
 def _inside(side: int, device: torch.device) -> Tensor:
     """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
-    shown = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
-    return shown.flatten().nonzero()[:, 0].to(device)
+    inner = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+    return inner.flatten().nonzero()[:, 0].to(device)

@@ -87,7 +87,7 @@ def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
     towards, certain = directions(ROWS, COLUMNS).to(maps), resample(data["certain"], ROWS, COLUMNS).clamp(0, 1)
     bright, clipped, detail = (unwrapped(_views(data["photo"]).to(maps), ROWS, COLUMNS)[:, :3] + 0.5).unbind(1)
     inner = (sphere_normals(data["photo"].shape[-1])[0][2] > 0.4).to(maps)
-    found = {
+    values = {
         "towards": towards[2],
         "up": towards[1],
         "light": logs,
@@ -104,8 +104,8 @@ def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
         "rough": rough,
         "left": left.clamp_min(1e-4).log(),
     }
-    assert tuple(found) == FEATURES
-    rows = [value if value.ndim != 1 else value[:, None, None] for value in found.values()]
+    assert tuple(values) == FEATURES
+    rows = [value if value.ndim != 1 else value[:, None, None] for value in values.values()]
     return torch.stack([value.expand_as(logs) for value in rows], -1)
 
 
@@ -155,17 +155,17 @@ def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:
     """
     middle, z = spread.quantile(0.5), directions(ROWS, COLUMNS)[2].to(spread.scale)
     lost = resample(data["certain"][:, 1:], ROWS, COLUMNS)[:, 0].clamp(0, 1)
-    shown = unwrapped(_views(data["photo"]).to(middle), ROWS, COLUMNS)[:, 1] + 0.5
+    clipping = unwrapped(_views(data["photo"]).to(middle), ROWS, COLUMNS)[:, 1] + 0.5
     parts = {"front": z > FRONT, "rim": z.abs() <= FRONT, "back": z < -FRONT}
     weights = {name: part.to(middle).expand_as(middle) for name, part in parts.items()}
-    weights["clipped"] = (torch.maximum(lost, shown) > 0.5).to(middle)
-    found: list[dict[str, float]] = [{} for _ in middle]
+    weights["clipped"] = (torch.maximum(lost, clipping) > 0.5).to(middle)
+    factors_of: list[dict[str, float]] = [{} for _ in middle]
     for name, weight in weights.items():
         weight = weight * _area(middle)
         factors = ((middle * weight).sum((1, 2)) / weight.sum((1, 2))).exp().tolist()
-        for entry, factor in zip(found, factors, strict=True):
+        for entry, factor in zip(factors_of, factors, strict=True):
             entry |= {} if math.isnan(factor) else {name: factor}
-    return found
+    return factors_of
 
 
 def doubt(spread: Weibull) -> Tensor:
@@ -211,8 +211,8 @@ def _around(logs: Tensor, reach: int = 1) -> Tensor:
 
 def _views(photos: Tensor) -> Tensor:
     """Of photographs uint8 [T, 3, S, S]: the brightest channel, where that clips, contrast near a px; [T, 3, S, S]."""
-    shown = photos.float() / 255
-    bright, logs = shown.amax(1), (shown.mean(1) + 0.02).log()
+    display = photos.float() / 255
+    bright, logs = display.amax(1), (display.mean(1) + 0.02).log()
     steps = (logs[:, 1:, 1:] - logs[:, :-1, 1:]).abs() + (logs[:, 1:, 1:] - logs[:, 1:, :-1]).abs()
     steps = pad(steps, (1, 0, 1, 0)) * sphere_normals(photos.shape[-1], device=photos.device)[1]
     return torch.stack([bright, (bright > CLIPPED).to(bright), avg_pool2d(steps, 5, 1, 2)], 1)

@@ -31,9 +31,9 @@ def suns_of(maps: Tensor) -> Tensor:
 
 def _suns(light: Tensor) -> Tensor:
     bright = luminance(light)
-    found = torch.zeros(COUNT, NUMBERS)
+    numbers = torch.zeros(COUNT, NUMBERS)
     if not (bright > BRIGHT).any():
-        return found
+        return numbers
     height, width = bright.shape
     towards, area = directions(height, width), solid_angles(height, width)
     excess = light * (1 - BRIGHT / bright.clamp_min(BRIGHT)) * area
@@ -42,14 +42,14 @@ def _suns(light: Tensor) -> Tensor:
     suns = [_shape(weights * (regions == region), towards) for region in range(1, int(regions.max()) + 1)]
     small = sorted((sun for sun in suns if sun.spread <= WIDEST**2), key=lambda sun: -sun.light)[:COUNT]
     for number, sun in enumerate(small):
-        found[number, :3], found[number, 6] = sun.towards, sun.spread
-    lobes = _lobes(found[None], height, width)[0]
+        numbers[number, :3], numbers[number, 6] = sun.towards, sun.spread
+    lobes = _lobes(numbers[None], height, width)[0]
     covers = _covered(lobes) * area
     rest = torch.minimum(light, light * BRIGHT / bright.clamp_min(1e-9))
     level = torch.einsum("chw,shw->sc", rest, covers) / covers.sum((1, 2)).clamp_min(1e-12)[:, None]
     whole = torch.einsum("chw,shw->sc", light, covers) - level * covers.sum((1, 2))[:, None]
-    found[:, 3:6], found[:, 7:] = whole.clamp_min(0), level
-    return found
+    numbers[:, 3:6], numbers[:, 7:] = whole.clamp_min(0), level
+    return numbers
 
 
 class _Shape(NamedTuple):

@@ -172,8 +172,8 @@ class SvbrdfNonstationary(CodedApp):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
-        shown = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
-        return super().sample(replace(tasks, data=shown), rng, count) | drawn
+        visible = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
+        return super().sample(replace(tasks, data=visible), rng, count) | drawn
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """The same; of large pictures a random quarter of each is named, `quarter` [T], for the outer loss."""
@@ -250,8 +250,8 @@ class SvbrdfNonstationary(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
-        known = self.setup.encoder(reader, photos)
-        return known | {"z": known["z"] / self.field.gain, "flash": known["flash"] / self.field.gain}
+        parameters = self.setup.encoder(reader, photos)
+        return parameters | {"z": parameters["z"] / self.field.gain, "flash": parameters["flash"] / self.field.gain}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
@@ -294,14 +294,14 @@ class SvbrdfNonstationary(CodedApp):
         maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
         pairs = _pairs(JUDGED).to(target.diffuse)[None]
         logs, references = self._logs(maps, pairs), self._logs(target, pairs)
-        shown, target_shown = (expose((each.exp() - DARK).flatten(0, 1)) for each in (logs, references))
+        pictures, target_pictures = (expose((each.exp() - DARK).flatten(0, 1)) for each in (logs, references))
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
         photo = tasks.data["photo"][tasks.rows]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),
-            "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
+            "ssim": ssim(pictures, target_pictures).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
             "blots": _blots(parts["diffuse"], photo, _clipping(photo)),

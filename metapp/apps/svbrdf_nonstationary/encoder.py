@@ -94,27 +94,27 @@ class Encoder(NamedTuple):
         for level in reversed(range(self.levels - 1)):
             x = _block(encoder, f"up{level}", torch.cat([_twice(x), skips[level]], 1))
         code = _pointwise(encoder, "code", x)
-        known = {"deviation": _pointwise(encoder, "deviation", x)} if self.deviations else {}
+        deviation = {"deviation": _pointwise(encoder, "deviation", x)} if self.deviations else {}
         for level, skip in enumerate(finer):
             x = _block(encoder, f"finer{level}.up", torch.cat([_twice(x), skip], 1))
             larger = interpolate(code, scale_factor=2, mode="bilinear")
             code = larger + _pointwise(encoder, f"finer{level}.code", x)
-        return known | {"z": code, "flash": flash}
+        return deviation | {"z": code, "flash": flash}
 
     def _finer_down(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
         """The addition of the levels above BASE to that of BASE, and their features, the coarsest first."""
         count = min(len(self.finer), max(0, (photos.shape[-1] // BASE).bit_length() - 1))
-        x, found = None, []
+        x, features = None, []
         for level in reversed(range(count)):
             size = BASE << (level + 1)
-            known = inputs_of(adaptive_avg_pool2d(photos, size)).contiguous(memory_format=torch.channels_last)
+            inputs = inputs_of(adaptive_avg_pool2d(photos, size)).contiguous(memory_format=torch.channels_last)
             if level + 1 < len(self.finer):  # none above: as if these had nothing to tell
-                above = known.new_zeros(len(known), self.finer[level + 1], size, size)
-                known = torch.cat([known, above if x is None else avg_pool2d(x, 2)], 1)
-            x = _block(encoder, f"finer{level}.down", known)
-            found.append(x)
+                above = inputs.new_zeros(len(inputs), self.finer[level + 1], size, size)
+                inputs = torch.cat([inputs, above if x is None else avg_pool2d(x, 2)], 1)
+            x = _block(encoder, f"finer{level}.down", inputs)
+            features.append(x)
         added = None if x is None else _pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
-        return added, found[::-1]
+        return added, features[::-1]
 
 
 def _twice(x: Tensor) -> Tensor:

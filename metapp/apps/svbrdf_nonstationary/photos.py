@@ -34,10 +34,10 @@ def prepared(task: Task, size: tuple[int, int]) -> Batch:
     Raises:
         ValueError: one without the other, or another number of places.
     """
-    found = len(task.data["others"]) + 1 if "others" in task.data else 1
+    photos = len(task.data["others"]) + 1 if "others" in task.data else 1
     places = len(task.data["places"]) if "places" in task.data else 0
-    if places != found and (places or found > 1):
-        raise ValueError(f"{task.name}: {found} photos and {places} places, expected as many; convert it again.")
+    if places != photos and (places or photos > 1):
+        raise ValueError(f"{task.name}: {photos} photos and {places} places, expected as many; convert it again.")
     if not places:
         return {"others": torch.zeros(0, 3, *size), "places": torch.zeros(0, 2, 3)}
     others = task.data.get("others", torch.zeros(0, 3, *size, dtype=torch.uint8))
@@ -58,9 +58,9 @@ def first_flashes(maps: Maps, batch: Batch) -> Tensor:
     """
     places, photos = batch["places"], all_photos(batch)
     none = places.new_zeros(len(places), FLASH, places.shape[1])
-    shown = photographed(Maps(*(part.detach() for part in maps)), flashes_of(none, places))
+    radiance = photographed(Maps(*(part.detach() for part in maps)), flashes_of(none, places))
     whole = (photos < CLIPPED).to(photos)
-    gain = (photos * whole).sum((2, 3, 4)).clamp_min(1e-6) / (shown * whole).sum((2, 3, 4)).clamp_min(1e-6)
+    gain = (photos * whole).sum((2, 3, 4)).clamp_min(1e-6) / (radiance * whole).sum((2, 3, 4)).clamp_min(1e-6)
     return torch.cat([none[:, :-1], gain.log()[:, None] / BRIGHT], 1)
 
 
@@ -70,5 +70,5 @@ def drawn_photos(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tens
     true, measured = (each[:, :, None].expand(-1, -1, 2, -1) for each in (places, places + off))
     brighter = BRIGHTER / BRIGHT * normal(rng, len(maps), 1, count)
     flash = torch.cat([brighter.new_zeros(len(maps), FLASH - 1, count), brighter], 1)
-    shown = linear_to_srgb(photographed(unpack(maps), flashes_of(flash, true)).clamp(0, 1))
-    return srgb_to_linear((shown * 255).round() / 255), measured
+    display = linear_to_srgb(photographed(unpack(maps), flashes_of(flash, true)).clamp(0, 1))
+    return srgb_to_linear((display * 255).round() / 255), measured

@@ -51,11 +51,11 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
         photo = photo_of(task, LARGEST)
-        shown = {"fit": sheet(self.app.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
+        sheets = {"fit": sheet(self.app.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
         if "maps" in task.data:
             target = unpack(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
-            shown = {"reference": sheet(target, photo)} | shown
-        return shown
+            sheets = {"reference": sheet(target, photo)} | sheets
+        return sheets
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -108,11 +108,11 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
 
 def placed(app: SvbrdfNonstationary, theta: Params, task: Task) -> list[Flash]:
     """The flash of each photograph that the fit saw, without task axis, as the fit places it."""
-    known = app.field.gain * theta["flash"][None]
+    description = app.field.gain * theta["flash"][None]
     if "places" not in task.data or app.protocol != "photo":
-        flash = flash_of(known)
+        flash = flash_of(description)
         return [Flash(flash.place[0], flash.gain[0], flash.eye)]
-    flash = flashes_of(known, task.data["places"][None].float())
+    flash = flashes_of(description, task.data["places"][None].float())
     return [Flash(*(part[0, number] for part in flash)) for number in range(flash.place.shape[1])]
 
 

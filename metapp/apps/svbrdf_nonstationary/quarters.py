@@ -38,10 +38,10 @@ def in_quarters(field: LocalField, theta: Params, batch: Batch) -> tuple[Maps, P
     `place` [T, 2, H / 2, W / 2] says where the texels are, as `metapp.appearance.flash.positions`. The field has a code
     for each texel.
     """
-    which, known = batch["quarter"], inputs_of(batch["photo"])
+    which, inputs = batch["quarter"], inputs_of(batch["photo"])
     theta = theta | {key: quarter_of(theta[key], which) for key in ("z", "deviation") if key in theta}
     batch = batch | {key: quarter_of(batch[key], which) for key in ("photo", "others", "maps") if key in batch}
-    known = quarter_of(known, which)
-    height, width = known.shape[-2:]
+    inputs = quarter_of(inputs, which)
+    height, width = inputs.shape[-2:]
     part = field._replace(height=height, width=width, rows=height, columns=width)
-    return decoded(part(theta, known)), theta, batch | {"place": known[:, -2:]}
+    return decoded(part(theta, inputs)), theta, batch | {"place": inputs[:, -2:]}

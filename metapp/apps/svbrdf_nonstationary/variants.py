@@ -45,9 +45,9 @@ def photographs(maps: Tensor, rng: Generator) -> Tensor:
     stops = STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / BRIGHT]) * stops
     tint = torch.exp(TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED))
-    shown = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash))).clamp(0, 1))
-    noise = torch.randn(shown.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
-    return srgb_to_linear(((shown + noise).clamp(0, 1) * 255).round() / 255)
+    display = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash))).clamp(0, 1))
+    noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
+    return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
 
 
 def _draws(count: int, rng: Generator) -> tuple[Draw, Draw]:

@@ -207,9 +207,9 @@ class SvbrdfStationary(ExemplarApp):
         pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
         windows = batch["windows"].tolist()
         grams, spectra = [], []
-        for each in self.features(pictures.flatten(0, 1), self.octave(batch)):
-            grams.append(_grams_of_tasks(each.unflatten(0, leading), windows))
-            spectra.append(amplitudes(each).unflatten(0, leading))
+        for maps in self.features(pictures.flatten(0, 1), self.octave(batch)):
+            grams.append(_grams_of_tasks(maps.unflatten(0, leading), windows))
+            spectra.append(amplitudes(maps).unflatten(0, leading))
         taps = range(len(grams))
         return {
             "gram": distance(grams, [batch[f"gram{i}"][:, None] for i in taps]).mean((1, 2)),
@@ -234,8 +234,8 @@ class SvbrdfStationary(ExemplarApp):
         """
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
         light = tasks.data["light"][tasks.rows][:, None]
-        shown = self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
-        distances = self._distances_of(shown, {"windows": every} | self._targets(tasks, every))
+        pictures = self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
+        distances = self._distances_of(pictures, {"windows": every} | self._targets(tasks, every))
         errors = {
             "error": distances["gram"],
             "spectrum": distances["spectrum"] / SPECTRUM,
@@ -271,8 +271,8 @@ class SvbrdfStationary(ExemplarApp):
                 [_grams(part, range(GRID * GRID)) for part in self.features(images, 0)]
                 for images in (pictures.flatten(0, 1), target)
             ]
-            own = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
-            errors.append(distance(own, [part[:, None] for part in grams[1]]).mean((1, 2)))
+            made = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
+            errors.append(distance(made, [part[:, None] for part in grams[1]]).mean((1, 2)))
         return torch.stack(errors).mean(0)
 
 
@@ -297,16 +297,16 @@ def _logit(share: Tensor, eps: float) -> Tensor:
 def _chroma(photos: Tensor) -> Tensor:
     """Standard deviations [B, 2] of red less green and of yellow less blue, of photos [B, 3, H, W]."""
     red, green, blue = photos.unbind(1)
-    each = torch.stack([red - green, (red + green) / 2 - blue], 1)
-    return (each.var((2, 3)) + 1e-6).sqrt()
+    opponents = torch.stack([red - green, (red + green) / 2 - blue], 1)
+    return (opponents.var((2, 3)) + 1e-6).sqrt()
 
 
 def _shine(photos: Tensor, light: Tensor) -> Tensor:
     """The highlight's confidence in the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
-    found = gloss(avg_pool2d(photos, 2), light)
+    highlight = gloss(avg_pool2d(photos, 2), light)
     low, high = EVIDENT
-    sure = ((found.contrast - low) / (high - low)).clamp(0, 1) * (found.roughness < NARROW)
-    made = _raw_specular(found.specular.clamp(0.01, 0.5)), _raw_roughness(found.roughness.clamp(0.12, 0.98))
+    sure = ((highlight.contrast - low) / (high - low)).clamp(0, 1) * (highlight.roughness < NARROW)
+    made = _raw_specular(highlight.specular.clamp(0.01, 0.5)), _raw_roughness(highlight.roughness.clamp(0.12, 0.98))
     return torch.stack([sure, *made], 1)
 
 
@@ -346,8 +346,8 @@ def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
     height, width = (size // 2 for size in maps.shape[-2:])
     weights = hann(height, maps)[:, None] * hann(width, maps)
     root = (weights / weights.mean()).sqrt()
-    each = []
+    grams = []
     for window in windows:
         top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
-        each.append(gram(maps[..., top : top + height, left : left + width] * root))
-    return torch.stack(each, 1)
+        grams.append(gram(maps[..., top : top + height, left : left + width] * root))
+    return torch.stack(grams, 1)

@@ -28,8 +28,8 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         maps, height = self._maps(theta, self.once())
         fit = self.app.photograph(maps, light[0], light[0])
         pictures = {name: picture.pixels for name, picture in self._pictures(maps, height).items()}
-        shown = {"reference": photo[0], "fit": fit} | pictures | {"height": stretched(pictures["height"])[0]}
-        return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
+        displayed = {"reference": photo[0], "fit": fit} | pictures | {"height": stretched(pictures["height"])[0]}
+        return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in displayed.items()}
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""

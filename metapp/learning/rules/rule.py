@@ -156,8 +156,8 @@ def _expanded(name: str, whole: str) -> set[str]:
         return {name}
     inner = (_compositions(True) | _compositions(False)).get(name) if "+" not in name else name
     if inner is None:
-        known = ", ".join((*rule_names(), *composition_names()))
-        raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, joined by +: {known}.")
+        expected = ", ".join((*rule_names(), *composition_names()))
+        raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, joined by +: {expected}.")
     return {part for each in inner.split("+") for part in _expanded(each, whole)}
 
 
