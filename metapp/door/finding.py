@@ -23,7 +23,7 @@ class Extension(NamedTuple):
     Attributes:
         name: of its entry point.
         package: the distribution that it is installed with.
-        offers: records of `metapp.door.kinds`; () where the module cannot be imported.
+        offers: records of this package; () where the module cannot be imported.
         problem: why not, in one line; "" where it can.
     """
 
