@@ -23,7 +23,7 @@ OFFERS = (
     ),
     door.Baselines(
         "svbrdf_nonstationary",
-        ("jpeg", "png", "nearest", "flat", "predicted"),
+        ("jpeg", "nearest", "flat", "predicted"),
         f"{_HERE}.svbrdf_nonstationary:baselines",
     ),
     door.Baselines("svbrdf_stationary", ("nearest", "quilting"), f"{_HERE}.svbrdf_stationary:baselines"),

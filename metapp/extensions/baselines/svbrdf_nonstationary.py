@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 import OpenImageIO as oiio
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
+from torch.nn.functional import normalize
 
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
@@ -28,43 +27,32 @@ from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
 GAMMA = 2.2  # colours in files, as the eye spaces them
-SMALLEST = 4  # px of a side
 ROUGHNESS, F0 = 0.5, 0.04  # of what a photo says nothing of: the middle, and that of most dielectrics
 
 
 def jpeg(picture: np.ndarray, quality: int) -> bytes:
     """A JPEG of a picture [H, W, 1 or 3] in [0, 1], quality 1 to 100, colours as fine as brightness."""
-    settings = {"Compression": f"jpeg:{quality}", "jpeg:subsampling": "4:4:4"}
-    return _encoded(picture, ".jpg", "uint8", settings)
-
-
-def png(picture: np.ndarray, bits: int) -> bytes:
-    """A PNG of a picture [H, W, 1 or 3] in [0, 1], of 8 or 16 bits, compressed as far as it goes."""
-    return _encoded(picture, ".png", f"uint{bits}", {"png:compressionLevel": 9, "png:filter": 0xF8})
-
-
-def decoded(file: bytes, suffix: str) -> np.ndarray:
-    """The picture [H, W, 1 or 3] of a file, in [0, 1]."""
+    spec = oiio.ImageSpec(picture.shape[1], picture.shape[0], picture.shape[2], "uint8")
+    spec.attribute("Compression", f"jpeg:{quality}")
+    spec.attribute("jpeg:subsampling", "4:4:4")
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"picture{suffix}")
+        path = Path(folder, "picture.jpg")
+        output = oiio.ImageOutput.create(str(path))
+        assert output is not None
+        done = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(picture, np.float32))
+        if not (output.close() and done):
+            raise OSError(f"a picture as JPEG: {output.geterror()}")
+        return path.read_bytes()
+
+
+def decoded(file: bytes) -> np.ndarray:
+    """The picture [H, W, 1 or 3] of a JPEG, in [0, 1]."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "picture.jpg")
         path.write_bytes(file)
         pixels = oiio.ImageBuf(str(path)).get_pixels("float")
     assert pixels is not None
     return pixels
-
-
-def _encoded(picture: np.ndarray, suffix: str, kind: str, settings: Mapping[str, str | int]) -> bytes:
-    spec = oiio.ImageSpec(picture.shape[1], picture.shape[0], picture.shape[2], kind)
-    for key, value in settings.items():
-        spec.attribute(key, value)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"picture{suffix}")
-        output = oiio.ImageOutput.create(str(path))
-        assert output is not None, suffix
-        done = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(picture, np.float32))
-        if not (output.close() and done):
-            raise OSError(f"a picture as {suffix}: {output.geterror()}")
-        return path.read_bytes()
 
 
 class Sheets(NamedTuple):
@@ -72,13 +60,6 @@ class Sheets(NamedTuple):
 
     colours: np.ndarray
     shapes: np.ndarray
-
-
-class PngSetting(NamedTuple):
-    """Texels of a side, and bits a channel, of a PNG."""
-
-    side: int
-    bits: int
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
@@ -104,15 +85,8 @@ def baselines(app: App) -> tuple[Baseline, ...]:
                 stored="predicted",
             ),
         )
-    cannot = "read maps from a photo"
-
-    def as_jpeg(tasks: Tasks, rung: int) -> BaselineFit:
-        return _kept([jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))], ".jpg", lambda maps: maps)
-
-    return (
-        within_size("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, as_jpeg),
-        within_size("png", "PNGs of the maps, of fewer bits, then texels, until they fit", cannot, _count, _png),
-    )
+    title = "JPEGs of the maps, of the quality that fits"
+    return (within_size("jpeg", title, "read maps from a photo", lambda _: 100, _as_jpeg),)
 
 
 def sheets(maps: Maps) -> Sheets:
@@ -132,41 +106,9 @@ def maps_of(pictures: Sheets) -> Maps:
     return Maps(diffuse, specular, roughness, normalize(torch.cat([x, y, z], 1), dim=1))
 
 
-def _maps(tasks: Tasks) -> Maps:
-    return unpack(tasks.data["maps"][tasks.rows])
-
-
-def _kept(files: Sequence[bytes], suffix: str, after: Callable[[Maps], Maps]) -> BaselineFit:
-    """Both files, and what their maps go through."""
-
-    def answer() -> Maps:
-        return after(maps_of(Sheets(*(decoded(file, suffix) for file in files))))
-
-    return BaselineFit(answer, None, sum(map(len, files)))
-
-
-def _settings(side: int) -> list[PngSetting]:
-    """Those of PNGs of maps of so many texels a side: more texels, then more bits."""
-    sides = {round(side * 2 ** (-i / 4)) for i in range(64)}
-    return [*(PngSetting(fewer, 8) for fewer in sorted(sides) if fewer >= SMALLEST), PngSetting(side, 16)]
-
-
-def _count(tasks: Tasks) -> int:
-    return len(_settings(_maps(tasks).diffuse.shape[-1]))
-
-
-def _png(tasks: Tasks, rung: int) -> BaselineFit:
-    maps = _maps(tasks)
-    full = maps.diffuse.shape[-1]
-    side, bits = _settings(full)[rung]
-    small = Maps(*(adaptive_avg_pool2d(part, side) for part in maps))
-    return _kept([png(sheet, bits) for sheet in sheets(small)], ".png", lambda maps: _enlarged(maps, full))
-
-
-def _enlarged(maps: Maps, side: int) -> Maps:
-    """Maps of so many texels a side; normals of unit length."""
-    wide = Maps(*(interpolate(part, size=(side, side), mode="bilinear") for part in maps))
-    return wide._replace(normal=normalize(wide.normal, dim=1))
+def _as_jpeg(tasks: Tasks, rung: int) -> BaselineFit:
+    files = [jpeg(sheet, rung + 1) for sheet in sheets(unpack(tasks.data["maps"][tasks.rows]))]
+    return BaselineFit(lambda: maps_of(Sheets(*map(decoded, files))), None, sum(map(len, files)))
 
 
 def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
