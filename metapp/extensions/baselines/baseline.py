@@ -6,7 +6,7 @@ import bisect
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Generator, Tensor
@@ -79,7 +79,7 @@ class BaselineFit(NamedTuple):
         picture: what it looks like beside the application's fits, linear RGB [H, W, 3], where it is a picture.
     """
 
-    answer: Callable[[], Any]
+    answer: Callable[[], object]
     numbers: int | None
     size: int
     reached: bool = True
@@ -100,7 +100,7 @@ class PreparedBaseline(NamedTuple):
 
     fit: FitTask
     shared: int | None = 0
-    chosen: dict[str, Any] = {}  # noqa: RUF012  (never written to)
+    chosen: dict[str, object] = {}  # noqa: RUF012  (never written to)
 
 
 class Baseline(NamedTuple):
@@ -127,7 +127,7 @@ class Baseline(NamedTuple):
 class DrawsAnswers(Protocol):
     """A presentation that writes what methods without a network answer, too."""
 
-    def files_of(self, answer: Any, task: Task) -> dict[str, Picture]:
+    def files_of(self, answer: object, task: Task) -> dict[str, Picture]:
         """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""
 
 
@@ -153,7 +153,7 @@ def within_size(
 
 def nearest(
     of: Callable[[Tasks, Generator, Allowed], Tensor],
-    answer: Callable[[int], Any],
+    answer: Callable[[int], object],
     picture: Callable[[int], Tensor] | None = None,
 ) -> FitTask:
     """The training task that is least far from a task.
@@ -172,7 +172,7 @@ def nearest(
 
 
 def nearest_photo(
-    training: Training, holding: str, answer: Callable[[Tensor], Any], scaled: Callable[[Tensor], Tensor]
+    training: Training, holding: str, answer: Callable[[Tensor], object], scaled: Callable[[Tensor], Tensor]
 ) -> PreparedBaseline:
     """The training task whose photograph is nearest, by the mean absolute difference of scaled values.
 
@@ -191,7 +191,7 @@ def nearest_photo(
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
         return (photos - scaled(tasks.data["photo"][tasks.rows])).abs().mean((1, 2, 3))
 
-    def answer_of(index: int) -> Any:
+    def answer_of(index: int) -> object:
         return answer(app.prepare(tasks_kept[index])[holding][None])
 
     return PreparedBaseline(nearest(distances, answer_of), size)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from threadpoolctl import threadpool_limits
@@ -43,7 +43,7 @@ class Judged(NamedTuple):
 
     record: Record
     kept: Params | None
-    answer: Any
+    answer: object
 
 
 def training_folder(plan: Plan) -> Path | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from metapp.apps import presentation_of
 from metapp.extensions.baselines import baselines_of
@@ -15,6 +15,7 @@ from metapp.runs.outputs.files import OUTPUTS, write_pictures
 from metapp.runs.reporter import progress
 from metapp.runs.requests.options import name_parts
 from metapp.runs.requests.plan import Plan
+from metapp.storage import Document
 from metapp.storage.records import Record, RunFolder, file_name
 from metapp.storage.text import meant
 
@@ -36,7 +37,7 @@ class BaselineRun(NamedTuple):
     records: list[Record]
     made: Path | None
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Document:
         """As one JSON object."""
         return {"method": self.method, "out": str(self.folder), "cannot": self.cannot, "tasks": self.records}
 

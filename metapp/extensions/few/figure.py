@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
 from torch import Tensor
 
 from metapp.evaluation.style import COLOURS, INK, MUTED, STYLE, Drawn
@@ -30,7 +31,8 @@ def directions(wi: Tensor, wo: Tensor, before: tuple[Tensor, Tensor], maps: tupl
             width_ratios=[1.7, 1],
             per_subplot_kw={"pairs": {"projection": "polar"}},
         )
-        axis: Any = places["pairs"]
+        axis = places["pairs"]
+        assert isinstance(axis, PolarAxes)
         _errors(figure, [places["before"], places["after"]], maps)
         axis.set_rlim(0, 90)
         axis.set_rticks([30, 60, 90], ["30", "60", "90 degrees"])
@@ -50,7 +52,7 @@ def directions(wi: Tensor, wo: Tensor, before: tuple[Tensor, Tensor], maps: tupl
     )
 
 
-def _errors(figure: Figure, axes: list[Any], maps: tuple[Tensor, Tensor]) -> None:
+def _errors(figure: Figure, axes: list[Axes], maps: tuple[Tensor, Tensor]) -> None:
     """Two pictures with one scale, logarithmic."""
     high = float(maps[0].nan_to_num().max())
     scale = LogNorm(high / 3000, high)
@@ -65,7 +67,7 @@ def _errors(figure: Figure, axes: list[Any], maps: tuple[Tensor, Tensor]) -> Non
     figure.colorbar(shown, ax=axes, shrink=0.8)
 
 
-def _pair(axis: Any, light: Tensor, detector: Tensor, colour: str, number: str) -> None:
+def _pair(axis: Axes, light: Tensor, detector: Tensor, colour: str, number: str) -> None:
     places = [(math.atan2(float(y), float(x)), math.degrees(math.acos(min(1.0, float(z))))) for x, y, z in
               (light.tolist(), detector.tolist())]  # fmt: skip
     (a, r), (b, s) = places

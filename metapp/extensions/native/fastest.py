@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_unflatten
+from torch.utils._pytree import TreeSpec, tree_flatten, tree_unflatten
 
 from metapp.extensions.native import in_c
 from metapp.learning.adjoint import (
@@ -23,7 +23,7 @@ from metapp.learning.adjoint import (
     UpdateRule,
     steps_by_torch,
 )
-from metapp.learning.task import Params
+from metapp.learning.task import Batch, Params
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Fastest(Engine):
         """Steps in C, else by torch."""
         return in_c.stepper(rule, loss, theta, order) or self.by_torch.stepper(rule, loss, theta, order)
 
-    def value(self, loss: Loss, theta: Params, batch: Any) -> Tensor:
+    def value(self, loss: Loss, theta: Params, batch: Batch) -> Tensor:
         """A loss [T] in C, else by torch; differentiable once in theta."""
         losses = in_c.value(loss, theta, batch)
         return self.by_torch.value(loss, theta, batch) if losses is None else losses
@@ -80,12 +80,15 @@ def _compiled(rule_step: RuleStep, loss: Loss, order: int) -> tuple[_Program, _P
     return _Program(step), _Program(step_vjp)
 
 
+Compilation = tuple[Callable[..., Sequence[Tensor]], TreeSpec]  # flat tensors -> flat tensors, and their tree
+
+
 class _Program:
     """Trace a function of flat trees that calls autograd, for the shapes of its first call, and compile the trace."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., object]) -> None:
         self.function = function
-        self.programs: dict[tuple[Any, ...], tuple[Callable[..., Any], Any]] = {}
+        self.programs: dict[tuple[object, ...], Compilation] = {}
 
     def __call__(self, *trees: Params) -> Any:
         # contiguous, as the trace assumes: the key here stands for all that torch would check again at every call
@@ -97,10 +100,10 @@ class _Program:
         with torch.no_grad():
             return tree_unflatten(list(program(*leaves)), spec)
 
-    def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> tuple[Callable[..., Any], Any]:
+    def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> Compilation:
         from torch.fx.experimental.proxy_tensor import make_fx
 
-        spec: Any = None
+        spec: TreeSpec
 
         def flat(*leaves: Tensor) -> list[Tensor]:
             nonlocal spec
@@ -110,10 +113,10 @@ class _Program:
             return outputs
 
         flat(*leaves)  # fills caches, whose making a trace would take for a part of every step
-        table: dict[Any, Callable[..., Any]] = {torch.ops.aten.bmm.default: _narrow_bmm}
+        table = {torch.ops.aten.bmm.default: _narrow_bmm}
         program = make_fx(flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
-        options: Any = {"guard_filter_fn": torch.compiler.skip_all_guards_unsafe}
-        return torch.compile(program, options=options), spec
+        unguarded = torch.compiler.skip_all_guards_unsafe
+        return torch.compile(program, options={"guard_filter_fn": unguarded}), spec
 
 
 def _narrow_bmm(left: Tensor, right: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from metapp import door
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.packing import Layout, packed
 from metapp.learning.adjoint import Loss, Stepper, UpdateRule, loss_parameters
-from metapp.learning.task import Params
+from metapp.learning.task import Batch, Params
 
 WIDEST, MOST = 64, 4096  # as in step.c: rows and columns of a parameter, weights of a task
 
@@ -56,8 +56,8 @@ class LossInC(NamedTuple):
     """
 
     names: tuple[str, ...]
-    gradient: Callable[[Tensor, Any, Params], tuple[Tensor, Tensor]]
-    product: Callable[[Tensor, Any, Params, Tensor], tuple[Tensor, Params]]
+    gradient: Callable[[Tensor, Batch, Params], tuple[Tensor, Tensor]]
+    product: Callable[[Tensor, Batch, Params, Tensor], tuple[Tensor, Params]]
 
 
 # An application's method, which one that overrides it is not; and theta -> the same loss in C for parameters of these
@@ -78,7 +78,7 @@ def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
     return kernel(theta) if _library() is not None else None
 
 
-def _kernel(function: Callable[..., Any]) -> Callable[[Params], LossInC | None] | None:
+def _kernel(function: Callable[..., object]) -> Callable[[Params], LossInC | None] | None:
     name = f"{getattr(function, '__module__', '')}:{getattr(function, '__qualname__', '')}"
     if name not in KERNELS or door.load(name) is not function:
         return None
@@ -107,7 +107,7 @@ def stepper(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Stepper 
     )
 
 
-def value(loss: Loss, theta: Params, batch: Any) -> Tensor | None:
+def value(loss: Loss, theta: Params, batch: Batch) -> Tensor | None:
     """A loss [T] in C, differentiable once in theta; None where it has no such form."""
     in_c = loss_in_c(loss, theta)
     if in_c is None:
@@ -120,13 +120,13 @@ class _Value(torch.autograd.Function):
     """A loss in C, whose gradient comes with it."""
 
     @staticmethod
-    def forward(ctx: Any, loss: LossInC, theta: Tensor, batch: Any) -> Tensor:
+    def forward(ctx: Any, loss: LossInC, theta: Tensor, batch: Batch) -> Tensor:
         ctx.gradient, losses = loss.gradient(theta.detach(), batch, {})
         return losses
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, pull: Tensor) -> tuple[Any, ...]:
+    def backward(ctx: Any, pull: Tensor) -> tuple[None, Tensor, None]:
         return None, pull[:, None] * ctx.gradient, None
 
 
@@ -159,23 +159,30 @@ def _no_state(theta: Params) -> Params:
     return {}
 
 
+Needed = tuple[Batch | None, Tensor]  # the batch, of order 2 alone, and the gradient
+
+
 class _Step:
     """Forward and backward of one step in C."""
 
     def __init__(self, layout: Layout, loss: LossInC, order: int) -> None:
         self.loss, self.order = loss, order
-        self.functions: Any = _library()
+        library = _library()
+        assert library is not None, "a loss in C is offered with the library alone"
+        self.functions = library
         pairs = [
             (*_matrix(shape), shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, math.prod(shape), False, False)
             for _, shape in layout.shapes
         ]
         self.shapes = sum(layout.sizes), len(pairs), (_Shape * len(pairs))(*(_Shape(*pair) for pair in pairs))
 
-    def needed(self, batch: Any, grads: Tensor) -> Any:
+    def needed(self, batch: Batch, grads: Tensor) -> Needed:
         """The gradient, which is small, and for its derivative the batch."""
         return (batch if self.order == 2 else None, grads)
 
-    def forward(self, alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Tensor]:
+    def forward(
+        self, alpha: Params, theta: Params, state: Params, batch: Batch
+    ) -> tuple[Params, Params, Tensor, Tensor]:
         flat = theta["theta"].contiguous()
         grads, losses = self.loss.gradient(flat, batch, loss_parameters(alpha))
         moved, after = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
@@ -187,7 +194,7 @@ class _Step:
         return {"theta": moved}, after, losses, grads
 
     def backward(
-        self, alpha: Params, theta: Params, state: Params, needed: Any, pull_theta: Params, pull_state: Params
+        self, alpha: Params, theta: Params, state: Params, needed: Needed, pull_theta: Params, pull_state: Params
     ) -> tuple[Params, Params, Params]:
         batch, grads = needed
         pull, tree = pull_theta["theta"], _alpha(alpha)
@@ -199,7 +206,7 @@ class _Step:
             _state(state), pull.data_ptr(), _state(pull_state), by_grads.data_ptr(), _state(by_state),
             _reference(_Pulled, pulled),
         )  # fmt: skip
-        if self.order == 2:
+        if batch is not None:
             learned = loss_parameters(alpha)
             product, by_learned = self.loss.product(theta["theta"].contiguous(), batch, learned, by_grads)
             pull = pull + product
@@ -208,12 +215,12 @@ class _Step:
         return {"theta": pull}, by_state, by_alpha
 
 
-def _state(state: Params) -> Any:
+def _state(state: Params) -> object:
     """Where the moments and the products lie; nowhere without an Adam."""
     return _reference(_State, state)
 
 
-def _reference(kind: type[ctypes.Structure], tensors: Params) -> Any:
+def _reference(kind: type[ctypes.Structure], tensors: Params) -> object:
     """A structure of pointers to dense tensors, null where there is none of that name."""
     return ctypes.byref(kind(**{key: value.data_ptr() for key, value in tensors.items()}))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import functools
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,11 +23,11 @@ def loss(theta: Params) -> LossInC | None:
 
 
 @functools.cache
-def _library() -> Any:
+def _library() -> ctypes.CDLL | None:
     library = load(Path(__file__).with_name("nbrdf.c"))
     if library is not None:
         count, pointer = ctypes.c_int, ctypes.c_void_p
-        read: list[Any] = [count, count, pointer, pointer, pointer, *[pointer, count] * 2]
+        read = (count, count, pointer, pointer, pointer, pointer, count, pointer, count)
         library.nbrdf_gradient.argtypes = [*read, *[pointer] * 2]
         library.nbrdf_product.argtypes = [*read, *[pointer] * 4]
     return library
@@ -37,8 +36,9 @@ def _library() -> Any:
 def gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
     """Gradient [T, 675] and loss [T]."""
     result, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
-    dense = _dense(theta, batch)
-    _library().nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
+    dense, library = _dense(theta, batch), _library()
+    assert library is not None
+    library.nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
     return result, losses
 
 
@@ -47,7 +47,9 @@ def product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tupl
     dense, result, along = _dense(theta, batch), torch.empty_like(theta), along.contiguous()
     pulled = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
     pulls = [pulled[key].data_ptr() if key in pulled else None for key in ("smoothing", "weights")]
-    _library().nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
+    library = _library()
+    assert library is not None
+    library.nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
     return result, pulled
 
 

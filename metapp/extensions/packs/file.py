@@ -6,14 +6,13 @@ planes. No part of it is run or unpickled.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import lzma
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,7 +28,6 @@ BITS = (2, 16)  # of a whole number, at least and at most
 LARGEST = 1 << 30  # bytes of planes that a file may hold
 LARGEST_HEADER = 1 << 24  # bytes; 100,000 fits take less
 MEMORY = 1 << 27  # bytes that a decoder may take: twice what the preset's takes
-BLOCK = 1 << 20  # bytes that are unfolded at once
 PARTS = {"name": str, "shape": [int], "step": float, "planes": int}
 FORM = {"schema": int, "tasks": [str], "tensors": [PARTS], "about": dict}
 
@@ -110,20 +108,6 @@ def write_pack(path: Path, pack: Pack) -> int:
 _PRESET = 9 | lzma.PRESET_EXTREME
 
 
-@contextlib.contextmanager
-def opened_pack(path: Path) -> Iterator[PackFile]:
-    """A pack whose header is read and checked.
-
-    Raises:
-        ValueError: there is no such file, or it is damaged, cut off, of a later version, or no pack.
-    """
-    check_readable(path)
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file, expected one that metapp pack wrote.")
-    with path.open("rb") as file:
-        yield PackFile(path, file)
-
-
 class PackFile:
     """A pack whose header is read and whose planes are not, so that they can be refused before they are unfolded.
 
@@ -133,10 +117,21 @@ class PackFile:
         shapes: that the tensors of a fit are to have, by name.
     """
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._stream = path, _Unfolding(path, file)
-        length = int.from_bytes(self._stream.take(4), "little")
-        head = _header(path, bytes(self._stream.take(min(length, LARGEST_HEADER))))
+    def __init__(self, path: Path) -> None:
+        """Read and check the header.
+
+        Raises:
+            ValueError: there is no such file, or it is damaged, cut off, of a later version, or no pack.
+        """
+        check_readable(path)
+        if not path.is_file():
+            raise ValueError(f"{path}: no such file, expected one that metapp pack wrote.")
+        if path.stat().st_size > LARGEST + LARGEST_HEADER:
+            raise ValueError(_DAMAGED.format(path))
+        self._path, self._content = path, path.read_bytes()
+        self._decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MEMORY)
+        length = int.from_bytes(self._take(4), "little")
+        head = _header(path, self._take(min(length, LARGEST_HEADER)))
         self.tasks: list[str] = head["tasks"]
         self.about: Document = head["about"]
         self._parts = head["tensors"]
@@ -152,54 +147,32 @@ class PackFile:
         size = sum(map(math.prod, places))
         if size > LARGEST:
             raise ValueError(f"{self._path}: {size:,} bytes of fits, expected at most {LARGEST:,}; pack fewer fits.")
-        whole, at, tensors = np.frombuffer(self._stream.take(size), np.uint8), 0, {}
-        self._stream.end()
+        whole, at, tensors = np.frombuffer(self._take(size), np.uint8), 0, {}
+        if self._unfold(1) or not self._decoder.eof or self._decoder.unused_data:  # the check of SHA-256 comes last
+            raise ValueError(_DAMAGED.format(self._path))
         for part, shape in zip(self._parts, places, strict=True):
             planes = whole[at : at + math.prod(shape)].reshape(shape)
             tensors[part["name"]] = Steps(planes, self.shapes[part["name"]], part["step"])
             at += planes.size
         return Pack(self.tasks, tensors, self.about)
 
-
-class _Unfolding:
-    """The content of an XZ file, as far as it is asked for.
-
-    Raises:
-        ValueError: it is damaged or ends before.
-    """
-
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._file = path, file
-        self._decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MEMORY)
-
-    def take(self, count: int) -> bytearray:
+    def _take(self, count: int) -> bytes:
         """The next bytes."""
-        taken, at = bytearray(count), 0
-        while at < count:
-            block = self._next(min(count - at, BLOCK))
-            taken[at : at + len(block)] = block
-            at += len(block)
-        return taken
+        parts = []
+        while count:
+            parts.append(self._unfold(count))
+            if not parts[-1]:
+                raise ValueError(_DAMAGED.format(self._path))
+            count -= len(parts[-1])
+        return b"".join(parts)
 
-    def end(self) -> None:
-        """Check that nothing follows, and the content against its digest."""
-        while not self._decoder.eof:
-            if self._next(1):
-                raise self._damaged()
-        if self._decoder.unused_data or self._file.read(1):
-            raise self._damaged()
-
-    def _next(self, most: int) -> bytes:
-        more = self._file.read(BLOCK) if self._decoder.needs_input else b""
-        if self._decoder.needs_input and not more:
-            raise self._damaged()
+    def _unfold(self, most: int) -> bytes:
+        """Some more bytes, as long as there are any."""
+        content, self._content = self._content, b""
         try:
-            return self._decoder.decompress(more, most)
+            return b"" if self._decoder.eof else self._decoder.decompress(content, most)
         except (lzma.LZMAError, EOFError):
-            raise self._damaged() from None
-
-    def _damaged(self) -> ValueError:
-        return ValueError(_DAMAGED.format(self._path))
+            raise ValueError(_DAMAGED.format(self._path)) from None
 
 
 _DAMAGED = "{}: damaged or cut off, expected a whole file that metapp pack wrote; pack the fits again."
@@ -220,7 +193,7 @@ def _header(path: Path, text: bytes) -> Document:
     return head
 
 
-def _is_good(part: dict[str, Any]) -> bool:
-    """Whether a tensor can be one: of few axes, so that its size is soon known."""
+def _is_good(part: Document) -> bool:
+    """Test for a tensor that can be one: of few axes, so that its size is soon known."""
     shape = part["shape"]
     return 1 <= part["planes"] <= 2 and part["step"] >= 0 and len(shape) < 16 and all(0 < n <= LARGEST for n in shape)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import torch
 
-from metapp.extensions.packs.file import BITS, Pack, Steps, in_steps, opened_pack, write_pack
+from metapp.extensions.packs.file import BITS, Pack, PackFile, Steps, in_steps, write_pack
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
@@ -138,14 +138,14 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
     Raises:
         ValueError: a damaged file, tensors that are not of the network, or another checkpoint than that of the fits.
     """
-    with opened_pack(file) as packed:
-        names, about = packed.tasks, packed.about
-        if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
-            raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
-        settings, records = about["settings"], about["records"]
-        plan = _plan_of(settings, str(file), checkpoint)
-        _require_network(file, plan.app, packed.shapes)
-        steps = packed.read().tensors
+    packed = PackFile(file)
+    names, about = packed.tasks, packed.about
+    if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
+        raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
+    settings, records = about["settings"], about["records"]
+    plan = _plan_of(settings, str(file), checkpoint)
+    _require_network(file, plan.app, packed.shapes)
+    steps = packed.read().tensors
     base = shared_with(plan.prepared, packed.shapes)
     _require_finite(file, plan.app, steps, base)
     folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})

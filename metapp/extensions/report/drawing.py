@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -53,8 +53,16 @@ def plane(subject: Subject) -> Drawn | None:
     for row in others:
         axis.plot(row["seconds"], row["error"], BESIDE, color=MUTED, markersize=5)
         # turned, so that names of neighbours part
-        look: dict[str, Any] = {"fontsize": 6, "color": MUTED, "rotation": 40, "rotation_mode": "anchor"}
-        axis.annotate(row["paradigm"], (row["seconds"], row["error"]), (2, 3), textcoords="offset points", **look)
+        axis.annotate(
+            row["paradigm"],
+            (row["seconds"], row["error"]),
+            (2, 3),
+            textcoords="offset points",
+            fontsize=6,
+            color=MUTED,
+            rotation=40,
+            rotation_mode="anchor",
+        )
     axis.set_xscale("log")
     axis.invert_xaxis()
     axis.invert_yaxis()
@@ -74,7 +82,7 @@ def ranks(subject: Subject) -> Drawn | None:
         return None
     figure, axis = _one_panel(subject, 4.0, 3.2)
     for name, errors in by_name.items():
-        axis.plot(range(1, len(errors) + 1), errors, **line(name))
+        draw_line(axis, range(1, len(errors) + 1), errors, name)
     if min(min(errors) for errors in by_name.values()) > 0:
         axis.set_yscale("log")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -95,7 +103,7 @@ def curves(subject: Subject) -> Drawn | None:
     for name in CURVES:
         steps = [step for step, _ in records[0]["curves"][name]]
         errors = [statistics.fmean(r["curves"][name][i][1] for r in records) for i in range(len(steps))]
-        axis.plot(steps, errors, **line(name))
+        draw_line(axis, steps, errors, name)
         last[name] = errors[-1]
     axis.set_xscale("symlog", linthresh=1)
     if min(value for record in records for name in CURVES for _, value in record["curves"][name]) > 0:
@@ -210,14 +218,10 @@ def strips(subject: Subject) -> Drawn | None:
     )
 
 
-def line(name: str) -> dict[str, Any]:
-    """How a paradigm's lines look."""
-    return {
-        "color": COLOURS[name],
-        "marker": MARKERS[name],
-        "markersize": 7 if name == "meta" else 4,
-        "label": TITLES[name],
-    }
+def draw_line(axis: Axes, x: Sequence[float], y: Sequence[float], name: str) -> None:
+    """Draw a paradigm's line."""
+    size = 7 if name == "meta" else 4
+    axis.plot(x, y, color=COLOURS[name], marker=MARKERS[name], markersize=size, label=TITLES[name])
 
 
 def legend(figure: Figure) -> None:

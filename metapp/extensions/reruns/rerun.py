@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -70,7 +70,7 @@ class Repeated(NamedTuple):
     found: float | None
     difference: float
     tolerance: float
-    differs: dict[str, tuple[Any, Any]]
+    differs: dict[str, tuple[object, object]]
     seconds: tuple[float, float] | None
 
     @property
@@ -183,7 +183,7 @@ def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
     return Repeat(cell.folder.settings, cell.tasks, cell.measure)
 
 
-def _differing(then: Document, now: Document) -> dict[str, tuple[Any, Any]]:
+def _differing(then: Document, now: Document) -> dict[str, tuple[object, object]]:
     """What a record says and is not so now."""
     return {key: (value, now.get(key)) for key, value in then.items() if value is not None and value != now.get(key)}
 
@@ -194,7 +194,7 @@ def _read_back(settings: Document) -> Document:
     return result
 
 
-def _changed(record: Document, now: Document) -> dict[str, tuple[Any, Any]]:
+def _changed(record: Document, now: Document) -> dict[str, tuple[object, object]]:
     """Versions and devices that differ.
 
     Raises:

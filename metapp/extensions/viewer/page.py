@@ -6,7 +6,7 @@ import base64
 import zlib
 from collections.abc import Sequence
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -63,7 +63,7 @@ class Group(NamedTuple):
 
 def document(title: str, groups: Sequence[Group]) -> Document:
     """What the scripts read."""
-    shared: dict[str, Any] = {}
+    shared: dict[str, Document] = {}
     for view in (fit.view for group in groups for fit in group.fits):
         shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}
     return {

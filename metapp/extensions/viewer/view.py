@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Never
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,7 +15,7 @@ from metapp.appearance.colour import to_srgb
 from metapp.appearance.presentation import Presentation
 from metapp.learning.task import Params, Task
 
-NOTHING: Mapping[str, Any] = MappingProxyType({})
+NOTHING: Mapping[str, Never] = MappingProxyType({})
 
 
 class View(NamedTuple):
@@ -31,7 +32,7 @@ class View(NamedTuple):
     kind: str
     arrays: Mapping[str, Tensor] = NOTHING
     pictures: Mapping[str, Tensor] = NOTHING
-    facts: Mapping[str, Any] = NOTHING
+    facts: Mapping[str, object] = NOTHING
     shared: Mapping[str, Tensor] = NOTHING
 
 
@@ -53,6 +54,6 @@ def view_of(presentation: Presentation[Any], theta: Params, task: Task, *, quick
     return pictures_view(presentation.outputs(theta, task))
 
 
-def pictures_view(outputs: Mapping[str, Any]) -> View:
+def pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
     """The view of linear pictures, as of `Presentation.outputs`."""
     return View("pictures", pictures={name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()})

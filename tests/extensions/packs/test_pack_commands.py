@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.extensions.packs.file import opened_pack, write_pack
+from metapp.extensions.packs.file import PackFile, write_pack
 from metapp.extensions.packs.pack import GROWTH
 from metapp.runs.checkpoints.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, read_records, read_theta, save_checkpoint
@@ -152,8 +152,7 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
     for words in (("unpack", "a.pack"), ("unpack", "b.pack"), ("pack", ".")):
         assert "expected" in metapp(*words).refusal
     metapp("pack", fitted("meta", "--rule", "meta-curvature"), "--out", "a.pack", "--bits", "8", "--quiet")
-    with opened_pack(Path("a.pack")) as pack:
-        whole = pack.read()
+    whole = PackFile(Path("a.pack")).read()
     first = next(iter(whole.tensors))
     huge = whole.tensors[first]._replace(step=1e300)
     for tensors in ({}, dict(list(whole.tensors.items())[1:]), {**whole.tensors, first: huge}):  # of no network

@@ -11,12 +11,11 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.extensions.packs.file import LARGEST_HEADER, Pack, in_steps, opened_pack, write_pack
+from metapp.extensions.packs.file import LARGEST_HEADER, Pack, PackFile, in_steps, write_pack
 
 
 def read_pack(path: Path) -> Pack:
-    with opened_pack(path) as pack:
-        return pack.read()
+    return PackFile(path).read()
 
 
 @pytest.fixture

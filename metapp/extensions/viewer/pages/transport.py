@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from metapp.apps.transport.presentation import TransportPresentation, picture_of
 from metapp.door import Plugin
 from metapp.extensions.viewer.view import View, pictures_view
 from metapp.learning.task import Params, Task
+from metapp.storage import Document
 
 LARGEST = 128  # px of a side
 GUIDED_SECONDS = 4.0  # of CPU for all pictures of one kind, about
@@ -96,7 +97,7 @@ def scene_view(flow: Flow, theta: Params, task: Task, size: int, plugin: Plugin)
         for kind, several in kinds.items()
         for i, each in enumerate(several)
     }
-    shown: list[dict[str, Any]] = [
+    shown: list[Document] = [
         {"title": kind, "names": [f"{kind} {i}" for i in range(len(several))], "told": [str(each) for each in several]}
         for kind, several in kinds.items()
     ]
@@ -153,7 +154,7 @@ def _error(picture: Tensor, reference: Tensor) -> float:
     return float(mape(picture[None], reference[None]))
 
 
-def _chart(made: EqualTime, plugin: Plugin) -> dict[str, Any]:
+def _chart(made: EqualTime, plugin: Plugin) -> Document:
     """MAPE over seconds, and the reference's own."""
     lines = [
         {
