@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 
@@ -37,9 +38,18 @@ def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple
 
 
 def has_suffix(path: str | Path, suffix: str) -> bool:
-    """Whether a path has a suffix, with its dot, or is a folder with a file of it below."""
+    """Test whether a path has a suffix, with its dot, or is a folder with a file of it below."""
     path = Path(path)
     return path.suffix == suffix or (path.is_dir() and any(path.rglob(f"*{suffix}")))
+
+
+def any_passes(path: Path, suffix: str, test: Callable[[Path], bool]) -> bool:
+    """Test whether a file, or one in a folder at any depth, passes a test; one that cannot be read does not."""
+    for file in files_below(path, suffix) if path.is_dir() else [path]:
+        with contextlib.suppress(ValueError, OSError):
+            if test(file):
+                return True
+    return False
 
 
 def files_below(folder: Path, suffix: str = "") -> list[Path]:

@@ -9,6 +9,7 @@ import filecmp
 import glob
 import os
 import shutil
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -42,6 +43,13 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
         raise
     with contextlib.suppress(OSError):  # not every system opens folders
         _sync(path.parent)
+
+
+def write_xml(path: Path, root: ET.Element) -> None:
+    """Write an XML document, indented, whole or not at all."""
+    ET.indent(root)
+    content: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    write_atomically(path, lambda target: target.write_bytes(content + b"\n"))
 
 
 @contextlib.contextmanager

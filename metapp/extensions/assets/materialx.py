@@ -14,7 +14,7 @@ from pathlib import Path
 
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.extensions.assets.pictures import fitted_by, write_planes
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_xml
 
 VERSION = "1.39"
 TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
@@ -26,8 +26,7 @@ def write_materialx(surface: Surface, path: Path, provenance: Mapping[str, objec
     planes = {key: plane for key, plane in fitted_planes(surface).items() if key in TYPES}
     write_planes(planes, path)
     highest = float(planes["specular"].values.max())
-    content = document(path.name, highest, surface.tiles, provenance)
-    write_atomically(path / f"{path.name}.mtlx", lambda target: target.write_bytes(content))
+    write_xml(path / f"{path.name}.mtlx", document(path.name, highest, surface.tiles, provenance))
 
 
 def index_of(f0: float) -> float:
@@ -36,13 +35,13 @@ def index_of(f0: float) -> float:
     return (1 + root) / (1 - root)
 
 
-def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, object]) -> bytes:
+def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, object]) -> ET.Element:
     """The document: a node graph of pictures and their arithmetic, a surface, a material.
 
     Args:
         name: of the asset; file names begin with it.
         highest: the greatest F0 of the map.
-        tiles: whether pictures go on at their edges.
+        tiles: True where pictures go on at their edges.
         provenance: told in a comment.
     """
     root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
@@ -64,9 +63,7 @@ def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, ob
     ET.SubElement(surface, "input", name="specular_ior", type="float", value=repr(index))
     material = ET.SubElement(root, "surfacematerial", name="material", type="material")
     ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename="surface")
-    ET.indent(root)
-    result: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return result + b"\n"
+    return root
 
 
 def _graph(graph: ET.Element, name: str, reflectance: float, tiles: bool) -> None:

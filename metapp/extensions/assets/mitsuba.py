@@ -15,7 +15,7 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.surface import Surface
 from metapp.extensions.assets.pictures import write_planes
 from metapp.extensions.assets.planes import all_planes
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_xml
 
 VERSION = "3.0.0"
 FOV_DEGREES = 45
@@ -36,12 +36,13 @@ def write_mitsuba(surface: Surface, path: Path, provenance: Mapping[str, object]
     planes = all_planes(surface)
     write_planes({key: planes[key] for key in USED}, path)
     for plugin, suffix in SUFFIX.items():
-        _write(surface_scene(plugin, path.name, surface), path / f"{path.name}{suffix}.xml")
+        write_xml(path / f"{path.name}{suffix}.xml", surface_scene(plugin, path.name, surface))
 
 
 def surface_scene(plugin: str, name: str, surface: Surface) -> ET.Element:
     """The material on a rectangle, seen from straight above, under a lamp to the left."""
-    root = _scene()
+    root = ET.Element("scene", version=VERSION)
+    ET.SubElement(root, "integrator", type="path")
     _add_material(root, plugin, name, surface.tiles)
     height, width = surface.size
     shape = ET.SubElement(root, "shape", type="rectangle")
@@ -93,15 +94,3 @@ def _add_camera(root: ET.Element, surface: Surface) -> None:
     for key, value in zip(("height", "width"), surface.size, strict=True):
         ET.SubElement(film, "integer", name=key, value=str(value))
     ET.SubElement(ET.SubElement(sensor, "sampler", type="independent"), "integer", name="sample_count", value="64")
-
-
-def _scene() -> ET.Element:
-    root = ET.Element("scene", version=VERSION)
-    ET.SubElement(root, "integrator", type="path")
-    return root
-
-
-def _write(scene: ET.Element, path: Path) -> None:
-    ET.indent(scene)
-    content: bytes = ET.tostring(scene, encoding="utf-8", xml_declaration=True)
-    write_atomically(path, lambda target: target.write_bytes(content + b"\n"))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.listing import find_by_suffix, has_suffix
+from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
 from data_tools.readers.measured_pairs import FEW, LARGEST, Pairs, depends_on_azimuth, task_of_pairs
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.extensions.few.spectra import spectra_to_rgb
@@ -73,16 +73,13 @@ def read_task(path: Path) -> Task:
 
 
 def is_anisotropic(path: Path) -> bool:
-    """Whether a table, or one of a folder, is of an anisotropic material; of bad ones nothing is said."""
-    files = sorted(path.rglob(f"*{SUFFIX}")) if path.is_dir() else [path]
-    for file in files:
-        try:
-            pairs = read_pairs(file)
-        except (ValueError, OSError):
-            continue
-        if depends_on_azimuth(directions_to_four_angles(pairs.wi, pairs.wo), pairs.reflectance):
-            return True
-    return False
+    """Test whether a table, or one of a folder, is of an anisotropic material; of bad ones nothing is said."""
+
+    def turns(file: Path) -> bool:
+        pairs = read_pairs(file)
+        return depends_on_azimuth(directions_to_four_angles(pairs.wi, pairs.wo), pairs.reflectance)
+
+    return any_passes(path, SUFFIX, turns)
 
 
 class _Rows(NamedTuple):

@@ -6,7 +6,7 @@ import functools
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -14,9 +14,10 @@ from typing import NamedTuple
 import torch
 
 from metapp.appearance.precision import FLOAT32
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Params
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.fits.fitter import fit_tasks
@@ -27,7 +28,7 @@ from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.forms import NUMBER, OPTIONAL, misfits
-from metapp.storage.records import finite, read_theta
+from metapp.storage.records import RunFolder, finite, read_theta
 from metapp.storage.text import path_of
 
 FORM = {"key": str, "settings": {"app": str}}
@@ -79,14 +80,6 @@ class Repeated(NamedTuple):
         return self.difference <= self.tolerance
 
 
-class Repeat(NamedTuple):
-    """What repeats the records of one run: what its figures depend on now, its tasks, and tasks -> their fits."""
-
-    settings: Document
-    tasks: Sequence[Task]
-    fit: Callable[[list[Task]], Iterator[tuple[Document, Params | None]]]
-
-
 def rerun(record: Path, task: str, instead: Instead, *, quiet: bool) -> list[Repeated]:
     """Repeat the records of a file; what is measured now is kept nowhere.
 
@@ -128,15 +121,16 @@ def _repeated(folder: Path, records: list[Document], instead: Instead) -> Iterat
     # more threads than processors wait for each other, by minutes where a record says a thousand
     count = min(first["threads"], os.cpu_count() or 1) if "threads" in first else threads_of(plan.app)
     with threads(count), _as_precise(first["settings"]):
-        repeat = _repeat(plan, records, instead)
-        around = _changed(first, repeat.settings)
+        cell = _cell_of(plan, records, instead)
+        assert cell.folder is not None
+        around = _changed(first, cell.folder.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(plan.device)})
-        by_name = {task.name: task for task in repeat.tasks}
+        by_name = {task.name: task for task in cell.tasks}
         recorded = {record["name"]: record for record in records}
         missing = [name for name in recorded if name not in by_name]
         if missing:
-            raise ValueError(f"{missing[0]}: no such task in {repeat.settings['data']}; {FOUND_BY['data']}.")
-        for now, theta in repeat.fit([by_name[name] for name in recorded]):
+            raise ValueError(f"{missing[0]}: no such task in {cell.folder.settings['data']}; {FOUND_BY['data']}.")
+        for now, theta in cell.measure([by_name[name] for name in recorded]):
             yield _compared(folder, recorded.pop(now["name"]), now, theta, around, instead.tolerance)
     if recorded:
         raise ValueError(
@@ -164,8 +158,8 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     )
 
 
-def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
-    """What repeats records: fits by a paradigm, or the cell of the table that makes such records."""
+def _cell_of(plan: Plan, records: list[Document], instead: Instead) -> Cell:
+    """The cell that makes such records: fits by a paradigm, or that of a table; nothing is added to its folder."""
     settings = records[0]["settings"]
     if settings.get("paradigm") in paradigms():
         if plan.request.inputs:
@@ -174,13 +168,14 @@ def _repeat(plan: Plan, records: list[Document], instead: Instead) -> Repeat:
         else:
             tasks, label = tasks_to_fit(plan)
         plan = find_checkpoint(plan)
-        return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
+        folder = RunFolder(plan.path(label), plan.settings(label))
+        return Cell(label, tasks, folder, functools.partial(fit_tasks, plan), plan.steps)
     subject = Subject(plan, run=True, strict=False)
     cells = (load_table(name).repeat(subject, settings) for name in table_names())
     cell = next(filter(None, cells), None)
     if cell is None or cell.folder is None:
         raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("method")))
-    return Repeat(cell.folder.settings, cell.tasks, cell.measure)
+    return cell
 
 
 def _differing(then: Document, now: Document) -> dict[str, tuple[object, object]]:

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.brdf_objects import evaluated_by
-from data_tools.readers.listing import find_by_suffix, has_suffix
+from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
 from metapp.appearance.geometry import (
     directions_to_four_angles,
     directions_to_full_circle,
@@ -169,16 +169,8 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
 
 
 def is_anisotropic(path: Path) -> bool:
-    """Whether a file, or one of a folder, is of an anisotropic material; of damaged ones nothing is said."""
-    files = sorted(path.rglob(f"*{SUFFIX}")) if path.is_dir() else [path]
-    for file in files:
-        try:
-            azimuths = read_tensor_file(file).get("phi_i", np.zeros(0))
-        except (ValueError, OSError):
-            continue
-        if azimuths.size > 2:
-            return True
-    return False
+    """Test whether a file, or one of a folder, is of an anisotropic material; of damaged ones nothing is said."""
+    return any_passes(path, SUFFIX, lambda file: read_tensor_file(file).get("phi_i", np.zeros(0)).size > 2)
 
 
 def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:

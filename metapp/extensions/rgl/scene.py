@@ -14,7 +14,7 @@ from safetensors.torch import save
 
 from metapp.extensions.rgl.rgl import write_fit
 from metapp.learning.task import Params
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_atomically, write_xml
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -29,7 +29,7 @@ def export(app: Brdf, theta: Params, path: Path) -> None:
     write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))
     write_fit(app, theta, path / f"{path.name}.bsdf", path.name)
     for plugin, (suffix, ending) in FILES.items():
-        _write(brdf_scene(plugin, path.name, f"{path.name}{ending}"), path / f"{path.name}{suffix}.xml")
+        write_xml(path / f"{path.name}{suffix}.xml", brdf_scene(plugin, path.name, f"{path.name}{ending}"))
 
 
 def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
@@ -56,9 +56,3 @@ def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
     sky = ET.SubElement(root, "emitter", type="constant")
     ET.SubElement(sky, "rgb", name="radiance", value="0.3, 0.3, 0.3")
     return root
-
-
-def _write(scene: ET.Element, path: Path) -> None:
-    ET.indent(scene)
-    content: bytes = ET.tostring(scene, encoding="utf-8", xml_declaration=True)
-    write_atomically(path, lambda target: target.write_bytes(content + b"\n"))
