@@ -108,7 +108,7 @@ def write_asset(surface: Surface, path: Path, provenance: Mapping[str, object]) 
 def description(
     surface: Surface, name: str, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
 ) -> dict[str, object]:
-    """What `material.json` says of a surface and its files."""
+    """Content of `material.json` of a surface and its files."""
     height, width = surface.size
     return {
         "schema": SCHEMA,

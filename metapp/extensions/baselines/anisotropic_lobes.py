@@ -82,8 +82,8 @@ def fit(where: Tensor, target: Tensor, lobes: int) -> Tensor:
     mean = target.double().expm1().mean(0).numpy()
     starts = []
     for alphas in ALPHAS[lobes]:
-        own = [np.array([math.log(first), math.log(second), turn, 0.1, *mean]) for first, second in alphas]
-        starts.append(np.concatenate([mean, *own]))
+        first_lobes = [np.array([math.log(first), math.log(second), turn, 0.1, *mean]) for first, second in alphas]
+        starts.append(np.concatenate([mean, *first_lobes]))
     few = [_descend(where[:FEW], target[:FEW], start) for start in starts]
     return torch.from_numpy(_descend(where, target, min(few, key=lambda found: found[1])[0])[0])
 

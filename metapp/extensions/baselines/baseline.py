@@ -1,4 +1,4 @@
-"""What a baseline is: prepared once on training tasks, then fitted to one task at a time."""
+"""The record of a baseline: prepared once on training tasks, then fitted to one task at a time."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Training:
 
 
 class Allowed(NamedTuple):
-    """What a baseline may use, so that it is compared at equal cost.
+    """The samples and bytes of a baseline, so that it is compared at equal cost.
 
     Attributes:
         samples: that it may draw, as many as Meta's steps do.
@@ -128,7 +128,7 @@ class DrawsAnswers(Protocol):
     """A presentation that writes what methods without a network answer, too."""
 
     def files_of(self, answer: object, task: Task) -> dict[str, Picture]:
-        """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""
+        """The files of an answer, as of `App.errors_of` for this one task, as `Presentation.files`."""
 
 
 def within_size(

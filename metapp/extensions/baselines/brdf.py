@@ -37,7 +37,7 @@ NAMES = {1: "one {} lobe", 2: "two {} lobes"}
 
 
 class Samples(NamedTuple):
-    """What a fit sees.
+    """The samples of a fit.
 
     Attributes:
         rows: which of the samples, [n], with repetition.
@@ -56,7 +56,7 @@ class Samples(NamedTuple):
 
 
 class Space(NamedTuple):
-    """What components are of.
+    """The places and the mapping of components.
 
     Attributes:
         where: the samples' places that all training materials share, [N, 7].
@@ -183,12 +183,12 @@ def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     Raises:
         ValueError: they are at others.
     """
-    own, half = _of_one(tasks)[0], len(where) // 2
-    if torch.equal(own, where):
+    places, half = _of_one(tasks)[0], len(where) // 2
+    if torch.equal(places, where):
         return samples
     index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
     rows = [index.get(place.tobytes(), -1) for place in samples.where.numpy()]
-    if min(rows) < 0 or not torch.equal(own[half:], where[half:]):
+    if min(rows) < 0 or not torch.equal(places[half:], where[half:]):
         name = tasks.picked_names[0]
         raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
     return samples._replace(rows=torch.tensor(rows))
@@ -247,8 +247,8 @@ def _lobes(kind: LobeModel, count: int, training: Training, allowed: Allowed) ->
 
 def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     """The set itself is shared."""
-    known = training.stacked
-    targets, where = known.data["target"], known.data["where"]
+    materials = training.stacked
+    targets, where = materials.data["target"], materials.data["where"]
 
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
         samples = _at(where[0], tasks, drawn(tasks, rng, allowed.samples))

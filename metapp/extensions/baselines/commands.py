@@ -17,7 +17,7 @@ from metapp.runs.requests.options import all_read_options
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """The options of the command."""
 
     app: Annotated[
         str,

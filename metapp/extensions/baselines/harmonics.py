@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 
 def orders(height: int, width: int) -> int:
-    """How many orders of spherical harmonics, 0 among them, the texels of a lat-long map tell apart.
+    """Number of orders of spherical harmonics, 0 among them, that the texels of a lat-long map tell apart.
 
     Rows bound the degree, columns the wave along them: that of width / 2 has no cosine at the texels' centres, and of
     more is one of less.
@@ -38,16 +38,16 @@ def harmonics(maps: Floats, order: int) -> Floats:
     # mean of map times exp(i m phi), twice that of waves, whose mean square is 1/2
     waves = np.fft.rfft(maps, norm="forward")[..., : order + 1].conj() * _turn(order, width)
     waves[..., 1:] *= 2
-    found = np.empty((channels, (order + 1) ** 2))
+    coefficients = np.empty((channels, (order + 1) ** 2))
     degrees = np.arange(order + 1)
     for m, rows in enumerate(_along_theta(height)[: order + 1]):
         count = order + 1 - m
         fitted = waves[..., m] @ rows.weighted[:, :count]
         fitted = solve_triangular(rows.triangle[:count, :count], fitted.T).T
         # cosines last: 0 has no sines, so that both places are the same
-        found[:, places_of(degrees[m:], -m)] = fitted.imag
-        found[:, places_of(degrees[m:], m)] = fitted.real
-    return found
+        coefficients[:, places_of(degrees[m:], -m)] = fitted.imag
+        coefficients[:, places_of(degrees[m:], m)] = fitted.real
+    return coefficients
 
 
 def from_harmonics(coefficients: Floats, height: int, width: int) -> Floats:
@@ -75,8 +75,8 @@ def places_of(degrees: NDArray[np.int64], m: int) -> NDArray[np.int64]:
 
 def _check(order: int, height: int, width: int) -> None:
     if order >= (count := orders(height, width)):
-        found = f"Spherical harmonics of order {order} from {height}x{width} texels"
-        raise ValueError(f"{found}, expected at most {count - 1}; take fewer or a larger map.")
+        asked = f"Spherical harmonics of order {order} from {height}x{width} texels"
+        raise ValueError(f"{asked}, expected at most {count - 1}; take fewer or a larger map.")
 
 
 def _turn(order: int, width: int) -> NDArray[np.complex128]:
@@ -107,9 +107,9 @@ def _along_theta(height: int) -> list[_Rows]:
     theta = (np.arange(height) + 0.5) * (math.pi / height)
     root = np.sqrt(np.sin(theta))[:, None]
     legendre = sph_legendre_p_all(height - 1, height - 1, theta)[0]
-    found = []
+    by_order = []
     for m in range(height):
         basis = legendre[m:, m].T * (math.sqrt(2) if m else 1)
         orthogonal, triangle = np.linalg.qr(root * basis)
-        found.append(_Rows(basis, root * orthogonal, triangle))
-    return found
+        by_order.append(_Rows(basis, root * orthogonal, triangle))
+    return by_order

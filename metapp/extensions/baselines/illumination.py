@@ -111,11 +111,11 @@ def _levels(height: int, width: int) -> list[tuple[int, int]]:
     for side in (height, width):
         if side & (side - 1):
             raise ValueError(f"Haar wavelets of {height}x{width} texels, expected powers of two; resample first.")
-    found = []
+    sides = []
     while height > 1 or width > 1:
-        found.append((height, width))
+        sides.append((height, width))
         height, width = max(1, height // 2), max(1, width // 2)
-    return found
+    return sides
 
 
 def _apart(values: Floats, axis: int) -> Floats:

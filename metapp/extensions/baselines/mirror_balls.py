@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.mirror import photographed
+from metapp.apps.illumination.mirror import photographed, raised
 from metapp.extensions.baselines.baseline import Allowed, BaselineFit, PreparedBaseline, Training
 from metapp.learning.task import Batch, Tasks
 
@@ -17,7 +17,7 @@ GAIN = "light over what clips"
 
 
 def unwrapped(training: Training, allowed: Allowed) -> PreparedBaseline:
-    """What a mirror shows; behind it what is before it, and where it clips the light of the clip."""
+    """The light that a mirror shows; behind it what is before it, and where it clips the light of the clip."""
     return PreparedBaseline(functools.partial(_fit, gain=0.0))
 
 
@@ -25,8 +25,8 @@ def gaussian(training: Training, allowed: Allowed) -> PreparedBaseline:
     """The same, with the light that training photographs lose on average where they clip."""
     assert isinstance(training.app, Illumination)
     maps = training.holding("map").stacked.data["map"]
-    _, shown = photographed(maps, Generator().manual_seed(0), 64)
-    lost = _clipped(maps / _times(maps, shown), shown) / _clipped(shown["seen"], shown).clamp_min(1e-9)
+    _, mirrored = photographed(maps, Generator().manual_seed(0), 64)
+    lost = _clipped(raised(maps, mirrored), mirrored) / _clipped(mirrored["seen"], mirrored).clamp_min(1e-9)
     some = lost[lost > 0]
     gain = float(some.log().mean().exp()) if len(some) else 1.0
     return PreparedBaseline(functools.partial(_fit, gain=max(gain - 1, 0.0)), shared=4, chosen={GAIN: gain})
@@ -45,11 +45,11 @@ def answer(data: Batch, gain: float) -> Tensor:
         data: `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
         gain: of the light where they clip, how much is added to it, as a Gaussian of its mean direction and spread.
     """
-    seen, known = data["seen"], data["certain"].sum(1, keepdim=True)
+    seen, share = data["seen"], data["certain"].sum(1, keepdim=True)
     behind = seen.flip(-1).roll(seen.shape[-1] // 2, -1)
-    there = known.flip(-1).roll(seen.shape[-1] // 2, -1)
-    mean = (mean_luminance(seen * known) / mean_luminance(known.expand_as(seen)).clamp_min(1e-6))[:, None, None, None]
-    maps = torch.lerp(torch.lerp(mean, behind, there), seen, known)
+    there = share.flip(-1).roll(seen.shape[-1] // 2, -1)
+    mean = (mean_luminance(seen * share) / mean_luminance(share.expand_as(seen)).clamp_min(1e-6))[:, None, None, None]
+    maps = torch.lerp(torch.lerp(mean, behind, there), seen, share)
     return maps + gain * _lobe(data) if gain else maps
 
 
@@ -73,9 +73,3 @@ def _lobe(data: Batch) -> Tensor:
 
 def _clipped(maps: Tensor, data: Batch) -> Tensor:
     return mean_luminance(maps * data["certain"][:, 1:])
-
-
-def _times(maps: Tensor, data: Batch) -> Tensor:
-    """How many times the radiance of maps is that of what is seen of them, where nothing clips."""
-    sure = data["certain"][:, :1]
-    return (mean_luminance(maps * sure) / mean_luminance(data["seen"] * sure).clamp_min(1e-9))[:, None, None, None]

@@ -21,7 +21,7 @@ from metapp.storage.text import meant
 
 
 class BaselineRun(NamedTuple):
-    """What a method made of files.
+    """The results of a method on files.
 
     Attributes:
         method: its name.
@@ -62,15 +62,15 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     words = [label, request.recipe, f"seed{request.seed}", *ways, method, app.protocol]
     path = request.out / app.name / "baseline" / "-".join(filter(None, words))
     folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM, plan.origin())
-    records, shown = [], presentation_of(app)
+    records, presentation = [], presentation_of(app)
     with progress(method, len(tasks), quiet=request.quiet) as bar:
         fits = fit_baselines(plan, baseline, training_of(app, source), tasks, warm=False)
         for task, fitted in zip(tasks, fits, strict=True):
             folder.add(fitted.record, fitted.kept)
-            if isinstance(shown, DrawsAnswers):
-                files = shown.files_of(fitted.answer, task)
+            if isinstance(presentation, DrawsAnswers):
+                files = presentation.files_of(fitted.answer, task)
                 write_pictures(files, folder.path / OUTPUTS / file_name(task.name))
             records.append(fitted.record)
             bar.advance(task.name)
-    made = folder.path / OUTPUTS if isinstance(shown, DrawsAnswers) else None
+    made = folder.path / OUTPUTS if isinstance(presentation, DrawsAnswers) else None
     return BaselineRun(method, baseline.cannot, folder.path, records, made)

@@ -129,7 +129,7 @@ def _predicted(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
 
 
 def flat_maps(photos: Tensor) -> Maps:
-    """What photographs [T, 3, H, W], linear, would be of if it had no highlight and no relief, [T, C, H, W] each."""
+    """Maps [T, C, H, W] of photographs [T, 3, H, W], linear, as of a surface without highlight and relief."""
     one = torch.ones_like(photos)
     flat = Maps(one, F0 * one, ROUGHNESS * one[:, :1], torch.cat([0 * one[:, :2], one[:, :1]], 1))
     beside_lens = flash_of(photos.new_zeros(len(photos), FLASH))

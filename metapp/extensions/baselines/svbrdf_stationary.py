@@ -39,22 +39,22 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: np.random.Generator, count: 
         rng: chooses among pieces that fit about as well.
         count: of materials.
     """
-    found, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
+    highlight, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
     size = (even.shape[1], even.shape[2])
     exemplar: Picture = as_tile(even, size).permute(1, 2, 0).numpy()
     block, overlap = block_of(exemplar)
     made = [quilted(exemplar, size, rng, block=block, overlap=overlap, tiles=True) for _ in range(count)]
-    shown = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
-    colours, mean = shown**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
+    pictures = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
+    colours, mean = pictures**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
     brightness = colours.mean(-3, keepdim=True) / mean.mean()
-    one, gray = torch.ones_like(brightness), shown.mean(-3, keepdim=True)
+    one, gray = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
     relief = high_passed(gray, SURROUNDINGS * size[0] // 256 | 1) / gray.mean((-1, -2), keepdim=True)
-    smooth = found.share[0].where(found.contrast[0] < CLEAR, torch.ones(()))
+    smooth = highlight.share[0].where(highlight.contrast[0] < CLEAR, torch.ones(()))
     texels = DEPTH * (1 - smooth) * size[0] / 256
     return Maps(
-        (colours * (found.diffuse[0] / mean)[:, None, None]).clamp(0, 1),
-        (brightness * found.specular[0]).clamp(0, 1),
-        one * found.roughness[0],
+        (colours * (highlight.diffuse[0] / mean)[:, None, None]).clamp(0, 1),
+        (brightness * highlight.specular[0]).clamp(0, 1),
+        one * highlight.roughness[0],
         normal_from_height(texels * relief),
     )
 

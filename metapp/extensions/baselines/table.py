@@ -1,4 +1,4 @@
-"""What a reader would use instead of a network, fitted to the same samples of the same tasks, beside the paradigms."""
+"""The table of baselines: methods without a network, fitted to the same samples of the same tasks as paradigms."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def _larger(subject: Subject) -> list[str]:
 
 def _able(subject: Subject) -> list[Baseline]:
     """The baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
-    known = [each for each in baselines_of(subject.app) if not each.stored or _all_hold(subject, each.stored)]
-    if subject.tasks and any(baseline.learns for baseline in known) and training_folder(subject.plan) is None:
-        return [baseline for baseline in known if not baseline.learns]
-    return known
+    complete = [each for each in baselines_of(subject.app) if not each.stored or _all_hold(subject, each.stored)]
+    if subject.tasks and any(baseline.learns for baseline in complete) and training_folder(subject.plan) is None:
+        return [baseline for baseline in complete if not baseline.learns]
+    return complete
 
 
 def _all_hold(subject: Subject, tensor: str) -> bool:
@@ -179,7 +179,7 @@ def _compared(all_rows: list[Row]) -> list[str]:
 
 
 def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What has no records, and how to make them."""
+    """Rows without records, and the commands that make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
     able = {baseline.name for baseline in _able(subject)}
@@ -192,7 +192,7 @@ def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
 
 
 def _described(baselines: list[Baseline]) -> list[str]:
-    """What baselines are and cannot do, once for those that are the same."""
+    """Titles and limits of baselines, once for those that are the same."""
     named: dict[tuple[str, str], list[str]] = {}
     for baseline in baselines:
         named.setdefault((baseline.title, baseline.cannot), []).append(baseline.name)

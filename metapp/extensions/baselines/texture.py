@@ -40,17 +40,17 @@ Make = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 def nearest_exemplar(training: Training, allowed: Allowed) -> PreparedBaseline:
     """The training exemplar with the least error; the set itself is shared, its pictures and their Gram matrices."""
     assert isinstance(training.app, ExemplarApp)
-    known = training.stacked
-    names = sorted(name for name in known.data if name.startswith("gram"))
-    pictures = training.app.exemplar(known.data["image"].float() / 255)
+    exemplars = training.stacked
+    names = sorted(name for name in exemplars.data if name.startswith("gram"))
+    pictures = training.app.exemplar(exemplars.data["image"].float() / 255)
 
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
         targets = [tasks.data[name][tasks.rows] for name in names]
-        parts = torch.arange(len(known)).split(AT_ONCE)
-        errors = [distance([known.data[name][rows] for name in names], targets) for rows in parts]
-        return torch.cat(errors).reshape(len(known), -1).mean(1)
+        parts = torch.arange(len(exemplars)).split(AT_ONCE)
+        errors = [distance([exemplars.data[name][rows] for name in names], targets) for rows in parts]
+        return torch.cat(errors).reshape(len(exemplars), -1).mean(1)
 
-    shared = bytes_of(known.data["image"], *(known.data[name] for name in names))
+    shared = bytes_of(exemplars.data["image"], *(exemplars.data[name] for name in names))
     fit = nearest(distances, lambda index: pictures[index][None, None], lambda index: picture_of(pictures[index]))
     return PreparedBaseline(fit, shared)
 

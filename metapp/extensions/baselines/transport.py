@@ -82,12 +82,12 @@ class Square(NamedTuple):
     def log_density(self, points: Floats, strengths: Floats) -> Floats:
         """Of points [N, 2]; `strengths` [L] of the shares at each level but the whole."""
         last = len(self.levels) - 1
-        code, known = morton(points, last), round(np.log2(len(self.prior)) / 2)
+        code, deepest = morton(points, last), round(np.log2(len(self.prior)) / 2)
         total, above, share_above = np.zeros(len(points)), self.levels[0].of(np.zeros_like(code)), np.ones(len(points))
         for level in range(1, last + 1):
             here = self.levels[level].of(code >> (2 * (last - level)))
             share = share_above / 4
-            if level <= known:
+            if level <= deepest:
                 share = self.prior.reshape(4**level, -1).sum(1)[code >> (2 * (last - level))]
             strength = strengths[level - 1]
             total += np.log(4 * (here + strength * share / share_above) / (above + strength))
@@ -117,7 +117,7 @@ class Pair(NamedTuple):
     shifts: Floats | None
 
     def counts_at(self, points: Floats) -> PointCounts:
-        """What is known about points [N, 4]: place, then direction."""
+        """Counts and areas at points [N, 4]: place, then direction."""
         places, directions = len(self.levels) - 1, len(self.levels[0]) - 1
         moved = _moved(points, self.shifts)
         key = _keys(moved, places, directions)
@@ -129,7 +129,7 @@ class Pair(NamedTuple):
 
 
 class PointCounts(NamedTuple):
-    """What a density knows about points.
+    """Counts and areas of the cells around points.
 
     Attributes:
         counts: [F + 1, D + 1, N].
@@ -192,7 +192,7 @@ class Smoothing(NamedTuple):
 
 
 class Densities(NamedTuple):
-    """What is fitted: the film's density, those of the directions on several grids, and of how many samples."""
+    """The densities of the film and of the directions on several grids, and the number of samples."""
 
     film: Square
     directions: tuple[Pair, ...]
@@ -208,7 +208,7 @@ class Densities(NamedTuple):
 
 
 class Histograms(NamedTuple):
-    """How densities are made.
+    """The design of densities.
 
     Attributes:
         grids: how many are averaged; one is not shifted.
@@ -261,9 +261,9 @@ class Histograms(NamedTuple):
         def direction(x: Floats) -> float:
             return -float(np.mean([_mean(grids, x) for grids in directions]))
 
-        found = (minimize(f, x, method="Nelder-Mead", options={"maxfev": 100}).x
+        minima = (minimize(f, x, method="Nelder-Mead", options={"maxfev": 100}).x
                  for f, x in zip((film, direction), FIRST, strict=True))  # fmt: skip
-        return Smoothing(*(tuple(strengths.tolist()) for strengths in found))
+        return Smoothing(*(tuple(strengths.tolist()) for strengths in minima))
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:

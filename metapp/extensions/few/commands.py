@@ -17,7 +17,7 @@ from metapp.storage.text import meant
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """The options of the command."""
 
     app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="brdf.")]
     samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16

@@ -57,14 +57,14 @@ def _errors(figure: Figure, axes: list[Axes], maps: tuple[Tensor, Tensor]) -> No
     high = float(maps[0].nan_to_num().max())
     scale = LogNorm(high / 3000, high)
     for axis, errors, when in zip(axes, maps, ("before", "after"), strict=True):
-        shown = axis.imshow(errors.T, origin="lower", extent=(0, 90, 0, 90), norm=scale, cmap="magma")
+        image = axis.imshow(errors.T, origin="lower", extent=(0, 90, 0, 90), norm=scale, cmap="magma")
         axis.set_title(f"expected error x100 {when}")
         axis.set_ylabel("difference angle")
         axis.grid(visible=False)
         axis.set_xticks([0, 30, 60, 90])
         axis.set_yticks([0, 30, 60, 90])
     axes[1].set_xlabel("half angle, degrees")
-    figure.colorbar(shown, ax=axes, shrink=0.8)
+    figure.colorbar(image, ax=axes, shrink=0.8)
 
 
 def _pair(axis: Axes, light: Tensor, detector: Tensor, colour: str, number: str) -> None:

@@ -48,13 +48,13 @@ def reflectance_of(theta: Params, where: Tensor) -> Tensor:
 
 
 def slope_of(reflectance: Tensor, where: Tensor) -> Tensor:
-    """How log(1 + f cos theta_i) changes with the logarithm that the network adds up, [T, 3, N] of reflectance f."""
+    """The slope of log(1 + f cos theta_i) over the logarithm that the network adds up, [T, 3, N] of reflectance f."""
     cos = where[:, 6:7]
     return cos * (reflectance + DARKEST / cosine_product(where)) / (1 + reflectance * cos)
 
 
 def precision(theta: Params, slope: Tensor) -> Tensor:
-    """How certain the logarithms of samples are, 1 over their variance, [T, N] of their slopes [T, 3, N].
+    """The precision of the logarithms of samples, 1 over their variance, [T, N] of their slopes [T, 3, N].
 
     As `noise` (a, b, c) says it: exp(a) (slope + exp(b))^c, since dark samples say less.
     """

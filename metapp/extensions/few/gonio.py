@@ -46,13 +46,13 @@ recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 
 def has_few(path: Path) -> bool:
-    """Whether a file, or each in a folder, has FEW rows at most."""
+    """Test whether a file, or each in a folder, has FEW rows at most."""
     files, _ = find([path])
     return all(_few_lines(file) for file in files)
 
 
 def has_few_task(task: Task) -> bool:
-    """Whether a task is of FEW measurements at most, of which none is held out."""
+    """Test whether a task is of FEW measurements at most, of which none is held out."""
     first, second = task.data["angles"].chunk(2)
     return torch.equal(first, second)
 
@@ -188,8 +188,8 @@ def _angle(path: Path, rows: _Rows, name: str) -> Array:
     """One of the angles in rad, [N], thetas in [0, pi/2]."""
     there = [unit for unit in RADIANS if f"{name}_{unit}" in rows.names]
     if len(there) != 1:
-        found = "both units" if there else ("no unit" if name in rows.names else "no such column")
-        raise ValueError(f"{path}: {name}: {found}, expected the column {name}_deg or {name}_rad.")
+        problem = "both units" if there else ("no unit" if name in rows.names else "no such column")
+        raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad.")
     values, unit = rows.column(f"{name}_{there[0]}"), RADIANS[there[0]]
     low, high = (0.0, math.pi / 2) if name.startswith("theta") else (-2 * math.tau, 2 * math.tau)
     bad = ~((values * unit >= low - 1e-6) & (values * unit <= high + 1e-6))

@@ -25,7 +25,7 @@ GRID, PHI = (30, 30), 8
 
 
 class Planned(NamedTuple):
-    """What to measure.
+    """A plan of measurements.
 
     Attributes:
         wi, wo: unit vectors to light and detector, [N, 3] each, in the order in which they tell most.
@@ -54,9 +54,9 @@ def plan_brdf(count: int, limits: Limits, after: Path | None = None, seed: int =
         ValueError: no direction is within the limits; `after` is no such file or run.
     """
     request = Request("brdf", "meta", recipe=RECIPE, device="cpu", quiet=True)
-    found = find_checkpoint(plan_of(request))
-    assert found.checkpoint is not None  # or it would have been refused
-    theta = {key: value[None] for key, value in found.checkpoint.prepared.theta.items()}
+    planned = find_checkpoint(plan_of(request))
+    assert planned.checkpoint is not None  # or it would have been refused
+    theta = {key: value[None] for key, value in planned.checkpoint.prepared.theta.items()}
     before = read_pairs(_file_of(after)) if after else Pairs(*(torch.zeros(0, 3, dtype=torch.float64),) * 3)
     seen = directions_to_full_circle(before.wi, before.wo)
     if len(seen):

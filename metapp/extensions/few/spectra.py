@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def spectra_to_rgb(wavelengths: Array) -> Array:
-    """What turns reflectance at some wavelengths into colour: a matrix [W, 3] to multiply with from the right.
+    """The matrix [W, 3] that turns reflectance at some wavelengths into colour, multiplied with from the right.
 
     Between wavelengths reflectance is linear, beyond the last ones constant. A perfect white is (1, 1, 1).
 

@@ -65,8 +65,8 @@ def _parameters(path: Path) -> Params:
     recipes = recipes_of("brdf").values()
     networks = {app_of("brdf", recipe, rule=rule).setup for recipe in recipes for rule in recipe.meta}
     if shapes not in [shapes_of(network) for network in networks]:
-        found = ", ".join(sorted(theta)) or "none"
-        raise ValueError(f"{path}: tensors {found[:80]}, expected those of a BRDF fit; take a file of its params/.")
+        names = ", ".join(sorted(theta)) or "none"
+        raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take a file of its params/.")
     if not all(bool(value.isfinite().all()) for value in theta.values()):
         raise ValueError(f"{path}: NaN or infinite values, expected finite parameters; fit again.")
     return theta

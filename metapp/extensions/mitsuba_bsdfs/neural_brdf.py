@@ -157,7 +157,7 @@ def turned(direction: Vector3, angle_rad: float) -> Vector3:
 
 
 def features(half: Vector3, difference: Vector3, incident: Float, outgoing: Float) -> list[Float]:
-    """What `metapp.apps.brdf.featured.inputs_of` adds to the vectors, of these and both cosines."""
+    """The inputs that `metapp.apps.brdf.featured.inputs_of` adds to the vectors, of these and both cosines."""
     angle = dr.atan2(half.x, half.z)
     square = angle * angle
     logs = (square + 1e-4, square + 1e-2, dr.maximum(incident, 1e-3), dr.maximum(outgoing, 1e-3))

@@ -37,7 +37,7 @@ class Reflection(ABC):
 
     @abstractmethod
     def at(self, ctx: mt.BsdfContext, si: mt.Interaction, viewer: mt.Vector3, active: mt.Mask) -> LocalReflection:
-        """What it is at points of surfaces, of the components that a context asks for."""
+        """The reflection at points of surfaces, of the components that a context asks for."""
 
     @abstractmethod
     def traverse(self, callback: mt.TraversalCallback) -> None:

@@ -47,7 +47,7 @@ def compiler() -> str | None:
 
 
 def _key(source: Path) -> str:
-    """What a compiled source depends on: itself, the options, the CPU."""
+    """A digest of all that a compiled source depends on: itself, the options, the CPU."""
     return hashlib.sha256("\0".join((source.read_text("utf-8"), *FLAGS, _cpu())).encode()).hexdigest()[:24]
 
 
@@ -64,7 +64,7 @@ def _cpu() -> str:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a library is as it was compiled: a truncated one would end the process at its first use."""
+    """Test whether a library is as it was compiled: a truncated one would end the process at its first use."""
     try:
         return _digest_path(path).read_text("ascii") == hashlib.sha256(path.read_bytes()).hexdigest()
     except (FileNotFoundError, UnicodeError):

@@ -47,7 +47,7 @@ class Fastest(Engine):
 
     @functools.cached_property
     def by_torch(self) -> Engine:
-        """What takes all other steps."""
+        """The engine of all other steps."""
         return Compiled() if self.compiles and can_compile() else Engine()
 
 

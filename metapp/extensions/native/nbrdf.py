@@ -61,7 +61,7 @@ def _dense(theta: Tensor, batch: Batch) -> list[Tensor]:
 
 
 def _read(dense: list[Tensor], learned: Params) -> list[int | None]:
-    """What both functions read, in their order; `dense` and `learned` must live until they have."""
+    """The arguments of both functions, in their order; `dense` and `learned` must live until they have."""
     tasks, _, samples = dense[1].shape
     arguments: list[int | None] = [tasks, samples, *(tensor.data_ptr() for tensor in dense)]
     for key in ("smoothing", "weights"):

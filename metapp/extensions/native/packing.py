@@ -1,4 +1,4 @@
-"""What steps in C read: flat parameters theta [T, P], and a rule's hyperparameters in few tensors.
+"""The arguments of steps in C: flat parameters theta [T, P], and a rule's hyperparameters in few tensors.
 
 All of it is differentiable, so that gradients of packed tensors go back to each parameter and hyperparameter.
 """
@@ -40,7 +40,7 @@ class Layout(NamedTuple):
 
     @property
     def sizes(self) -> list[int]:
-        """How many numbers each parameter has."""
+        """The count of numbers of each parameter."""
         return [math.prod(shape) for _, shape in self.shapes]
 
     def flat(self, theta: Params) -> Tensor:
@@ -124,7 +124,7 @@ def _loss_parameters(alpha: Params, layout: Layout) -> Params:
 
 
 def _with_another(alpha: Params, layout: Layout) -> Params:
-    """What another part's tensor holds."""
+    """Nothing: another part's tensor holds it."""
     return {}
 
 

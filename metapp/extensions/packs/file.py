@@ -54,12 +54,12 @@ class Steps(NamedTuple):
         return torch.from_numpy(signed.T.reshape(*signed.shape[1:], *self.shape).copy())
 
     def values(self, fit: int | slice = slice(None)) -> Tensor:
-        """What they stand for, float32 [...] of a fit, [T, ...] of several."""
+        """The values that they stand for, float32 [...] of a fit, [T, ...] of several."""
         return (self.numbers(fit).double() * self.step).float()
 
 
 class Pack(NamedTuple):
-    """What a file holds: names of fits, their tensors by name, and what is said about them, JSON-ready."""
+    """The content of a file: names of fits, their tensors by name, and what is said about them, JSON-ready."""
 
     tasks: list[str]
     tensors: Mapping[str, Steps]

@@ -236,8 +236,8 @@ def _plan_of(settings: Document, subject: str, path: Path | None) -> Plan:
         ValueError: it is another one.
     """
     if settings["paradigm"] not in paradigms():
-        known = ", ".join(paradigms())
-        raise ValueError(f"{subject}: fits by {settings['paradigm']}, expected one of {known}; fit again.")
+        names = ", ".join(paradigms())
+        raise ValueError(f"{subject}: fits by {settings['paradigm']}, expected one of {names}; fit again.")
     digest = settings["checkpoint"]
     try:
         plan = find_checkpoint(plan_as(settings, checkpoint=path if digest else None, device="cpu"))

@@ -225,6 +225,6 @@ def draw_line(axis: Axes, x: Sequence[float], y: Sequence[float], name: str) -> 
 
 
 def legend(figure: Figure) -> None:
-    """What the lines of a figure's first axes are, below it, where it covers none of them."""
+    """Name the lines of a figure's first axes below it, where the names cover none of them."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), columnspacing=1.0, handletextpad=0.4)

@@ -122,7 +122,7 @@ def colophon(subjects: Sequence[Subject], tables: Sequence[str]) -> str:
         facts |= {"recipe": subjects[0].plan.request.recipe, "seed": str(subjects[0].plan.request.seed)}
     which = tables[0] if len(tables) == 1 else "all"
     commands = dict.fromkeys(command for subject in subjects for command in _commands(subject, which))
-    known = paper()
+    published = paper()
     return element(
         "section",
         element("h2", "How this was made"),
@@ -132,8 +132,8 @@ def colophon(subjects: Sequence[Subject], tables: Sequence[str]) -> str:
         element("h3", "Commands"),
         element("pre", escape("\n".join(commands))),
         element("h3", "The paper"),
-        element("p", escape(known["source"])),
-        notes_html(f"{key}: {text}" for key, text in known["sources"].items()),
+        element("p", escape(published["source"])),
+        notes_html(f"{key}: {text}" for key, text in published["sources"].items()),
         id="made",
     )
 

@@ -83,7 +83,7 @@ class Comparison(NamedTuple):
     notes: list[str]
 
     def document(self, picture: Path | None) -> Document:
-        """What --json prints."""
+        """The document that --json prints."""
         one, other = self.sides
         pairs = zip(one.records, other.records, strict=True)
         return {
@@ -133,19 +133,19 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
         Side(label, app_as(each), run.folder, [of[name] for name in names])
         for label, each, run, of in zip(_labels(*settings), settings, runs, by_name, strict=True)
     ]
-    known = tasks_as(runs[0].records, sides[0].app, inputs, data)
-    tasks = [known[name] for name in names if name in known]
-    groups = {name: (known[name].group if name in known else "") or name for name in names}
+    tasks_by_name = tasks_as(runs[0].records, sides[0].app, inputs, data)
+    tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
+    groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     one, other = sides
-    shown = presentation_of(one.app)
-    found = paired([one.errors()], [other.errors()], groups, logarithmic=shown.logarithmic)
+    presentation = presentation_of(one.app)
+    ratio_of_errors = paired([one.errors()], [other.errors()], groups, logarithmic=presentation.logarithmic)
     measures = {}
-    for key, title in shown.measures.items():
+    for key, title in presentation.measures.items():
         means = one.mean(key), other.mean(key)
         if means[0] is not None and means[1] is not None:
             ratio = paired([one.errors(key)], [other.errors(key)], groups, logarithmic=False)
             measures[title] = Measured((means[0], means[1]), ratio)
-    return Comparison((one, other), tasks, found, measures, _notes(settings, by_name, names))
+    return Comparison((one, other), tasks, ratio_of_errors, measures, _notes(settings, by_name, names))
 
 
 def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
@@ -157,10 +157,10 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
     if not compared.tasks or not all((side.folder / "params").is_dir() for side in compared.sides):
         return None
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
-    shown, app = compared.tasks[:COMPARED], compared.sides[0].app
+    drawn, app = compared.tasks[:COMPARED], compared.sides[0].app
     columns = []
-    with progress("picture", len(shown), quiet=quiet) as bar, threads(threads_of(app)):
-        for task in shown:
+    with progress("picture", len(drawn), quiet=quiet) as bar, threads(threads_of(app)):
+        for task in drawn:
             pairs = zip(compared.sides, records, strict=True)
             columns.append(column_of(task, [(side.label, side.app, side.folder, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
@@ -168,7 +168,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
 
 
 def _labels(first: Document, second: Document) -> tuple[str, str]:
-    """What tells two runs apart, in a word each; A and B where nothing in TOLD does."""
+    """Labels that tell two runs apart, a word each; A and B where nothing in TOLD does."""
     first, second = ({"paradigm": each.get("method"), **each} for each in (first, second))
     for key in TOLD:
         if first.get(key) != second.get(key):
@@ -179,7 +179,7 @@ def _labels(first: Document, second: Document) -> tuple[str, str]:
 
 
 def _notes(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
-    """What must be known beside the labels."""
+    """Notes on what differs beside the labels."""
     one, other = settings
     left_out = sum(map(len, by_name)) - 2 * len(names)
     return [

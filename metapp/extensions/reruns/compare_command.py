@@ -61,13 +61,14 @@ def _table(compared: Comparison) -> Table:
     from metapp.runs.requests.naming import caption_of, title_of
 
     one, other = compared.sides
-    found, app = compared.ratio, one.app
+    overall, app = compared.ratio, one.app
     said = [caption_of(app)]
-    if found:
-        ahead = f"{one.label} has the lower error on {found.ahead} of {found.tasks}"
-        said = [f"error of {one.label} over {other.label}'s: {found}; {ahead}", *said]
-        said[0] += f"; {found.groups} different tasks are too few to call a win" if found.groups < FEWEST else ""
-        if found.kind == "difference":
+    if overall:
+        few = overall.groups < FEWEST
+        ahead = f"{one.label} has the lower error on {overall.ahead} of {overall.tasks}"
+        said = [f"error of {one.label} over {other.label}'s: {overall}; {ahead}", *said]
+        said[0] += f"; {overall.groups} different tasks are too few to call a win" if few else ""
+        if overall.kind == "difference":
             said[0] = said[0].replace(" over ", " minus ")
     for title, (means, pair) in compared.measures.items():
         said.append(f"{title}: {means[0]:.3f} and {means[1]:.3f}" + (f", ratio {pair}" if pair else ""))
@@ -80,7 +81,7 @@ def _table(compared: Comparison) -> Table:
         table.add_column(f"seconds, {side.label}", number(side.seconds(), ".4f"), justify="right")
     for a, b in zip(one.records, other.records, strict=True):
         errors = (a["error"], b["error"])
-        both = None not in errors and b["error"] > 0 and found is not None and found.kind == "ratio"
+        both = None not in errors and b["error"] > 0 and overall is not None and overall.kind == "ratio"
         ratio = f"{a['error'] / b['error']:.3f}" if both else "-"
         seconds = (number(each.get("seconds"), ".4f") for each in (a, b))
         table.add_row(Text(a["name"]), *(number(each, ".3f") for each in errors), ratio, *seconds)

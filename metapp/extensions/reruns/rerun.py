@@ -45,7 +45,7 @@ _ALONE = "{}: a record of {}, expected one of a fit; metapp evaluate with anothe
 
 
 class Instead(NamedTuple):
-    """What to use in place of what records say: inputs, a data set, a checkpoint, a tolerance."""
+    """Replacements of what records say: inputs, a data set, a checkpoint, a tolerance."""
 
     inputs: Sequence[Path] = ()
     data: Path | None = None
@@ -76,7 +76,7 @@ class Repeated(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether the figure is the recorded one."""
+        """True if the figure is the recorded one."""
         return self.difference <= self.tolerance
 
 
@@ -142,7 +142,7 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     """The plan of a record, with what is used instead; of a row that a table alone makes, that of General."""
     settings, origin = record["settings"], record.get("origin", {})
     a_fit = settings.get("paradigm") in paradigms()
-    known = {key: path_of(origin[key]) for key in ("data", "checkpoint") if key in origin}
+    places = {key: path_of(origin[key]) for key in ("data", "checkpoint") if key in origin}
     inputs = list(instead.inputs) or ([] if instead.data else [path_of(path) for path in origin.get("inputs", [])])
     above = (parent.parent for parent in folder.resolve().parents if parent.name == settings["app"])
     device = str(settings.get("device", "cpu")).split(":")[0]
@@ -150,8 +150,8 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
         settings if a_fit else settings | {"paradigm": "general"},
         inputs=inputs,
         steps=settings.get("steps") or None if a_fit else None,
-        data=instead.data or (None if inputs and a_fit else known.get("data")),
-        checkpoint=instead.checkpoint or known.get("checkpoint"),
+        data=instead.data or (None if inputs and a_fit else places.get("data")),
+        checkpoint=instead.checkpoint or places.get("checkpoint"),
         out=next(above, Path("runs")),
         seed=settings["seed"],
         device=device if device != "cuda" or torch.cuda.is_available() else "cpu",
@@ -179,7 +179,7 @@ def _cell_of(plan: Plan, records: list[Document], instead: Instead) -> Cell:
 
 
 def _differing(then: Document, now: Document) -> dict[str, tuple[object, object]]:
-    """What a record says and is not so now."""
+    """Entries of a record that are not so now."""
     return {key: (value, now.get(key)) for key, value in then.items() if value is not None and value != now.get(key)}
 
 
@@ -199,9 +199,9 @@ def _changed(record: Document, now: Document) -> dict[str, tuple[object, object]
     both = [{key: value for key, value in each.items() if key not in AROUND} for each in (then, _read_back(now))]
     differing = _differing(*both) | {key: (None, now[key]) for key in both[1].keys() - both[0].keys()}
     for key in sorted(differing, key=lambda key: (key not in FOUND_BY, key)):
-        expected, found = differing[key]
+        expected, actual = differing[key]
         remedy = FOUND_BY.get(key, "repeat it by the version of metapp that made it")
-        difference = f"{key} {found}, expected {expected} as recorded"
+        difference = f"{key} {actual}, expected {expected} as recorded"
         raise ValueError(f"{record['name']}: {difference}; {remedy}.")
     rest = [{"device": then.get("device"), "precision": "float32"} | each for each in (then, now)]
     around = [{key: each[key] for key in ("device", "precision")} for each in rest]

@@ -65,7 +65,7 @@ def _document(row: Repeated) -> Document:
 
 
 def _say_conditions(rows: list[Repeated]) -> None:
-    """What is not as it was, once."""
+    """Name each version, device or machine that is not as it was, once."""
     differs = {f"{name}: {then} then, {now} now" for row in rows for name, (then, now) in row.differs.items()}
     for each in sorted(differs):
         say(f"note: {each}")

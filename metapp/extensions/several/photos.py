@@ -21,7 +21,7 @@ from metapp.learning.task import Task
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is a folder that says where a camera or a flash was, or has one below it."""
+    """Test whether a path is a folder that says where a camera or a flash was, or has one below it."""
     return path.is_dir() and bool(placed_in(path))
 
 

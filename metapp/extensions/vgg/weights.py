@@ -269,7 +269,7 @@ class ArraysOnly(pickle.Unpickler):
     """Unpickles dicts, lists, numbers, texts and numpy arrays; whatever else a pickle names is an error."""
 
     def find_class(self, module: str, name: str) -> object:
-        """What a pickle may call: nothing is imported for it."""
+        """Look up what a pickle may call: nothing is imported for it."""
         if (module, name) not in _ARRAY_PARTS:
             raise pickle.UnpicklingError(f"it names {module}.{name}")
         return _ARRAY_PARTS[module, name]

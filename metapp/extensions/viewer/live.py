@@ -48,7 +48,7 @@ class Live:
 
         class Handler(_Handler):
             def answer(self) -> tuple[str, str] | None:
-                """What this server answers."""
+                """Content and its type, of this server."""
                 return live.answer(self.path)
 
         self._server = _Server((HOST, 0), Handler)
@@ -172,10 +172,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer, if this machine's browser asks: other names of it may be of other people's pages."""
-        found = self.answer() if self.headers.get("Host") == self.host else None
-        content, kind = found or ("", "text/plain")
+        answer = self.answer() if self.headers.get("Host") == self.host else None
+        content, kind = answer or ("", "text/plain")
         body = content.encode(errors="backslashreplace")
-        self.send_response(200 if found else 404)
+        self.send_response(200 if answer else 404)
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         headers |= {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
         for name, value in headers.items():

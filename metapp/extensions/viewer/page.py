@@ -62,7 +62,7 @@ class Group(NamedTuple):
 
 
 def document(title: str, groups: Sequence[Group]) -> Document:
-    """What the scripts read."""
+    """The document that the scripts read."""
     shared: dict[str, Document] = {}
     for view in (fit.view for group in groups for fit in group.fits):
         shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}

@@ -61,8 +61,8 @@ def surface_view(
     height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
     pictures = {f"fit_{name}": pixels for name, pixels in _encoded(small.maps).items()} | {"height": _last(height)}
     if reference is not None:
-        known = _resized(reference, _within(max(small.size), reference.diffuse))
-        pictures |= {f"reference_{name}": pixels for name, pixels in _encoded(known).items()}
+        true_maps = _resized(reference, _within(max(small.size), reference.diffuse))
+        pictures |= {f"reference_{name}": pixels for name, pixels in _encoded(true_maps).items()}
     lit = {f"photo_{number}": each for number, each in enumerate(photographed, 1)}
     pictures |= {name: _photo(each.photo) for name, each in lit.items() if each.photo is not None}
     lit |= {name: Lit(light, eye) for name, (light, eye) in relightings().items()}

@@ -42,7 +42,7 @@ class FitOfRun(NamedTuple):
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a page is to show.
+    """The content of a page.
 
     Attributes:
         runs: folders of runs, their record files, or files of parameters in them.
@@ -75,14 +75,14 @@ def view_page(wanted: Wanted, out: Path | None, *, quiet: bool) -> Path:
     by_task: dict[tuple[str, str], list[FitOfRun]] = {}
     for fit in fits:
         by_task.setdefault((fit.app.name, fit.record["name"]), []).append(fit)
-    shown = list(by_task.values())[: wanted.most]
-    if len(by_task) > len(shown):
-        say(f"view: {len(shown)} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
+    tasks_shown = list(by_task.values())[: wanted.most]
+    if len(by_task) > len(tasks_shown):
+        say(f"view: {len(tasks_shown)} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
     labels, page = _labels(runs), out or runs[0].folder / PAGE
     make_folder(page.parent)  # before what takes time
-    with progress("view", len(shown), quiet=quiet) as bar:
+    with progress("view", len(tasks_shown), quiet=quiet) as bar:
         groups, lacking = [], list[str]()
-        for several in shown:
+        for several in tasks_shown:
             groups.append(group_of(several, labels, lacking))
             bar.advance(several[0].record["name"])
     groups = [group for group in groups if group.fits]
@@ -122,7 +122,7 @@ def _fits(run: Recorded, wanted: Wanted) -> list[FitOfRun]:
 
 
 def _labels(runs: Sequence[Recorded]) -> dict[Path, str]:
-    """What tells runs apart: the paradigm, and of what differs as much as is needed."""
+    """Labels that tell runs apart: the paradigm, and of what differs as much as is needed."""
     labels: dict[Path, str] = {}
     for app in {run.records[-1]["settings"]["app"] for run in runs}:
         labels |= _apart({run.folder: of for run in runs if (of := run.records[-1]["settings"])["app"] == app})
@@ -155,11 +155,11 @@ def group_of(fits: Sequence[FitOfRun], labels: dict[Path, str], lacking: list[st
 
 
 def shown_of(
-    shown: Presentation[Any], label: str, record: Document, theta: Params, task: Task, *, quick: bool = False
+    presentation: Presentation[Any], label: str, record: Document, theta: Params, task: Task, *, quick: bool = False
 ) -> Shown:
     """One fit, with its error and seconds; `quick`: without what takes seconds to make."""
     try:
-        view = view_of(shown, theta, task, quick=quick)
+        view = view_of(presentation, theta, task, quick=quick)
     except KeyError as missing:
         if task.data:
             raise
@@ -167,7 +167,7 @@ def shown_of(
             f"{task.name}: its view is made of the fit and its input ({missing}), expected both; "
             "give what was fitted by --input or --data."
         ) from None
-    error = "" if record["error"] is None else f"error{factor_of(shown.app)} {number(record['error'], '.3f')}, "
+    error = "" if record["error"] is None else f"error{factor_of(presentation.app)} {number(record['error'], '.3f')}, "
     return Shown(label, f"{error}{number(record['seconds'], '.3g')} s", view)
 
 

@@ -1,4 +1,4 @@
-"""What samples of anisotropic reflection have beyond a fit, on a smooth grid of four coordinates for the page's shader.
+"""The residual of anisotropic samples beyond a fit, on a smooth grid of four coordinates for the page's shader.
 
 The coordinates have no pole at the normal, where the azimuth of the half vector means nothing: the half vector is a
 place on a disc, and the difference vector's azimuth is counted from the material's axes, phi_h + phi_d. By reciprocity

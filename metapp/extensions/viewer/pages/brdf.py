@@ -66,7 +66,7 @@ def _padded(weights: Tensor) -> Tensor:
 
 
 def _residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Task) -> Tensor:
-    """What log(1 + f) of the samples has beyond the fit, on a grid; on one with phi_h where either depends on it."""
+    """The residual of log(1 + f) of samples beyond the fit, on a grid, with phi_h where either depends on it."""
     columns = task.data["angles"].float().split(1, 1)
     columns = (*columns[:2], columns[2] % math.pi)  # as the shader folds them, by reciprocity
     if azimuthal := "phi_h" in task.data or turn is not None:

@@ -64,11 +64,11 @@ def _limited(light: Tensor) -> Tensor:
 
 
 def _note(pixels: Tensor, light: Tensor, task: Task) -> str:
-    """What `light` shows at another size than it has: the map [H, W, 3], and the reference."""
-    (rows, columns), shown = pixels.shape[:2], tuple(light.shape[1:])
-    size = f"{shown[0]} x {shown[1]} texels"
-    lines = [f"The map has {rows} x {columns} texels; this page shows {size}."] if shown != (rows, columns) else []
-    if "map" in task.data and task.data["map"].shape[1:] != shown:
+    """Note what `light` shows at another size than it has: the map [H, W, 3], and the reference."""
+    (rows, columns), size_shown = pixels.shape[:2], tuple(light.shape[1:])
+    size = f"{size_shown[0]} x {size_shown[1]} texels"
+    lines = [f"The map has {rows} x {columns} texels; this page shows {size}."] if size_shown != (rows, columns) else []
+    if "map" in task.data and task.data["map"].shape[1:] != size_shown:
         lines += [f"The reference is averaged to the {size} of the fit."]
     return " ".join(lines)
 

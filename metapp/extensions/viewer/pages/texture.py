@@ -30,8 +30,8 @@ def view(presentation: TexturePresentation, theta: Params, task: Task, *, quick:
         pictures["exemplar"] = exemplar
         if not quick:
             pictures["image quilting"] = _quilted(exemplar)
-    shown = [{"title": name, "names": [name], "tiles": how} for name, how in tiles.items() if name in pictures]
-    return View("pictures", pictures=pictures, facts={"pictures": shown, "compared": [shown[0]["title"], "fit"]})
+    rows = [{"title": name, "names": [name], "tiles": how} for name, how in tiles.items() if name in pictures]
+    return View("pictures", pictures=pictures, facts={"pictures": rows, "compared": [rows[0]["title"], "fit"]})
 
 
 def _quilted(exemplar: Tensor) -> Tensor:

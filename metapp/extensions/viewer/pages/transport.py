@@ -163,8 +163,8 @@ def _chart(made: EqualTime, plugin: Plugin) -> Document:
         }
         for title, several in ((plugin.row, made.guided), (REGULAR_NEE, made.regular))
     ]
-    own, ends = _own_error(made), [made.guided[0].shot.seconds, made.guided[-1].shot.seconds]
-    lines.append({"title": "reference's own", "points": [[seconds, own] for seconds in ends]})
+    error, ends = _own_error(made), [made.guided[0].shot.seconds, made.guided[-1].shot.seconds]
+    lines.append({"title": "reference's own", "points": [[seconds, error] for seconds in ends]})
     return {"x": "seconds of CPU", "y": "MAPE", "lines": lines}
 
 
