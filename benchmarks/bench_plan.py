@@ -23,7 +23,7 @@ from torch import Generator, Tensor
 
 from benchmarks import bench_samples
 from benchmarks.bench_samples import Errors, Way, errors_of, figure, ratios
-from data_tools.readers.brdf_task import as_measured
+from benchmarks.measured import as_measured
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
 from metapp.appearance.noise import factors

@@ -1,7 +1,7 @@
 """Errors of BRDF fits against the number of samples that they see; `make bench-samples` runs it.
 
-The test materials of a data set (the embedded one, or the folder that is named), cut down as `metapp data noisy
---noise 0 --samples N` does: N samples at random angles, held-out ones as they are. Checkpoints are those that ship;
+The test materials of a data set (the embedded one, or the folder that is named), cut down to N
+samples: N at random angles, held-out ones as they are. Checkpoints are those that ship;
 components are of the data set's own training materials with all their samples, and their penalties are chosen for N.
 """
 
@@ -18,7 +18,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
-from data_tools.readers.brdf_task import as_measured
+from benchmarks.measured import as_measured
 from metapp.cli.console import run
 from metapp.evaluation.style import COLOURS, MUTED, STYLE, new, save
 from metapp.extensions.baselines import baselines_of

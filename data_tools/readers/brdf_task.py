@@ -1,9 +1,8 @@
-"""The samples that every BRDF task is made of, whatever the BRDF comes from: drawn, checked, made noisy."""
+"""The samples that every BRDF task is made of, whatever the BRDF comes from: drawn and checked."""
 
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 import warnings
 from collections.abc import Callable, Iterable
@@ -11,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from data_tools.readers.merl_table import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
 from metapp.appearance.geometry import above_horizon, cosines
-from metapp.appearance.noise import factors
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task
 
@@ -224,43 +222,3 @@ def normal_albedo(evaluate: Callable[[Tensor], Tensor], *, azimuths: bool = Fals
         values = evaluate(angles).double().mean(1)
     solid_angle = 2 * math.pi * theta.sin() * (math.pi / 2 / _RINGS)
     return (values * (solid_angle * theta.cos())[:, None]).sum(0)
-
-
-def as_measured(
-    task: Task, noise: float, outliers: float = 0.0, grazing_rad: float = math.pi / 2, samples: int | None = None
-) -> Task:
-    """A material of which the half that fits may see is as a gonioreflectometer would have it.
-
-    The held-out half stays as it is, so that errors are those of the material, not of the noise. Samples that are
-    missing are replaced by others of the visible half, drawn at random. The draws depend on the task's name alone.
-
-    Args:
-        task: angles [N, 3] rad and reflectance [N, 3].
-        noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %.
-        outliers: share of samples that are off by half a decade to one, all channels alike.
-        grazing_rad: samples are missing whose light or view is further from the normal, in (0, pi / 2].
-        samples: how many are measured, at random, at least 1; None: all.
-
-    Raises:
-        ValueError: no sample of the visible half is left.
-    """
-    half = len(task.data["angles"]) // 2
-    data = {key: task.data[key].clone() for key in ("angles", "phi_h", "reflectance") if key in task.data}
-    angles, reflectance = data["angles"], data["reflectance"]
-    rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
-    reflectance[:half] *= factors(rng, (half,), noise, outliers)
-    near = cosines(angles[:half].double())
-    rows = (torch.minimum(near.incident, near.outgoing) >= math.cos(grazing_rad) - 1e-12).nonzero()[:, 0]
-    if not len(rows):
-        raise ValueError(
-            f"{task.name}: no sample within {math.degrees(grazing_rad):g} degrees of the normal, expected some; raise "
-            "--grazing."
-        )
-    if samples is not None:
-        rows = rows[torch.randperm(len(rows), generator=rng)[:samples]]
-    missing = torch.ones(half, dtype=torch.bool)
-    missing[rows] = False
-    others = rows[torch.randint(len(rows), (int(missing.sum()),), generator=rng)]
-    for column in data.values():
-        column[:half][missing] = column[others]
-    return task._replace(data=task.data | data)

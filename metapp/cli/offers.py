@@ -12,7 +12,6 @@ OFFERS = (
     Command("synth", f"{_HERE}.data.synth:synth", under="data", bare_is_help=True),
     Command("cornell", f"{_HERE}.data.sets:cornell", under="data", bare_is_help=True),
     Command("join", f"{_HERE}.data.sets:join", under="data", bare_is_help=True),
-    Command("noisy", f"{_HERE}.data.sets:noisy", under="data", bare_is_help=True),
     Command("check", f"{_HERE}.data.sets:check", under="data", bare_is_help=True),
     Command("scene", f"{_HERE}.data.scene:scene", under="data"),
 )

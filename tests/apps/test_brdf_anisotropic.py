@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_objects import from_object
-from data_tools.readers.brdf_task import as_measured, brdf_task, is_anisotropic
+from data_tools.readers.brdf_task import brdf_task, is_anisotropic
 from data_tools.readers.measured_pairs import task_of_pairs
 from data_tools.synthetic.brdf import synthetic_materials
 from data_tools.synthetic.brdf_anisotropic import UNSEEN, anisotropic_materials
@@ -114,12 +114,6 @@ def test_objects_say_by_themselves_whether_phi_h_counts() -> None:
     four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
     torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-3, atol=1e-5)
     assert "phi_h" not in from_object(lambda wi, wo: 0.1 + 0 * wi, "lambert", {}).data
-
-
-def test_noise_moves_all_angles_of_a_sample() -> None:
-    task = as_measured(anisotropic.task(), 0, samples=100)
-    four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
-    torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("count", [500, 4000])

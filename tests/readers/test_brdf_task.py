@@ -12,14 +12,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.brdf_task import UNITS, as_measured, brdf_task, normal_albedo
+from data_tools.readers.brdf_task import UNITS, brdf_task, normal_albedo
 from data_tools.readers.merl import read_task, write_merl
 from data_tools.readers.merl_table import SCALE, SHAPE, merl_centres, merl_index, merl_valid, tabulate
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
-from metapp.appearance.geometry import above_horizon, cosines
-from metapp.appearance.noise import DECADES
-from metapp.learning.task import Task
+from metapp.appearance.geometry import above_horizon
 from metapp.storage.shards import ShardWriter, check_shard
 
 N = 20_000
@@ -163,63 +161,3 @@ def test_the_albedo_of_a_diffuse_surface_is_that_of_its_colour() -> None:
     colour = torch.tensor([0.2, 0.5, 0.8])
     found = normal_albedo(lambda angles: (colour / math.pi).expand(*angles.shape[:-1], 3))
     assert found.tolist() == pytest.approx(colour.tolist(), rel=1e-4)
-
-
-@pytest.fixture(scope="module")
-def brass() -> Task:
-    rng = torch.Generator().manual_seed(0)
-    angles = torch.rand(2 * N, 3, generator=rng) * torch.tensor([0.7, 0.7, 2 * math.pi])
-    return Task("brass", {"angles": angles, "reflectance": 0.1 + torch.rand(2 * N, 3, generator=rng)})
-
-
-def logs(brass: Task, made: Task) -> torch.Tensor:
-    return (made.data["reflectance"] / brass.data["reflectance"]).double().log()
-
-
-def test_noise_is_of_the_visible_half_alone(brass: Task) -> None:
-    made = as_measured(brass, 0.2)
-    assert torch.equal(made.data["angles"], brass.data["angles"])
-    assert torch.equal(made.data["reflectance"][N:], brass.data["reflectance"][N:])
-    found = logs(brass, made)[:N]
-    assert float(found.std()) == pytest.approx(0.2, rel=0.02)
-    assert abs(float(found.mean())) < 0.005
-    assert torch.corrcoef(found.T).fill_diagonal_(0).abs().max() < 0.03  # channels are apart
-    assert torch.equal(logs(brass, as_measured(brass, 0.2)), logs(brass, made))  # the same again
-    assert torch.equal(logs(brass, as_measured(brass, 0.0)), torch.zeros(2 * N, 3))
-
-
-def test_few_samples_stand_in_for_all(brass: Task) -> None:
-    made = as_measured(brass, 0.0, samples=64)
-    seen, held_out = made.data["angles"].split(N)
-    kept = seen.unique(dim=0)
-    assert len(kept) == 64
-    assert torch.isin(kept, brass.data["angles"][:N]).all()
-    assert torch.equal(held_out, brass.data["angles"][N:])
-    assert len(as_measured(brass, 0.0, samples=2 * N).data["angles"][:N].unique(dim=0)) == N
-
-
-def test_outliers_are_off_by_half_a_decade_to_one(brass: Task) -> None:
-    decades = logs(brass, as_measured(brass, 0.0, 0.1))[:N] / math.log(10)
-    off = decades[:, 0].abs() > 1e-3
-    assert float(off.double().mean()) == pytest.approx(0.1, abs=0.01)
-    sizes = decades[off].abs()
-    assert sizes.min() > DECADES[0] - 1e-4
-    assert sizes.max() < DECADES[1] + 1e-4
-    assert float((decades[off, 0] > 0).double().mean()) == pytest.approx(0.5, abs=0.05)
-    torch.testing.assert_close(decades[:, 0], decades[:, 1], rtol=0, atol=1e-5)
-
-
-def test_no_sample_is_left_at_grazing_angles(brass: Task) -> None:
-    limit = math.radians(60)
-    made = as_measured(brass, 0.0, grazing_rad=limit)
-    before, after = (cosines(each.data["angles"]) for each in (brass, made))
-    assert min(after.incident[:N].min(), after.outgoing[:N].min()) > math.cos(limit) - 1e-6
-    stay = torch.minimum(before.incident, before.outgoing)[:N] > math.cos(limit)
-    assert torch.equal(made.data["angles"][:N][stay], brass.data["angles"][:N][stay])
-    assert torch.equal(made.data["angles"][N:], brass.data["angles"][N:])
-    # what stands for a missing sample is a whole sample of the visible half
-    known = {tuple(row) for row in torch.cat([brass.data["angles"], brass.data["reflectance"]], 1)[:N].tolist()}
-    assert {tuple(row) for row in torch.cat([made.data["angles"], made.data["reflectance"]], 1)[:N].tolist()} <= known
-    steep = brass._replace(data=brass.data | {"angles": torch.full((2 * N, 3), 0.7)})
-    with pytest.raises(ValueError, match=r"^brass: no sample within 1 degrees of the normal, expected some; raise"):
-        as_measured(steep, 0.0, grazing_rad=math.radians(1))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,12 +12,11 @@ import typer
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data.convert import Out, Quiet, Split, SplitOption, report
 from metapp.cli.options import Json, takes
-from metapp.runs.inputs.convert import Converted, converted
+from metapp.runs.inputs.convert import converted
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
     from metapp.learning.task import Held, Task
-    from metapp.storage.manifest import Entry
 
 
 @dataclass(frozen=True)
@@ -86,8 +84,10 @@ def join(
       metapp data join synthetic merl --out joint
     """
     from metapp.storage.manifest import read_manifest
-    from metapp.storage.shards import read_shard
+    from metapp.storage.shards import ShardWriter, read_shard
 
+    if folder.resolve() in [source.resolve() for source in folders]:
+        raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
     manifests = [read_manifest(source) for source in folders]
     name = manifests[0].app
     sets = [{task.name: task for task in read_shard(source, app=name, holds=holds_of(name))} for source in folders]
@@ -109,52 +109,12 @@ def join(
         (entry, tasks[entry.name]) for tasks, manifest in zip(sets, manifests, strict=True) for entry in manifest.tasks
     ]
     notes = {"made_by": "metapp data join", "of": [source.name for source in folders]}
-    report(_written(folder, folders, name, units, notes, pairs, shared, quiet), quiet, as_json)
-
-
-def noisy(
-    source: Annotated[Path, typer.Argument(metavar="DIR", help="Data set of BRDFs.")],
-    folder: Out,
-    noise: Annotated[
-        float, typer.Option(min=0.0, max=1.0, metavar="SD", help="Of the logarithm of a sample's channel; 0.05: 5 %.")
-    ] = 0.05,
-    outliers: Annotated[
-        float, typer.Option(min=0.0, max=0.5, metavar="SHARE", help="Samples that are off by half a decade to one.")
-    ] = 0.0,
-    grazing: Annotated[
-        float, typer.Option(min=1.0, max=90.0, metavar="DEG", help="No samples further than this from the normal.")
-    ] = 90.0,
-    samples: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Only so many samples, at random; default: all.")
-    ] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Make the samples that fits see as measurements are: noisy, with outliers, without grazing angles, few.
-
-    Held-out samples stay as they are: errors are those of the material.
-
-    Examples:
-      metapp data noisy merl --out merl-5
-      metapp data noisy merl --noise 0.2 --outliers 0.01 --grazing 75 --out merl-20
-      metapp data noisy merl --noise 0 --samples 64 --out merl-64
-    """
-    from data_tools.readers.brdf_task import as_measured
-    from metapp.storage.manifest import read_manifest
-    from metapp.storage.shards import read_shard
-
-    manifest = read_manifest(source)
-    if manifest.app != "brdf":
-        raise ValueError(f"{source}: a data set of {manifest.app}, expected one of brdf, whose samples are measured.")
-    tasks = {task.name: task for task in read_shard(source, app="brdf", holds=holds_of("brdf"))}
-    settings = {"noise": noise, "outliers": outliers, "grazing": grazing, "samples": samples}
-    notes = {"made_by": "metapp data noisy", "of": source.name, **settings}
-
-    def measured(task: Task) -> Task:
-        return as_measured(task, noise, outliers, math.radians(grazing), samples)
-
-    pairs = [(entry, tasks[entry.name]) for entry in manifest.tasks]
-    report(_written(folder, [source], "brdf", manifest.units, notes, pairs, measured, quiet), quiet, as_json)
+    with ShardWriter(folder, name, units, notes) as writer, progress(name, len(pairs), quiet=quiet) as bar:
+        for entry, task in pairs:
+            writer.add(shared(task)._replace(group=entry.group), entry.split, entry.source)
+            bar.advance(entry.name)
+        done = converted(name, folder, writer.entries())
+    report(done, quiet, as_json)
 
 
 def holds_of(name: str) -> Mapping[str, Held]:
@@ -166,28 +126,6 @@ def holds_of(name: str) -> Mapping[str, Held]:
     from metapp.apps import class_of
 
     return class_of(name).holds
-
-
-def _written(
-    folder: Path,
-    sources: Iterable[Path],
-    name: str,
-    units: Mapping[str, str],
-    notes: Mapping[str, object],
-    pairs: list[tuple[Entry, Task]],
-    change: Callable[[Task], Task],
-    quiet: bool,
-) -> Converted:
-    """Write tasks that were read from data sets, each changed."""
-    from metapp.storage.shards import ShardWriter
-
-    if folder.resolve() in [source.resolve() for source in sources]:
-        raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
-    with ShardWriter(folder, name, units, notes) as writer, progress(name, len(pairs), quiet=quiet) as bar:
-        for entry, task in pairs:
-            writer.add(change(task)._replace(group=entry.group), entry.split, entry.source)
-            bar.advance(entry.name)
-        return converted(name, folder, writer.entries())
 
 
 def check(
