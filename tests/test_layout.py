@@ -209,7 +209,7 @@ EXTENSIONS = {
     "report": 680,
     "reruns": 630,
     "rgl": 440,
-    "scene_files": 2_030,
+    "scene_files": 1_360,
     "several": 190,
     "vgg": 370,
     "viewer": 1_560,

@@ -166,11 +166,14 @@ def _read_light(folder: Path, file: Path) -> None:
 
 def _read_scene(folder: Path, file: Path) -> None:
     from metapp.extensions.scene_files.reading import find, read_scene
+    from metapp.extensions.scene_files.trial import try_scene
     from metapp.rendering.scenes.loading import load_scene
+    from metapp.rendering.variant import load_mitsuba
 
     path = next((path for path in find([folder])[0] if path.name.startswith("box")), file)
     scene = read_scene(path)
     try:
+        try_scene(scene, load_mitsuba().variant())
         brightest = load_scene(scene).brightest
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None  # as read_task names it

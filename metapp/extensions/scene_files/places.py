@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from metapp.extensions.scene_files.files import check_file
-from metapp.rendering.scenes.plugins import number_of, snake_case
+from metapp.rendering.scenes.plugins import snake_case
 from metapp.rendering.scenes.rules import Files
 
 TEXT_BYTES = 2**24  # of a scene file or an include
@@ -62,10 +62,10 @@ class Places(Files):
         return path
 
     def check(self, kind: str, parameters: Mapping[str, Any]) -> None:
-        """Refuse a mesh, volume or picture that Mitsuba would read past its end, or that takes too much memory."""
-        parameters = {snake_case(name): value for name, value in parameters.items()}
-        if isinstance(parameters.get("filename"), str):
-            check_file(kind, Path(parameters["filename"]), int(number_of(parameters.get("shape_index")) or 0))
+        """Refuse a picture or volume that takes too much memory."""
+        for name, value in parameters.items():
+            if snake_case(name) == "filename" and isinstance(value, str):
+                check_file(kind, Path(value))
 
     def text(self, name: str) -> tuple[Path, str]:
         """The resolved path and the content of a document that is included."""

@@ -1,8 +1,8 @@
 """A scene from outside is loaded by a process of its own first, whose death is a refusal.
 
-Files of meshes, volumes and pictures are checked, but Mitsuba reads others too (measured materials, spectra, curves),
-and decodes pictures by libraries of its own. The process costs 0.25 s and what Mitsuba needs to load the scene: it
-imports no torch.
+Mitsuba trusts the files of a scene: counts past a file's end ask for gigabytes, indices past the vertices read memory
+that is not the mesh's. What did load is checked as it lies in memory, whatever file it came from. The process costs
+0.25 s and what Mitsuba needs to load the scene: it imports no torch.
 """
 
 from __future__ import annotations
@@ -12,38 +12,44 @@ import os
 import signal
 import subprocess
 import sys
-from typing import Any
 
-from metapp.rendering.scenes.instances import instantiate
+import numpy as np
+
+from metapp.rendering.scenes.instances import Json, instantiate, one_line
+from metapp.rendering.types import Mitsuba, Scene
 from metapp.rendering.variant import THREADS, choose_llvm, own_plugins_only
 
-Json = Any  # a value of a scene
-
 _CPU_SECONDS = 300  # the largest public scenes load in half a minute
+_MEMORY_BYTES = 2**34  # of addresses; damaged counts ask for more
+_REFUSED = 3  # exit code
 
 
 def try_scene(scene: dict[str, Json], variant: str) -> None:
-    """Refuse a scene that ends the process that loads it, or that never comes to an end.
+    """Refuse a scene that Mitsuba cannot load, that ends the process, or that never comes to an end.
 
     Args:
         scene: as `metapp.extensions.scene_files.checking.checked` gives it.
         variant: of Mitsuba, to load it in.
 
     Raises:
-        ValueError: the process died.
+        ValueError: the process died; Mitsuba's reason; a mesh without faces or with faces that name no vertices, values
+            that are not finite.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-P", "-m", "metapp.extensions.scene_files.trial", variant]  # -P: nothing of this folder
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
     )
+    said = b""
     try:
-        process.communicate(json.dumps(scene).encode(), timeout=2 * _CPU_SECONDS)
+        said, _ = process.communicate(json.dumps(scene).encode(), timeout=2 * _CPU_SECONDS)
     except subprocess.TimeoutExpired:
         pass
     finally:
         process.kill()
         code = process.wait()
+    if code == _REFUSED:
+        raise ValueError(f"no scene that Mitsuba can load: {one_line(said.decode(errors='replace'))}")
     if code < 0:
         raise ValueError(
             f"{_ended(-code)} while Mitsuba loads it, expected a scene that it can load; leave out meshes, pictures "
@@ -63,6 +69,7 @@ def _load(variant: str) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_SECONDS, _CPU_SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if variant.startswith("llvm"):
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))  # CUDA reserves more than there is
         choose_llvm()
     import drjit
     import mitsuba
@@ -71,7 +78,30 @@ def _load(variant: str) -> None:
     own_plugins_only(mitsuba)
     drjit.set_thread_count(THREADS)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    instantiate(mitsuba, json.loads(sys.stdin.buffer.read()))
+    try:
+        problem = _problem(mitsuba, instantiate(mitsuba, json.loads(sys.stdin.buffer.read())))
+    except Exception as error:  # whatever it is, the scene is to blame
+        problem = str(error)
+    if problem:
+        sys.stdout.buffer.write(problem.encode())
+        raise SystemExit(_REFUSED)
+
+
+def _problem(mitsuba: Mitsuba, scene: Scene) -> str:
+    """What is wrong with a scene's meshes, volumes and pictures, which Mitsuba takes as they are; "" for nothing."""
+    parameters = mitsuba.traverse(scene)
+    for key, value in parameters.items():
+        name, _, kind = key.rpartition(".")
+        numbers = np.array(value)
+        if kind == "faces":
+            vertices = len(parameters[f"{name}.vertex_positions"]) // 3
+            if not numbers.size:
+                return f"the mesh {name!r} has no faces, expected some; leave the shape out."
+            if numbers.max() >= vertices:
+                return f"the mesh {name!r} has a face at vertex {numbers.max():,}, expected 0 to {vertices - 1:,}."
+        if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
+            return f"{key!r} holds NaN or infinite values, expected finite ones; export it again."
+    return ""
 
 
 if __name__ == "__main__":

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from metapp.rendering.types import Mitsuba, Scene
 
 Json = Any  # a value of a scene
+
+_LONGEST = 200  # characters of Mitsuba's messages
 
 
 def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
@@ -24,3 +27,9 @@ def _matrices(mi: Mitsuba, value: Json) -> Json:
     if isinstance(value, list) and isinstance(value[0], list):
         return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
     return value
+
+
+def one_line(reason: str) -> str:
+    """What Mitsuba says of an error, in one line."""
+    reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", reason).strip()
+    return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"

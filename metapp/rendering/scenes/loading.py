@@ -10,7 +10,6 @@ scene names as a plugin. All file names are absolute, and the files lie in folde
 from __future__ import annotations
 
 import math
-import re
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +18,10 @@ from torch import Tensor
 
 from metapp.appearance.latlong import luminance
 from metapp.door import SceneCheck, load, offers
-from metapp.rendering.scenes.instances import instantiate
+from metapp.rendering.scenes.instances import instantiate, one_line
 from metapp.rendering.scenes.rules import READER, CheckedDict, Files, SceneDict
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
-
-_LONGEST = 200  # characters of Mitsuba's messages
 
 
 class Loaded(NamedTuple):
@@ -87,10 +84,8 @@ def load_any(scene: SceneDict) -> tuple[Mitsuba, Scene]:
 
 
 def reason_of(error: BaseException) -> str:
-    """What Mitsuba says of an error, in one line."""
-    error = error.__cause__ or error  # an error within a loop
-    reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", str(error)).strip()
-    return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"
+    """Mitsuba's message of an error, in one line."""
+    return one_line(str(error.__cause__ or error))  # the cause of an error within a loop
 
 
 def brightness(radiance: Tensor) -> Tensor:

@@ -11,9 +11,9 @@ from xml.etree.ElementTree import indent, tostring
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
 from metapp.extensions.scene_files.upgrade.repairs import Repair, repair
-from metapp.extensions.scene_files.upgrade.values import snake_case
 from metapp.extensions.scene_files.xml import SceneElement, checked_xml, merged, parse
 from metapp.rendering.scenes.loading import check_traced, load_any
+from metapp.rendering.scenes.plugins import snake_case
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import write_atomically
 

@@ -5,70 +5,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
+from xml.etree.ElementTree import Element
 
-import numpy as np
 import torch
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.extensions.scene_files.xml import SceneElement
-from metapp.rendering.scenes.plugins import number_of
-
-Colour = tuple[float, float, float]
-
-_PLANCK, _LIGHT, _BOLTZMANN = 6.62606957e-34, 299_792_458.0, 1.3806488e-23
-_WAVELENGTHS = range(360, 831, 10)  # nm, those that Mitsuba integrates over
+from metapp.rendering.scenes.plugins import number_of, snake_case
 
 
-def snake_case(name: str) -> str:
-    """A name as Mitsuba's own upgrade changes it: toWorld to to_world, intIOR to int_ior."""
-    return re.sub("(?<=[a-z])[A-Z]+", lambda found: f"_{found[0].lower()}", name)
-
-
-def made(tag: str, *inside: SceneElement, **attributes: str) -> SceneElement:
+def made(tag: str, **attributes: str) -> SceneElement:
     """An element that no document holds."""
-    element = SceneElement(tag, attributes)
-    element.extend(inside)
-    return element
+    return SceneElement(tag, attributes)
+
+
+def name_of(element: Element) -> str:
+    """The name of a parameter as Mitsuba 3 has it, which renames those of scenes of version 0.6: toWorld, to_world."""
+    return snake_case(element.get("name", ""))
 
 
 def child(element: SceneElement, name: str) -> SceneElement | None:
     """The first parameter of this name."""
-    return next((part for part in element if part.get("name") == name), None)
+    return next((part for part in element if name_of(part) == name), None)
 
 
-def taken(element: SceneElement, name: str) -> SceneElement | None:
-    """The first parameter of this name, which the element has no longer."""
-    found = child(element, name)
-    if found is not None:
-        element.remove(found)
-    return found
-
-
-def numbers(text: str) -> tuple[float, ...] | None:
-    """Finite numbers between blanks or commas; None where there is anything else."""
-    values = [_finite(part) for part in text.replace(",", " ").split()]
-    plain = tuple(value for value in values if value is not None)
-    return plain if plain and len(plain) == len(values) else None
-
-
-def number(element: SceneElement | None, default: float) -> float | None:
-    """A parameter's number; None where it is no finite number, such as a texture."""
-    return default if element is None else _finite(element.get("value"))
-
-
-def _finite(text: str | None) -> float | None:
-    value = number_of(text)
-    return value if value is not None and math.isfinite(value) else None
-
-
-def colour(element: SceneElement | None, default: float) -> Colour | None:
-    """A parameter's linear RGB; None where it is no constant colour."""
-    if element is None:
-        return (default,) * 3
-    if element.tag not in ("float", "rgb", "spectrum") or "type" in element.attrib:
-        return None
-    values = numbers(element.get("value", "")) or ()
-    return {1: values * 3, 3: values}.get(len(values))  # type: ignore[return-value]  # three numbers
+def numbers(text: str) -> tuple[float, ...]:
+    """Finite numbers between blanks or commas; none where there is anything else."""
+    values = [number_of(part) for part in text.replace(",", " ").split()]
+    finite = tuple(value for value in values if value is not None and math.isfinite(value))
+    return finite if len(finite) == len(values) else ()
 
 
 def shown(values: Iterable[float]) -> str:
@@ -76,23 +41,11 @@ def shown(values: Iterable[float]) -> str:
     return ", ".join(f"{value:.7g}" for value in values)
 
 
-def linear(code: str) -> Colour | None:
-    """Linear RGB of '#rrggbb', which is sRGB."""
-    if not re.fullmatch("#[0-9a-fA-F]{6}", code):
-        return None
-    return linear_rgb(int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
-
-
-def linear_rgb(srgb: Iterable[float]) -> Colour:
-    """Linear RGB of sRGB in [0, 1]."""
-    red, green, blue = srgb_to_linear(torch.tensor(list(srgb), dtype=torch.float64)).tolist()
-    return red, green, blue
-
-
-def blackbody(kelvin: float, scale: float) -> str:
-    """Radiance in W / (m^2 sr nm) by Planck's law, as Mitsuba 0.6 has it: 'wavelength:value, ...' in nm."""
-    metres = np.array(_WAVELENGTHS) * 1e-9
-    exponent = _PLANCK * _LIGHT / (_BOLTZMANN * kelvin * metres)
-    with np.errstate(over="ignore"):
-        radiance = 2e-9 * scale * _PLANCK * _LIGHT**2 / metres**5 / np.expm1(exponent)
-    return ", ".join(f"{nm}:{value:.7g}" for nm, value in zip(_WAVELENGTHS, radiance, strict=True))
+def linear_rgb(text: str) -> tuple[float, ...]:
+    """Linear RGB of sRGB: '#rrggbb', or one or three numbers in [0, 1]; nothing where it is neither."""
+    if re.fullmatch("#[0-9a-fA-F]{6}", text):
+        values: tuple[float, ...] = tuple(int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    else:
+        values = numbers(text)
+    values = values * 3 if len(values) == 1 else values
+    return tuple(srgb_to_linear(torch.tensor(values, dtype=torch.float64)).tolist()) if len(values) == 3 else ()
