@@ -132,7 +132,7 @@ def compiled(cache: Path, _compiled_once: Path) -> None:
     (cache / _compiled_once.name).symlink_to(_compiled_once)
 
 
-USER_WEIGHTS, USER_MATRIX = weights_path("vgg16"), matrix_path()  # before any test moves the cache
+USER_WEIGHTS, USER_MATRIX = weights_path(), matrix_path()  # before any test moves the cache
 
 
 @pytest.fixture

@@ -18,13 +18,10 @@ from metapp.appearance.precision import in_bfloat16
 from metapp.storage.cache import cache_folder
 from metapp.storage.tensors import opened_tensors
 
-# channels of the convolutions of each block (Simonyan & Zisserman 2015); blocks are parted by max pooling
-BLOCKS = {
-    "vgg16": ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3),
-    "vgg19": ((64,) * 2, (128,) * 2, (256,) * 4, (512,) * 4, (512,) * 4),
-}
-# how the SHA-256 begins of files of ImageNet's weights, and of VGG-16's as the cache keeps them
-KNOWN = {"vgg16": ("397923af", "a286e44c", "306c6f39"), "vgg19": ("dcbb9e9d",)}
+# channels of the convolutions of each block of VGG-16 (Simonyan & Zisserman 2015); blocks are parted by max pooling
+BLOCKS = ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3)
+# how the SHA-256 begins of files of ImageNet's weights, and of these as the cache keeps them
+KNOWN = ("397923af", "a286e44c", "306c6f39")
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -68,9 +65,9 @@ class Features(nn.Module):
         return copy.deepcopy(self.stages).bfloat16()
 
 
-def describe_precision(which: str, device: torch.device) -> str:
+def describe_precision(device: torch.device) -> str:
     """The precision of features in fits, in words; "" for float32."""
-    return "VGG in bfloat16" if weights_path(which).is_file() and in_bfloat16(device) else ""
+    return "VGG in bfloat16" if weights_path().is_file() and in_bfloat16(device) else ""
 
 
 class RandomFilters(Features):
@@ -86,93 +83,90 @@ class RandomFilters(Features):
         return maps
 
 
-def weights_path(which: str) -> Path:
-    """Where `metapp data vgg` stores the weights of "vgg16" or "vgg19"."""
-    return cache_folder() / f"{which}.safetensors"
+def weights_path() -> Path:
+    """The file in which `metapp data vgg` stores the weights of VGG-16."""
+    return cache_folder() / "vgg16.safetensors"
 
 
-def describe_features(which: str) -> str:
+def describe_features() -> str:
     """The features that `load_features` would return now, in words.
 
     Raises:
         ValueError: damaged weights.
     """
-    path = weights_path(which)
+    path = weights_path()
     if path.is_file():
-        return f"{which.upper().replace('VGG', 'VGG-')} features ({_origin(which, path, path.stat().st_mtime_ns)})"
-    return f"random filters, as the {which} weights are missing (metapp data vgg --which {which} fetches them)"
+        return f"VGG-16 features ({_origin(path, path.stat().st_mtime_ns)})"
+    return "random filters, as the weights of VGG-16 are missing (metapp data vgg fetches them)"
 
 
 @lru_cache(maxsize=4)
-def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is a key of the lru_cache
+def _origin(path: Path, changed: int) -> str:  # `changed`, its time, is a key of the lru_cache
     """The origin of a file's weights by the digest of their source or their own: ImageNet, or unknown."""
     try:
         with opened_tensors(path) as weights:
             digest = (weights.metadata() or {}).get("sha256", "")
     except SafetensorError:
-        raise _damaged(which, path) from None
-    if digest[:8] not in KNOWN[which]:
+        raise _damaged(path) from None
+    if digest[:8] not in KNOWN:
         with path.open("rb") as file:
             file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which names the source
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return "ImageNet" if digest[:8] in KNOWN[which] else f"unknown weights {digest[:8]}"
+    return "ImageNet" if digest[:8] in KNOWN else f"unknown weights {digest[:8]}"
 
 
-def _damaged(which: str, path: str | Path) -> ValueError:
-    return ValueError(
-        f"{path}: damaged, expected the weights of {which}; fetch it again: metapp data vgg --which {which}."
-    )
+def _damaged(path: str | Path) -> ValueError:
+    return ValueError(f"{path}: damaged, expected the weights of VGG-16; fetch it again: metapp data vgg.")
 
 
-def load_features(which: str, taps: Sequence[str], like: Tensor) -> Features:
+def load_features(taps: Sequence[str], like: Tensor) -> Features:
     """Features with taps such as ("relu1_1", "relu2_1"), on the device and in the precision of a tensor.
 
     Without weights in the cache they are fixed random filters; their Gram matrices say much less about textures.
     """
-    path = weights_path(which)
-    return _load(which, tuple(taps), str(path) if path.is_file() else "", like.device, like.dtype)
+    path = weights_path()
+    return _load(tuple(taps), str(path) if path.is_file() else "", like.device, like.dtype)
 
 
 @lru_cache(maxsize=4)
-def _load(which: str, taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.dtype) -> Features:
-    features = _vgg(which, taps, path) if path else _random(len(taps))
+def _load(taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.dtype) -> Features:
+    features = _vgg(taps, path) if path else _random(len(taps))
     result: Features = features.to(device=device, dtype=dtype).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
     return result
 
 
-def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
+def _vgg(taps: Sequence[str], path: str) -> Features:
     stages: list[list[nn.Module]] = [[]]
-    for name, tap, inputs, outputs in _layers(which):
+    for name, tap, inputs, outputs in _layers():
         if tap.endswith("_1") and name != "conv0":
             stages[-1].append(nn.MaxPool2d(2))
-        stages[-1] += [_convolution(which, path, name, inputs, outputs), nn.ReLU()]
+        stages[-1] += [_convolution(path, name, inputs, outputs), nn.ReLU()]
         if tap in taps:
             stages.append([])
         if len(stages) > len(taps):  # deeper ones are not even read
             break
-    return Features(describe_features(which), [nn.Sequential(*stage) for stage in stages[:-1]])
+    return Features(describe_features(), [nn.Sequential(*stage) for stage in stages[:-1]])
 
 
-def _convolution(which: str, path: str, name: str, inputs: int, outputs: int) -> nn.Conv2d:
+def _convolution(path: str, name: str, inputs: int, outputs: int) -> nn.Conv2d:
     convolution = nn.Conv2d(inputs, outputs, 3, padding=1)
     try:
         with opened_tensors(path) as weights:
             parts = [part for part in ("weight", "bias") if f"{name}.{part}" in weights.keys()]  # noqa: SIM118
             convolution.load_state_dict({part: weights.get_tensor(f"{name}.{part}") for part in parts})
     except SafetensorError:
-        raise _damaged(which, path) from None
+        raise _damaged(path) from None
     except RuntimeError:
         raise ValueError(
-            f"{path}: {name} missing or of another shape, expected {which}; "
-            f"fetch it again: metapp data vgg --which {which}."
+            f"{path}: {name} missing or of another shape, expected VGG-16; fetch it again: metapp data vgg."
         ) from None
     return convolution
 
 
-def _layers(which: str) -> Iterator[tuple[str, str, int, int]]:
+def _layers() -> Iterator[tuple[str, str, int, int]]:
     """Convolutions in order: names in files, names of the ReLUs behind them, input and output channels."""
     inputs, count = 3, 0
-    for block, widths in enumerate(BLOCKS[which], 1):
+    for block, widths in enumerate(BLOCKS, 1):
         for i, outputs in enumerate(widths, 1):
             yield f"conv{count}", f"relu{block}_{i}", inputs, outputs
             inputs, count = outputs, count + 1
@@ -193,11 +187,11 @@ def _random(scales: int) -> Features:
     return RandomFilters("random filters", stages)
 
 
-def channels_of(which: str, taps: Sequence[str]) -> list[int]:
+def channels_of(taps: Sequence[str]) -> list[int]:
     """Channels of the maps at each tap."""
-    if not weights_path(which).is_file():
+    if not weights_path().is_file():
         return [RANDOM] * len(taps)
-    return [outputs for _, name, _, outputs in _layers(which) if name in taps]
+    return [outputs for _, name, _, outputs in _layers() if name in taps]
 
 
 def moments(maps: Sequence[Tensor]) -> Tensor:

@@ -24,7 +24,6 @@ PACKAGES = (
     "typer",
     "rich",
 )
-VGG = {"vgg16": "textures and svbrdf_stationary need it", "vgg19": "only the recipe paper-vgg19 of texture needs it"}
 
 
 def command(
@@ -59,7 +58,7 @@ def examine() -> Document:
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
         "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
-        "VGG": {which: _vgg(which) for which in VGG},
+        "VGG": _vgg(),
         "libLLVM": _llvm(),
     }
 
@@ -93,20 +92,19 @@ def _version(package: str) -> str:
         return "missing"
 
 
-def _vgg(which: str) -> str:
+def _vgg() -> str:
     from safetensors import SafetensorError
 
     from metapp.appearance.features import weights_path
     from metapp.storage.tensors import opened_tensors
 
-    remedy = f"metapp data vgg --which {which}"
-    if not weights_path(which).is_file():
-        return f"not fetched; {VGG[which]}; get it: {remedy}"
+    if not weights_path().is_file():
+        return "not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg"
     try:
-        with opened_tensors(weights_path(which)) as file:
+        with opened_tensors(weights_path()) as file:
             return f"from {(file.metadata() or {}).get('source', 'unknown')}"
     except (OSError, SafetensorError):
-        return f"damaged: what is fitted to pictures fails; fetch it again: {remedy}"
+        return "damaged: what is fitted to pictures fails; fetch it again: metapp data vgg"
 
 
 def _llvm() -> str:

@@ -32,8 +32,7 @@ class ExemplarSetup:
     Attributes:
         height, width: texels of the exemplar and of what is generated in training.
         network: the generator.
-        features: "vgg16" or "vgg19".
-        taps: the layers whose statistics are compared.
+        taps: the layers of VGG-16 whose statistics are compared.
         octaves: sizes at which they are, each half of the one before (Snelgrove 2017); each finer one leaves out the
             deepest layer of the one below, so that deep layers see large structures at little cost.
         shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () where
@@ -47,7 +46,6 @@ class ExemplarSetup:
     height: int
     width: int
     network: UNet | Pyramid
-    features: str
     taps: tuple[str, ...]
     octaves: int = 1
     shares: tuple[float, ...] = ()
@@ -118,14 +116,14 @@ class ExemplarApp(App):
         return replace(super().traits, reads=self.setup.width if self.setup.finer else 0)
 
     def conditions(self) -> dict[str, str]:
-        return {"features": describe_features(self.setup.features)}
+        return {"features": describe_features()}
 
     def features(self, images: Tensor, octave: int) -> list[Tensor]:
         """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
 
         Those of what a fit descends are in reduced precision where the application's are.
         """
-        features, maps = load_features(self.setup.features, self.setup.taps, images), []
+        features, maps = load_features(self.setup.taps, images), []
         for coarser in reversed(range(octave, self.setup.octaves)):
             times = 2 ** (coarser - octave)
             some = avg_pool2d(images, times) if times > 1 else images
@@ -150,7 +148,7 @@ class ExemplarApp(App):
 
     def summary_size(self) -> int:
         """S, the length of the encoder's input."""
-        channels = channels_of(self.setup.features, self.setup.taps)
+        channels = channels_of(self.setup.taps)
         return 2 * sum(sum(channels[: self.setup.taps_of(octave)]) for octave in range(self.setup.octaves))
 
     def octave(self, data: Mapping[str, Tensor]) -> int:

@@ -50,7 +50,7 @@ def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Ad
             "meta-basis": tuned,
         },
         rule="meta-basis",
-        setup=ExemplarSetup(64, 64, UNet(16, outputs=outputs), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
+        setup=ExemplarSetup(64, 64, UNet(16, outputs=outputs), ("relu1_1", "relu2_1", "relu3_1")),
     )
 
 
@@ -84,7 +84,6 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0, la
             256,
             256,
             network,
-            quick.setup.features,
             taps,
             octaves=3,
             shares=(0.2, 0.6) if layout else (0.5, 0.8),

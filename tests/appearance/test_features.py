@@ -139,33 +139,32 @@ def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
 
 def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> None:
     image = rand(2, 3, 16, 16).float()
-    first = load_features("vgg16", TAPS, image)(image)
+    first = load_features(TAPS, image)(image)
     assert [tuple(each.shape) for each in first] == [(2, RANDOM, size, size) for size in (16, 8, 4, 2)]
     torch.manual_seed(99)
     features._load.cache_clear()
-    again = load_features("vgg16", TAPS, image)(image)
+    again = load_features(TAPS, image)(image)
     assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
     # checkpoints were trained with these: another value makes old ones worthless
-    found = load_features("vgg16", ("relu1_1",), image)(torch.full((1, 3, 16, 16), 0.5))[0][0, :, 8, 8]
+    found = load_features(("relu1_1",), image)(torch.full((1, 3, 16, 16), 0.5))[0][0, :, 8, 8]
     torch.testing.assert_close(found.mean(), torch.tensor(ANSWER), rtol=1e-3, atol=0)
 
 
 def test_without_weights_everything_says_so(cache: Path) -> None:
-    assert weights_path("vgg16") == cache / "vgg16.safetensors"
-    assert "random filters" in describe_features("vgg16")
-    assert "vgg16 weights are missing" in describe_features("vgg16")
-    assert "metapp data vgg --which vgg19" in describe_features("vgg19")
-    assert channels_of("vgg16", TAPS) == [RANDOM] * 4
-    assert "random" in load_features("vgg16", TAPS, DOUBLE).name
+    assert weights_path() == cache / "vgg16.safetensors"
+    assert "random filters" in describe_features()
+    assert "weights of VGG-16 are missing (metapp data vgg fetches them)" in describe_features()
+    assert channels_of(TAPS) == [RANDOM] * 4
+    assert "random" in load_features(TAPS, DOUBLE).name
 
 
 # VGG
 
 
-def made_up(which: str) -> dict[str, Tensor]:
+def made_up() -> dict[str, Tensor]:
     """Random weights of a network's shapes, about as large as keeps the size of what passes through."""
     rng, weights, inputs = Generator().manual_seed(5), {}, 3
-    for layer, outputs in enumerate(itertools.chain(*BLOCKS[which])):
+    for layer, outputs in enumerate(itertools.chain(*BLOCKS)):
         scale = math.sqrt(2 / (9 * inputs))
         weights[f"conv{layer}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * scale
         weights[f"conv{layer}.bias"] = torch.randn(outputs, generator=rng) * 0.1
@@ -177,7 +176,7 @@ def made_up(which: str) -> dict[str, Tensor]:
 def vgg16(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of made-up weights, of the true shapes."""
     path = tmp_path_factory.mktemp("weights") / "vgg16.safetensors"
-    save_file(made_up("vgg16"), path)
+    save_file(made_up(), path)
     return path
 
 
@@ -202,21 +201,20 @@ def test_vgg_is_what_its_paper_lists(
 ) -> None:
     os.link(vgg16, cache / "vgg16.safetensors")
     image = rand(2, 3, 32, 16)
-    network = load_features("vgg16", taps, image)
-    maps, expected = network(image), by_hand(made_up("vgg16"), image)
+    network = load_features(taps, image)
+    maps, expected = network(image), by_hand(made_up(), image)
     assert len(maps) == len(taps)
     for tap, each in zip(taps, maps, strict=True):
         torch.testing.assert_close(each, expected[tap])
-    assert channels_of("vgg16", taps) == [each.shape[1] for each in maps]
-    assert describe_features("vgg16") == network.name
-    assert "random" in describe_features("vgg19")
+    assert channels_of(taps) == [each.shape[1] for each in maps]
+    assert describe_features() == network.name
     features._load.cache_clear()  # 60 MB each
 
 
 def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     """Gram matrices of pictures that are descended, and the gradients of their mean squares, each alone."""
     image = pictures.clone().requires_grad_()
-    maps = load_features("vgg16", TAPS[:3], image)(image, reduced=True)
+    maps = load_features(TAPS[:3], image)(image, reduced=True)
     found = [gram(each) for each in maps]
     slopes = [torch.autograd.grad(each.square().mean(), image, retain_graph=True)[0] for each in found]
     return [each.detach() for each in found], slopes
@@ -253,17 +251,16 @@ def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
 def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit by bit what pictures give that are not descended."""
     pictures = torch.rand(1, 3, 32, 32, generator=rng)
-    long = load_features("vgg16", TAPS, pictures)(pictures)
+    long = load_features(TAPS, pictures)(pictures)
 
     def maps() -> list[Tensor]:
-        return load_features("vgg16", TAPS, pictures)(pictures.clone().requires_grad_(), reduced=True)
+        return load_features(TAPS, pictures)(pictures.clone().requires_grad_(), reduced=True)
 
     assert {each.dtype for each in maps()} == {torch.bfloat16}
-    assert describe_precision("vgg16", torch.device("cpu")) == "VGG in bfloat16"
-    assert describe_precision("vgg16", torch.device("cuda")) == ""
-    assert describe_precision("vgg19", torch.device("cpu")) == ""  # random filters
+    assert describe_precision(torch.device("cpu")) == "VGG in bfloat16"
+    assert describe_precision(torch.device("cuda")) == ""
     monkeypatch.setattr(precision, "has_bfloat16", lambda: False)
-    assert describe_precision("vgg16", torch.device("cpu")) == ""
+    assert describe_precision(torch.device("cpu")) == ""
     assert all(torch.equal(one, other) for one, other in zip(maps(), long, strict=True))
 
 
@@ -271,7 +268,7 @@ def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeyp
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_what_is_judged_is_never_in_bfloat16(dtype: torch.dtype, rng: Generator) -> None:
     pictures = torch.rand(1, 3, 32, 32, generator=rng, dtype=dtype)
-    network = load_features("vgg16", TAPS, pictures)
+    network = load_features(TAPS, pictures)
     assert {each.dtype for each in network(pictures, reduced=True)} == {dtype}
     with torch.no_grad():
         made = pictures.clone().requires_grad_() * 1
@@ -289,28 +286,22 @@ def test_gram_matrices_of_bfloat16_are_summed_in_float32(size: tuple[int, int], 
 
 
 def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = {"which": "vgg19", "sha256": "dcbb9e9d" + 56 * "0"}
-    save_file({"w": torch.ones(3)}, cache / "vgg19.safetensors", known)
-    assert describe_features("vgg19") == "VGG-19 features (ImageNet)"
     digest = hashlib.sha256(torch.ones(3).numpy().tobytes()).hexdigest()
     path = cache / "vgg16.safetensors"
-    for time, notes in enumerate((None, known, {"which": "vgg16", "sha256": 64 * "0"})):  # of another network
+    for time, notes in enumerate((None, {"sha256": 64 * "0"})):
         save_file({"w": torch.ones(3)}, path, notes)
         os.utime(path, (time, time))
-        assert describe_features("vgg16") == f"VGG-16 features (unknown weights {digest[:8]})"
-    monkeypatch.setitem(features.KNOWN, "vgg16", (digest[:8],))  # the very weights, wherever they came from
+        assert describe_features() == f"VGG-16 features (unknown weights {digest[:8]})"
+    monkeypatch.setattr(features, "KNOWN", (digest[:8],))  # the very weights, wherever they came from
     os.utime(path, (9, 9))
-    assert describe_features("vgg16") == "VGG-16 features (ImageNet)"
+    assert describe_features() == "VGG-16 features (ImageNet)"
 
 
 def test_the_weights_of_the_shipped_checkpoints_are_known(vgg: Path) -> None:
-    assert describe_features("vgg16") == "VGG-16 features (ImageNet)"
+    assert describe_features() == "VGG-16 features (ImageNet)"
     save_file(load_file(vgg / "vgg16.safetensors"), vgg / "copy.safetensors")  # without notes on their source
     (vgg / "copy.safetensors").replace(vgg / "vgg16.safetensors")
-    assert describe_features("vgg16") == "VGG-16 features (ImageNet)"
-
-
-SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
+    assert describe_features() == "VGG-16 features (ImageNet)"
 
 
 @pytest.mark.parametrize(
@@ -319,31 +310,31 @@ SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
 def test_weights_of_another_network_are_refused(
     damage: dict[str, Tensor | None], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(features, "BLOCKS", SMALL)
+    monkeypatch.setattr(features, "BLOCKS", ((2, 2), (3,)))
     weights = {
         f"conv{i}.{part}": torch.zeros(shape)
         for i, outputs, inputs in ((0, 2, 3), (1, 2, 2), (2, 3, 2))
         for part, shape in (("weight", (outputs, inputs, 3, 3)), ("bias", (outputs,)))
     }
     save_file(weights, cache / "vgg16.safetensors")
-    assert load_features("vgg16", ("relu2_1",), DOUBLE)(torch.zeros(1, 3, 4, 4).double())[0].shape == (1, 3, 2, 2)
+    assert load_features(("relu2_1",), DOUBLE)(torch.zeros(1, 3, 4, 4).double())[0].shape == (1, 3, 2, 2)
     features._load.cache_clear()
     save_file(
         {key: value for key, value in (weights | damage).items() if value is not None}, cache / "vgg16.safetensors"
     )
     (layer,) = (key.split(".")[0] for key in damage)
-    expected = f"{layer} missing or of another shape, expected vgg16; fetch it again: metapp data vgg --which vgg16."
+    expected = f"{layer} missing or of another shape, expected VGG-16; fetch it again: metapp data vgg."
     with pytest.raises(ValueError, match=f"^[^\n]*{expected}$"):
-        load_features("vgg16", ("relu2_1",), DOUBLE)
+        load_features(("relu2_1",), DOUBLE)
 
 
 @pytest.mark.parametrize("kept", [0, 4, 100, 0.5, 1 - 1e-6])
 def test_damaged_weights_are_refused(kept: float, vgg16: Path, cache: Path) -> None:
     whole = vgg16.read_bytes() if kept else b""
     (cache / "vgg16.safetensors").write_bytes(whole[: int(kept if kept >= 1 else kept * len(whole))])
-    for read in (lambda: load_features("vgg16", ("relu1_1",), DOUBLE), lambda: describe_features("vgg16")):
+    for read in (lambda: load_features(("relu1_1",), DOUBLE), lambda: describe_features()):
         with pytest.raises(
-            ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of vgg16; fetch"
+            ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of VGG-16; fetch"
         ):
             read()
 

@@ -33,7 +33,7 @@ def tiny(name: str) -> Recipe:
     """The recipe full with a small network, of two octaves."""
     full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
     network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs, layout=3)
-    return replace(full, setup=ExemplarSetup(side, side, network, "vgg16", TAPS, octaves=2, shares=(SHARE,)))
+    return replace(full, setup=ExemplarSetup(side, side, network, TAPS, octaves=2, shares=(SHARE,)))
 
 
 @pytest.fixture(scope="module", params=["texture", "svbrdf_stationary"])
@@ -71,7 +71,7 @@ def test_the_papers_recipes(name: str, steps: int, tasks: int, size: tuple[int, 
 def test_what_is_compared(app: ExemplarApp, tasks: Tasks) -> None:
     """Three layers of the picture of half the size, then two of the whole."""
     image = app.exemplar(tasks.data["image"][:1].float() / 255)
-    features = load_features("vgg16", TAPS, image)
+    features = load_features(TAPS, image)
     maps = features(avg_pool2d(image, 2)) + features(image)[:2]
     assert len(maps) == 5
     for i, each in enumerate(maps):

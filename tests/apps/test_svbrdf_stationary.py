@@ -46,7 +46,7 @@ from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 
 SIZE = 32
-TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), "vgg16", ("relu1_1",)))
+TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), ("relu1_1",)))
 WINDOWS = range(GRID * GRID)
 
 

@@ -26,9 +26,7 @@ from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 
 SIZE, LEVELS = 32, 3
-TINY = replace(
-    QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), "vgg16", ("relu1_1", "relu2_1"))
-)
+TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), ("relu1_1", "relu2_1")))
 
 
 def tiny() -> Texture:
@@ -90,7 +88,7 @@ def test_what_is_prepared(sources: list[Task], tasks: Tasks) -> None:
     assert data["image"].dtype == torch.uint8
     assert tiny().summary_size() == 4 * RANDOM
     exemplar = interpolate(sources[0].data["image"][None] / 255, size=(SIZE, SIZE), mode="area")
-    maps = load_features("vgg16", TINY.setup.taps, exemplar)(exemplar)
+    maps = load_features(TINY.setup.taps, exemplar)(exemplar)
     torch.testing.assert_close(data["gram1"], gram(maps[1])[0])
     torch.testing.assert_close(data["summary"], moments(maps)[0])
 

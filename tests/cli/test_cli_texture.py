@@ -55,7 +55,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     recipes = door.load(f"metapp.apps.{request.param}.recipes:RECIPES")
     quick = recipes["quick"]
     outputs = quick.setup.network.outputs
-    setup = ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1", "relu2_1"))
+    setup = ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), ("relu1_1", "relu2_1"))
     short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
     quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
@@ -156,12 +156,12 @@ def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, 
 def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, metapp: Callable) -> None:
     common = (app, "--data", data)
     assert metapp("meta", *common, "--rule", "meta-sgd", "--train", "--quiet").code == 0
-    widths = [3, *(width for block in BLOCKS["vgg16"] for width in block)]
+    widths = [3, *(width for block in BLOCKS for width in block)]
     weights = {}
     for i, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
         weights[f"conv{i}.weight"] = np.zeros((outputs, inputs, 3, 3), np.float32)
         weights[f"conv{i}.bias"] = np.zeros(outputs, np.float32)
-    save_file(weights, weights_path("vgg16"))
+    save_file(weights, weights_path())
     assert "its encoder reads random filters" in metapp("general", *common).refusal
     meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet")
     assert meta.code == 0

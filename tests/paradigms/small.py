@@ -117,7 +117,7 @@ def path_tasks() -> list[Task]:
 
 
 def small_setup(outputs: int) -> ExemplarSetup:
-    return ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
+    return ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), ("relu1_1",))
 
 
 SMALL: dict[str, Small] = {

@@ -20,7 +20,7 @@ FULL = pyramid(QUICK, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), ta
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
 PAPER = as_published(
     QUICK,
-    ExemplarSetup(256, 256, UNet(32, outputs=6), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
+    ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
     tasks=3,
 )
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}

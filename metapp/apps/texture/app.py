@@ -25,7 +25,7 @@ class Texture(ExemplarApp):
     holds: ClassVar = {"image": Held((3, "S", "S"), "uint8")}
 
     def precision(self, device: torch.device) -> str:
-        return describe_precision(self.setup.features, device)
+        return describe_precision(device)
 
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:

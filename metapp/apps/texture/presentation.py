@@ -43,7 +43,7 @@ class TexturePresentation(ExemplarPresentation[Texture]):
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Of a texture of the exemplar's size; `order` where the exemplar has some."""
         exemplar = self.app.exemplar(task.data["image"][None].float() / 255)
-        features = load_features(self.app.setup.features, JUDGING, exemplar)
+        features = load_features(JUDGING, exemplar)
         target, lattice = features(exemplar), lattice_of(exemplar[0])
         measured: dict[str, dict[str, float]] = {}
         for name, fit in fits.items():

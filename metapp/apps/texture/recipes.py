@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
@@ -19,10 +17,5 @@ QUICK = generator(
 )
 FULL = pyramid(QUICK, searched=Adam(4.4e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4, layout=True)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
-PAPER = as_published(
-    QUICK, ExemplarSetup(192, 256, UNet(32), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"))
-)
-# the authors' features
-TAPS = ("relu1_2", "relu2_2", "relu3_4", "relu4_4", "relu5_4")
-VGG19 = replace(PAPER, setup=replace(PAPER.setup, features="vgg19", taps=TAPS))
-RECIPES = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK, "full": FULL}
+PAPER = as_published(QUICK, ExemplarSetup(192, 256, UNet(32), ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")))
+RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}

