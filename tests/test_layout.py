@@ -211,7 +211,7 @@ EXTENSIONS = {
     "rgl": 440,
     "scene_files": 1_360,
     "several": 190,
-    "vgg": 370,
+    "vgg": 350,
     "viewer": 1_560,
 }
 
