@@ -54,14 +54,10 @@ def directions(count: int, seed: int, least: float = 0.05) -> Tensor:
     return vectors / vectors.norm(dim=1, keepdim=True)
 
 
-def seen_from(mi: Any, degrees: tuple[float, float], count: int) -> Any:
-    """Interactions of Mitsuba with a viewer at angles (theta, phi)."""
-    import drjit as dr
-
-    interaction = dr.zeros(mi.SurfaceInteraction3f, count)
-    interaction.wi = mi.Vector3f(*direction(*np.radians(degrees)).tolist())
-    dr.make_opaque(interaction.wi)
-    return interaction
+def viewer_at(degrees: tuple[float, float]) -> list[float]:
+    """The direction of a viewer at angles (theta, phi)."""
+    at: list[float] = direction(*np.radians(degrees)).tolist()
+    return at
 
 
 def measured(count: int, *, anisotropic: bool = True) -> Pairs:

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
@@ -22,9 +22,19 @@ FORKS.set_forkserver_preload(
 OUT, ERR = "out.txt", "err.txt"
 
 
-def start(
-    program: Callable[..., Any], *arguments: Any, said: Path, more: Mapping[str, str] | None = None
-) -> ForkServerProcess:
+class Running(NamedTuple):
+    """A program in a fork, and the folder of what it says."""
+
+    process: ForkServerProcess
+    said: Path
+
+    def end(self, seconds: float = 600) -> tuple[int | None, str, str]:
+        """Its exit code, standard output and standard error, once it has ended; no code where it takes longer."""
+        self.process.join(seconds)
+        return self.process.exitcode, (self.said / OUT).read_text(), (self.said / ERR).read_text()
+
+
+def start(program: Callable[..., Any], *arguments: Any, said: Path, more: Mapping[str, str] | None = None) -> Running:
     """Start `program(*arguments)`, a function of a module, in a fork.
 
     Args:
@@ -34,15 +44,12 @@ def start(
     said.mkdir(parents=True, exist_ok=True)
     process = FORKS.Process(target=_begin, args=(program, arguments, said, {**os.environ, **(more or {})}))
     process.start()
-    return process
+    return Running(process, said)
 
 
-def run_script(script: Path, *arguments: str | Path, said: Path) -> tuple[int, str, str]:
+def run_script(script: Path, *arguments: str | Path, said: Path) -> tuple[int | None, str, str]:
     """Run a file as `python <script> <arguments>` does: exit code, standard output, standard error."""
-    process = start(_script, str(script), *map(str, arguments), said=said)
-    process.join(300)
-    assert process.exitcode is not None, f"{script.name} takes longer than 300 s"
-    return process.exitcode, (said / OUT).read_text(), (said / ERR).read_text()
+    return start(_script, str(script), *map(str, arguments), said=said).end(300)
 
 
 def metapp(*words: str) -> None:

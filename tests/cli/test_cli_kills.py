@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 
@@ -18,33 +18,21 @@ from tests import forks
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
-class Running(NamedTuple):
-    """A command in a process of its own."""
-
-    process: Any
-    said: Path  # a folder
-
-    def end(self) -> tuple[int, str]:
-        """Its exit code and what it said, once it has ended."""
-        self.process.join()
-        return self.process.exitcode, (self.said / forks.ERR).read_text()
-
-
 class Command(NamedTuple):
     """A command that trains, and writes a training checkpoint every 50 ms."""
 
     arguments: tuple[str | Path, ...]
     out: Path
 
-    def start(self, program: Callable[..., None] = forks.metapp) -> Running:
+    def start(self, program: Callable[..., None] = forks.metapp) -> forks.Running:
         said = self.out.with_name(f"{self.out.name}-said")
         line = [*map(str, self.arguments), "--out", str(self.out), "--quiet"]
         often = {"METAPP_CHECKPOINT_SECONDS": "0.05"}
-        return Running(forks.start(program, *line, said=said, more=often), said)
+        return forks.start(program, *line, said=said, more=often)
 
     def run(self) -> str:
         """To its end; what it says."""
-        code, said = self.start().end()
+        code, _, said = self.start().end()
         assert code == 0, said
         return said
 
@@ -95,7 +83,7 @@ def _stops_once_kept(*words: str) -> None:
     forks.metapp(*words)
 
 
-def stopped_once_kept(command: Command) -> Running:
+def stopped_once_kept(command: Command) -> forks.Running:
     """The command, stopped by itself: what it has left to do does not depend on how busy the machine is."""
     running = command.start(_stops_once_kept)
     state = Path(f"/proc/{running.process.pid}/stat")
@@ -111,7 +99,7 @@ def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command], number: signa
     running = stopped_once_kept(stopped)
     os.kill(running.process.pid, signal.SIGCONT)
     os.kill(running.process.pid, number)
-    code, said = running.end()
+    code, _, said = running.end()
     assert code == 130
     assert "Traceback" not in said
     assert said.splitlines()[-1].startswith("interrupted; the same command goes on")

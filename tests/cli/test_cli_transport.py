@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -32,11 +31,11 @@ SPP_OF_TABLES = images.REFERENCE_SPP
 
 
 @pytest.fixture(scope="module")
-def scenes() -> list[Task]:
-    """Cornell boxes of few samples each."""
+def box() -> Task:
+    """A Cornell box of few samples."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(path_space, "BATCH", 2**16)  # of 2**19 paths, for samples by the ten thousand
-        return [transport_task(f"box-{i}", random_scene(i), i, samples=2048, held=512) for i in range(6)]
+        return transport_task("box", random_scene(0), 0, samples=2048, held=512)
 
 
 def uniform(app: Transport) -> Params:
@@ -47,20 +46,8 @@ def uniform(app: Transport) -> Params:
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
-
-    few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
-    quick = RECIPES["quick"]
-    recipe = replace(
-        quick,
-        steps=2,
-        batch=256,
-        overfit_steps=30,
-        finetune_steps=3,
-        general=replace(quick.general, **few),
-        meta={name: replace(training, **few, tuned=False) for name, training in quick.meta.items()},
-        setup=TransportSetup(Flow(code=3, hidden=8, bins=4)),
-    )
-    monkeypatch.setitem(RECIPES, "quick", recipe)
+    setup = TransportSetup(Flow(code=3, hidden=8, bins=4))
+    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, setup=setup))
     monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
     monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
@@ -69,8 +56,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
-def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
-    task, app = scenes[0], app_by("transport")
+def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None:
+    task, app = box, app_by("transport")
     shown, theta = TransportPresentation(app), uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
     with_nee = [images.REGULAR_NEE, *(plugin.row for plugin in images.integrators())]
@@ -92,28 +79,28 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
 
 
 @pytest.mark.long
-def test_pictures_with_nee_come_in_waves(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
+def test_pictures_with_nee_come_in_waves(box: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8)
     whole = studio.path(4096).picture
     assert torch.equal(whole, studio.path(4096).picture)
     monkeypatch.setattr(images, "WAVE", 1500 * 8 * 8)
     asked, by = [], studio._by
 
-    def noted(integrator: dict[str, Any], spp: int, seed: int) -> images.Shot:
+    def noted(integrator: str, spp: int, seed: int) -> images.Shot:
         asked.append((spp, seed))
         return by(integrator, spp, seed)
 
     monkeypatch.setattr(studio, "_by", noted)
     waves = studio.path(4096, seed=1).picture
     assert asked == [(1500, 65536), (1500, 65537), (1096, 65538)]
-    parts = sum(spp / 4096 * by({"type": "path"}, spp, seed).picture for spp, seed in asked)
+    parts = sum(spp / 4096 * by("path", spp, seed).picture for spp, seed in asked)
     torch.testing.assert_close(waves, parts)
     assert float(waves.mean()) == pytest.approx(float(whole.mean()), rel=0.01)
     assert not torch.equal(waves, whole)
 
 
 @pytest.mark.long
-def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task, monkeypatch: pytest.MonkeyPatch) -> None:
     app, sampled = app_by("transport"), []
 
     def sampling(self: images.Studio, samples: torch.Tensor) -> float:
@@ -121,7 +108,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
         return 1e9
 
     monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = TransportPresentation(app).image_errors({"instant": Fitted(uniform(app), 0.0)}, scenes[0])
+    found = TransportPresentation(app).image_errors({"instant": Fitted(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6
@@ -129,13 +116,13 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
 
 
 @pytest.mark.long
-def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reference_knows_its_own_error(box: Task, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES // 4)
-    studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
+    studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8)
     told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 4 * SPP_OF_TABLES, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
-    assert studio.sampling(scenes[0].data["samples"]) > 0
+    assert studio.sampling(box.data["samples"]) > 0
 
 
 @pytest.mark.long

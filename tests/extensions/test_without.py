@@ -61,10 +61,8 @@ def check_without(networks: Path, tmp_path: Path) -> Callable[[list[str]], None]
     def check(names: list[str]) -> None:
         commands = offered(names)
         environment = {"COLUMNS": "150", door.WITHOUT: ",".join(names)}
-        process = forks.start(call_all, *core, *commands, said=tmp_path / "said", more=environment)
-        process.join()
-        out, errors = ((tmp_path / "said" / name).read_text() for name in (forks.OUT, forks.ERR))
-        assert process.exitcode == 0, errors
+        code, out, errors = forks.start(call_all, *core, *commands, said=tmp_path / "said", more=environment).end()
+        assert code == 0, errors
         assert "Traceback" not in errors
         codes = [json.loads(line[3:]) for line in out.splitlines() if line.startswith("== ")]
         assert [words for _, *words in codes] == [*core, *commands]

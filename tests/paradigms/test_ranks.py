@@ -6,9 +6,7 @@ import json
 import socket
 import time
 from collections.abc import Callable
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from safetensors import safe_open
@@ -33,30 +31,18 @@ def materials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-class Rank(NamedTuple):
-    """A process of a training, and the folder of what it says."""
-
-    process: ForkServerProcess
-    said: Path
-
-    def end(self) -> tuple[int | None, str, str]:
-        """Its exit code, standard output and standard error, once it has ended."""
-        self.process.join(600)
-        return self.process.exitcode, (self.said / forks.OUT).read_text(), (self.said / forks.ERR).read_text()
-
-
 @pytest.fixture
-def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
+def train(materials: Path, compiled: None) -> Callable[..., list[forks.Running]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
 
-    def start(count: int, out: Path, steps: int, **environment: str) -> list[Rank]:
+    def start(count: int, out: Path, steps: int, **environment: str) -> list[forks.Running]:
         command = ["meta", "brdf", "--recipe", "quick", "--train", "--train-steps", str(steps)]
         command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
         started = []
         for rank in range(count):
             said, own = out.with_name(f"{out.name}-{rank}"), {**shared, **environment, "RANK": str(rank)}
-            started.append(Rank(forks.start(forks.metapp, *command, said=said, more=own), said))
+            started.append(forks.start(forks.metapp, *command, said=said, more=own))
         return started
 
     return start
@@ -67,7 +53,7 @@ def trained(folder: Path) -> dict[str, Path]:
 
 
 @pytest.mark.long
-def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
+def test_two_ranks_train_what_one_does(train: Callable[..., list[forks.Running]], tmp_path: Path) -> None:
     for count in (1, 2):
         for rank in train(count, tmp_path / str(count), 4):
             code, said, errors = rank.end()
@@ -87,7 +73,7 @@ def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_pat
 
 
 @pytest.mark.long
-def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
+def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[forks.Running]], tmp_path: Path) -> None:
     first, second = train(2, tmp_path / "out", 10**6, METAPP_CHECKPOINT_SECONDS="0")
     until = time.monotonic() + 300
     while not list(tmp_path.rglob("*.training.safetensors")) and time.monotonic() < until:

@@ -8,20 +8,7 @@ import numpy as np
 import pytest
 
 from metapp.extensions.guided.histogram import AXES, BINS, ENTRIES, GRID
-from metapp.rendering.variant import load_mitsuba
-from tests.needs_mitsuba import skip_without_mitsuba
-
-
-@pytest.fixture
-def mi() -> Any:
-    skip_without_mitsuba()
-    return load_mitsuba()
-
-
-def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
-    from metapp.extensions.guided.cache import GuideCache
-
-    return GuideCache(list(low), list(high))
+from tests.extensions.guided.test_guide_prior import empty
 
 
 def test_frames_of_an_entry_are_turned_alike(mi: Any) -> None:

@@ -11,7 +11,8 @@ from safetensors.torch import save_file
 
 from metapp.appearance.geometry import directions_to_four_angles, rusinkiewicz_to_directions
 from tests import anisotropic
-from tests.anisotropic import APP, VIEWERS, directions, seen_from
+from tests.anisotropic import APP, VIEWERS, directions, viewer_at
+from tests.bsdfs import assert_sampled_as_densely_as_it_says, seen_from
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = [needs_mitsuba, pytest.mark.long]
@@ -25,10 +26,7 @@ def bsdf(mi: Any, tmp_path: Path) -> Any:
 
 def test_the_plugin_evaluates_the_fit(mi: Any, bsdf: Any) -> None:
     wi, wo = (directions(5000, seed, 0.2) for seed in (3, 4))
-    import drjit as dr
-
-    interaction = dr.zeros(mi.SurfaceInteraction3f, len(wi))
-    interaction.wi = mi.Vector3f(wo.T.float().numpy())
+    interaction = seen_from(mi, wo.T.float().numpy(), len(wi))
     found = np.array(bsdf.eval(mi.BSDFContext(), interaction, mi.Vector3f(wi.T.float().numpy())))
     theta = {key: value.double() for key, value in anisotropic.fitted().items()}
     expected = (APP.reflectance(theta, directions_to_four_angles(wi, wo)) * wi[:, 2:]).numpy().T
@@ -45,25 +43,13 @@ def test_the_plugin_evaluates_the_fit(mi: Any, bsdf: Any) -> None:
 def test_the_plugin_samples_as_densely_as_it_says(
     mi: Any, bsdf: Any, degrees: tuple[float, float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Mitsuba's own test; and with less noise than a diffuse lobe would have."""
-    import drjit as dr
-
+    """And with less noise than a diffuse lobe would have."""
     monkeypatch.chdir(tmp_path)
-    context = mi.BSDFContext()
-
-    def draw(numbers: Any) -> Any:
-        drawn, _ = bsdf.sample(context, seen_from(mi, degrees, len(numbers[0])), numbers[0],
-                               mi.Point2f(numbers[1], numbers[2]))  # fmt: skip
-        is_drawn = drawn.pdf > 0
-        return dr.select(is_drawn, drawn.wo, mi.Vector3f(0, 0, -1)), mi.Float(is_drawn)
-
-    def density(light: Any) -> Any:
-        return bsdf.pdf(context, seen_from(mi, degrees, len(light.x)), light)
-
-    test = mi.chi2.ChiSquareTest(mi.chi2.SphericalDomain(), draw, density, sample_dim=3, sample_count=300_000, ires=16)
-    assert test.run(), test.messages
+    viewer = viewer_at(degrees)
+    assert_sampled_as_densely_as_it_says(mi, bsdf, viewer, samples=300_000, rings=16)
     numbers = np.random.default_rng(5).random((3, 40_000)).astype(np.float32)
-    _, weight = bsdf.sample(context, seen_from(mi, degrees, 40_000), mi.Float(numbers[0]), mi.Point2f(numbers[1:]))
+    interaction = seen_from(mi, viewer, 40_000)
+    _, weight = bsdf.sample(mi.BSDFContext(), interaction, mi.Float(numbers[0]), mi.Point2f(numbers[1:]))
     weight = np.array(weight)
     assert weight.std() < 1.5 * weight.mean()
     assert weight.mean() <= 1

@@ -21,6 +21,7 @@ from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.networks import network_of
 from metapp.storage.tensors import read_tensors
+from tests.bsdfs import assert_sampled_as_densely_as_it_says, directions, mirrored_pairs, seen_from
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -52,26 +53,10 @@ def of_maps(mi: Any, name: str) -> Any:
     return mi.load_dict({"type": "neural_svbrdf", **colours, "roughness": roughness})
 
 
-def directions(count: int, seed: int = 0) -> NDArray[np.float32]:
-    """Unit vectors above the surface, [3, count]."""
-    vectors = np.random.default_rng(seed).standard_normal((3, count))
-    vectors[2] = abs(vectors[2])
-    return (vectors / np.linalg.norm(vectors, axis=0)).astype(np.float32)
-
-
 def tilted(degrees: float) -> list[float]:
     """A direction so far from the normal."""
     angle = math.radians(degrees)
     return [0.6 * math.sin(angle), 0.8 * math.sin(angle), math.cos(angle)]
-
-
-def seen_from(mi: Any, viewer: Any, count: int) -> Any:
-    import drjit as dr
-
-    interaction = dr.zeros(mi.SurfaceInteraction3f, count)
-    interaction.wi = mi.Vector3f(viewer)
-    dr.make_opaque(interaction.wi)  # no part of the kernel, which is then compiled once for all directions
-    return interaction
 
 
 def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
@@ -87,9 +72,7 @@ def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("network", BOTH)
 def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
-    light, viewer = directions(20_000, 1), directions(20_000, 2)
-    near = viewer * [[-1], [-1], [1]] + 0.01 * directions(20_000, 3)  # beside the mirror direction
-    light[:, ::2] = (near / np.linalg.norm(near, axis=0)).astype(np.float32)[:, ::2]
+    light, viewer = mirrored_pairs(20_000)
     bsdf, interaction = neural(network), seen_from(mi, viewer, light.shape[1])
     for mode, pair in ((mi.TransportMode.Radiance, (light, viewer)), (mi.TransportMode.Importance, (viewer, light))):
         expected = reflectance(fits[network], angles_of(*pair)) * light[2]
@@ -131,23 +114,8 @@ def test_below_the_surface_there_is_nothing(mi: Any, bsdf: Any, other: str) -> N
 def test_directions_are_sampled_as_densely_as_it_says(
     mi: Any, bsdf: Any, degrees: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Mitsuba's own test; BSDFAdapter leaves out draws of weight 0, which our clamp at 0 makes."""
-    import drjit as dr
-
-    monkeypatch.chdir(tmp_path)  # where a failure writes its data
-    context = mi.BSDFContext()
-
-    def draw(numbers: Any) -> Any:
-        drawn, _ = bsdf.sample(context, seen_from(mi, tilted(degrees), len(numbers[0])), numbers[0],
-                               mi.Point2f(numbers[1], numbers[2]))  # fmt: skip
-        is_drawn = drawn.pdf > 0
-        return dr.select(is_drawn, drawn.wo, mi.Vector3f(0, 0, -1)), mi.Float(is_drawn)
-
-    def density(light: Any) -> Any:
-        return bsdf.pdf(context, seen_from(mi, tilted(degrees), len(light.x)), light)
-
-    test = mi.chi2.ChiSquareTest(mi.chi2.SphericalDomain(), draw, density, sample_dim=3, sample_count=500_000, ires=32)
-    assert test.run(), test.messages
+    monkeypatch.chdir(tmp_path)
+    assert_sampled_as_densely_as_it_says(mi, bsdf, tilted(degrees), samples=500_000, rings=32)
 
 
 @pytest.mark.parametrize("bsdf", [*BOTH, *MATERIALS], indirect=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import pytest
@@ -227,18 +226,16 @@ def source(tmp_path: Path) -> Path:
     return path
 
 
-def process(source: Path, cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
+def process(source: Path, cache: Path, found: bool = True, **environment: str) -> forks.Running:
     """A process that loads the functions of a source, and fails where they were to be had or not against `found`."""
     return forks.start(
         forks.compiles, source, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment}
     )
 
 
-def codes(*processes: ForkServerProcess) -> list[int | None]:
+def codes(*processes: forks.Running) -> list[int | None]:
     """Exit codes of processes, once all have ended."""
-    for each in processes:
-        each.join(120)
-    return [each.exitcode for each in processes]
+    return [each.end(120)[0] for each in processes]
 
 
 @needs_compiler

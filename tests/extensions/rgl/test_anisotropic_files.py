@@ -19,7 +19,8 @@ from metapp.extensions.rgl.rgl import write_rgl
 from metapp.extensions.rgl.scene import export
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from tests import anisotropic
-from tests.anisotropic import APP, VIEWERS, brushed, brushed_directions, direction, directions, seen_from
+from tests.anisotropic import APP, VIEWERS, brushed, brushed_directions, direction, directions, viewer_at
+from tests.bsdfs import seen_from
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
@@ -134,9 +135,9 @@ def test_they_are_refused_where_there_is_no_azimuth(files: dict[str, Path]) -> N
 @pytest.mark.parametrize("degrees", VIEWERS)
 def test_drawn_directions_follow_the_values(mi: Any, bsdf: Any, degrees: tuple[float, float]) -> None:
     """In 12 x 6 cells of azimuth and height; none is flipped in azimuth (pull request 1850 of Mitsuba 3)."""
-    count = 200_000
+    count, viewer = 200_000, viewer_at(degrees)
     numbers = np.random.default_rng(0).random((3, count)).astype(np.float32)
-    drawn, weight = bsdf.sample(mi.BSDFContext(), seen_from(mi, degrees, count), mi.Float(numbers[0]),
+    drawn, weight = bsdf.sample(mi.BSDFContext(), seen_from(mi, viewer, count), mi.Float(numbers[0]),
                                 mi.Point2f(numbers[1:]))  # fmt: skip
     light, weight = np.array(drawn.wo), np.array(weight).mean(0)
     up = (light[2] > 0) & (np.array(drawn.pdf) > 0)
@@ -144,7 +145,7 @@ def test_drawn_directions_follow_the_values(mi: Any, bsdf: Any, degrees: tuple[f
     uniform = np.random.default_rng(1).random((2, 400_000)).astype(np.float32)
     radius, phi = np.sqrt(1 - uniform[0] ** 2), 2 * math.pi * uniform[1]
     every = np.stack([radius * np.cos(phi), radius * np.sin(phi), uniform[0]])
-    values = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, degrees, every.shape[1]), mi.Vector3f(every))).mean(0)
+    values = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, every.shape[1]), mi.Vector3f(every))).mean(0)
     expected = cells(every, values) * 2 * math.pi / every.shape[1]
     assert abs(found - expected).sum() < 0.05 * expected.sum()
     assert abs(found - expected[::-1]).sum() > 0.2 * expected.sum() or degrees[1] in (0, 180)

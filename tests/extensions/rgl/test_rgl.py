@@ -16,6 +16,7 @@ from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.rgl import LAST_DEGREES, viewer_angles, write_rgl
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
+from tests.bsdfs import seen_from
 from tests.needs_mitsuba import needs_mitsuba
 
 
@@ -32,21 +33,12 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def mi() -> Any:
-    from metapp.rendering.variant import load_mitsuba
-
-    return load_mitsuba()
-
-
 def draws(mi: Any, bsdf: Any, degrees: tuple[float, float], count: int = 50_000) -> tuple[Any, Any, Any, Any]:
     """Viewers within such angles, lights that a BSDF draws for them, and its weights."""
-    import drjit as dr
-
     numbers = np.random.default_rng(1).random((5, count)).astype(np.float32)
     theta, phi = np.radians(degrees[0] + (degrees[1] - degrees[0]) * numbers[0]), 2 * np.pi * numbers[1]
-    interaction = dr.zeros(mi.SurfaceInteraction3f, count)
-    interaction.wi = mi.Vector3f(np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]))
+    viewer = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    interaction = seen_from(mi, viewer, count)
     drawn, weight = bsdf.sample(mi.BSDFContext(), interaction, mi.Float(numbers[2]), mi.Point2f(numbers[3:]))
     return interaction, drawn.wo, np.array(drawn.pdf), np.array(weight)
 
