@@ -202,7 +202,7 @@ EXTENSIONS = {
     "baselines": 2_540,
     "capture": 2_410,
     "few": 1_020,
-    "guided": 1_870,
+    "guided": 1_690,
     "mitsuba_bsdfs": 600,
     "native": 690,
     "packs": 560,

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from guide_prior_problem import APP, RECIPE
+from guide_prior_tasks import NAMES, guide_tasks
 from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 
@@ -24,8 +26,6 @@ from metapp.extensions.guided.integrator import RR_DEPTH
 from metapp.extensions.guided.path_tracer import PathTracer
 from metapp.extensions.guided.picture import GuidedPicture
 from metapp.extensions.guided.prior import init
-from metapp.extensions.guided.prior_tasks import NAMES, guide_tasks
-from metapp.extensions.guided.prior_training import APP, RECIPE
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
