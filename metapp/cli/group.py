@@ -32,7 +32,7 @@ def add_commands(app: typer.Typer, under: str) -> None:
             add_command(app, door.load(offer.command), offer.name, bare_is_help=offer.bare_is_help)
 
 
-def add_command(app: typer.Typer, function: Callable[..., Any], name: str, *, bare_is_help: bool) -> None:
+def add_command(app: typer.Typer, function: Callable[..., object], name: str, *, bare_is_help: bool) -> None:
     """Add a command; for --help the paragraphs of its docstring flow, while indented examples keep their lines."""
     paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
     text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)

@@ -20,19 +20,19 @@ Options = TypeVar("Options")
 Result = TypeVar("Result")
 
 
-def field_of_view(unsaid: str) -> Any:
+def field_of_view(unsaid: str) -> object:
     """The option for a camera's field of view in degrees; its help ends with what 0 means."""
     words = f"Field of view along the photos' shorter side; 0: {unsaid}."
     return typer.Option(min=0, max=150, metavar="DEGREES", help=words)
 
 
-def annotated(option: door.Option, *, given: bool = False, **more: Any) -> Any:
+def annotated(option: door.Option, *, given: bool = False, panel: str | None = None) -> object:
     """The annotation by which typer makes an option that an extension declares.
 
     Args:
         option: it.
         given: whether the value is None where the option is not given, rather than its default.
-        more: for `typer.Option`.
+        panel: of --help.
     """
     limits: dict[str, Any] = {"min": option.low, "max": option.high} if type(option.default) in (int, float) else {}
     choices = enum.StrEnum("Choice", list(option.choices)) if option.choices else None
@@ -42,10 +42,12 @@ def annotated(option: door.Option, *, given: bool = False, **more: Any) -> Any:
     elif given or option.default is None:
         kind = kind | None
     names = (option.flag,) if isinstance(option.default, bool) else ()
-    return Annotated[kind, typer.Option(*names, metavar=option.metavar or None, help=option.help, **(limits | more))]
+    return Annotated[
+        kind, typer.Option(*names, metavar=option.metavar or None, help=option.help, rich_help_panel=panel, **limits)
+    ]
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """The value of an option: of a choice its word."""
     return value.value if isinstance(value, enum.Enum) else value
 
@@ -98,7 +100,7 @@ def option_parameter(name: str, default: object, annotation: object) -> inspect.
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def parameters_of(function: Callable[..., Any]) -> list[inspect.Parameter]:
+def parameters_of(function: Callable[..., object]) -> list[inspect.Parameter]:
     """The parameters of a command or of a dataclass, with their annotations, but for `**`."""
     hints = get_type_hints(function, include_extras=True)
     signature = inspect.signature(function)

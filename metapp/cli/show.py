@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -36,7 +35,7 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
             out().print(text_table(table, found[table.name], form), soft_wrap=True)
 
 
-def rich_table(table: Table, subject: Subject, rows: list[Row]) -> Any:
+def rich_table(table: Table, subject: Subject, rows: list[Row]) -> RichTable:
     """The table of one application for a terminal."""
     shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(table.notes(subject, rows))))
     columns = fitting(table.columns, rows, out().width)

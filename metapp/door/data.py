@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from metapp.door.finding import module_of
@@ -97,7 +98,7 @@ class Format(NamedTuple):
     options: tuple[Option, ...] = ()
     command: Converter | None = None
 
-    def files(self) -> Any:
+    def files(self) -> ModuleType:
         """The module that finds and reads the files."""
         return module_of(self.module)
 
@@ -115,7 +116,7 @@ class Format(NamedTuple):
         """Read one source, by those of the arguments of readers, by keyword, that the format takes."""
         return self.files().read_task(source, **self.taken(arguments))
 
-    def taken(self, arguments: Mapping[str, object]) -> dict[str, Any]:
+    def taken(self, arguments: Mapping[str, object]) -> dict[str, object]:
         """Those of the arguments of readers, by keyword, that the format takes."""
         takes = {*self.takes, *(keyword_of(option) for option in self.options)}
         return {key: arguments[key] for key in takes & arguments.keys()}

@@ -8,6 +8,7 @@ import importlib
 import importlib.metadata
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
 GROUP = "metapp.extensions"
@@ -29,7 +30,7 @@ class Extension(NamedTuple):
 
     name: str
     package: str
-    offers: tuple[Any, ...]
+    offers: tuple[object, ...]
     problem: str = ""
 
 
@@ -45,13 +46,13 @@ def load(reference: str) -> Any:
         KeyError: the table has no such entry.
     """
     name, _, path = reference.partition(":")
-    thing = module_of(name)
+    thing: Any = module_of(name)
     for part in path.split("."):
         thing = thing[part] if isinstance(thing, Mapping) else getattr(thing, part)
     return thing
 
 
-def module_of(name: str) -> Any:
+def module_of(name: str) -> ModuleType:
     """The module of a dotted name, imported now."""
     return importlib.import_module(name)
 
@@ -78,10 +79,10 @@ def left_out() -> tuple[Extension, ...]:
     return tuple(extension for extension in (*_installed(), *_added) if extension.name in names)
 
 
-def switched_off(kind: type[Any], name: str) -> str:
+def switched_off(kind: type[object], name: str) -> str:
     """The extension that METAPP_WITHOUT leaves out and that offers a record of this kind and name; "" for none."""
     for extension in left_out():
-        if any(isinstance(offer, kind) and offer.name == name for offer in extension.offers):
+        if any(isinstance(offer, kind) and getattr(offer, "name", "") == name for offer in extension.offers):
             return extension.name
     return ""
 
@@ -96,7 +97,7 @@ def problems() -> list[str]:
 
 
 @contextlib.contextmanager
-def extended(name: str, records: Sequence[Any]) -> Iterator[None]:
+def extended(name: str, records: Sequence[object]) -> Iterator[None]:
     """Offer records in this process, without a package, as tests and notebooks do."""
     extension = Extension(name, "", tuple(records))
     _added.append(extension)

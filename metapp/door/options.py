@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 
 class Option(NamedTuple):
@@ -36,7 +36,7 @@ class Option(NamedTuple):
     choices: tuple[str, ...] = ()
     several: bool = False
     panel: str = "Input"
-    convert: Callable[[Any], Any] | None = None
+    convert: Callable[..., object] | None = None
     adapt: str = ""
     passed_as: str = ""
     protocol: str = ""

@@ -16,9 +16,10 @@ from metapp.runs.fits.fitter import ROSE
 from metapp.runs.outputs.statistics import Errors, Paired, paired, statistics_of
 from metapp.runs.reporter import number
 from metapp.runs.requests.naming import is_first_protocol, observe_of
+from metapp.storage import Document
 from metapp.storage.records import Record, guarded
 
-Row = dict[str, Any]
+Row = Document
 Take = Callable[[Record], float | None]  # a measure of a record; None where it has none
 
 
@@ -152,13 +153,13 @@ def columns(*names: str | Column) -> tuple[Column, ...]:
 
 
 @functools.cache
-def paper() -> dict[str, Any]:
+def paper() -> Document:
     """The paper's figures, with where they stand in it."""
-    result: dict[str, Any] = json.loads((resources.files("metapp") / "paper.json").read_text())
+    result: Document = json.loads((resources.files("metapp") / "paper.json").read_text())
     return result
 
 
-def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: Any) -> Row:
+def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: object) -> Row:
     """A row of which nothing is known yet but the paper's figures; all rows have these keys."""
     known = paper() if beside_paper else {"error": {}, "seconds": {}}
     return {

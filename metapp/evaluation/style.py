@@ -7,6 +7,7 @@ import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -53,7 +54,7 @@ class Drawn(NamedTuple):
     caption: str
 
 
-def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
+def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, np.ndarray]:
     """A figure of so many inches, and its axes [rows, columns]."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)

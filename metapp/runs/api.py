@@ -34,6 +34,7 @@ from metapp.runs.requests.options import all_options, outputs_of
 from metapp.runs.requests.plan import Plan, plan
 from metapp.runs.requests.request import Request
 from metapp.runs.surroundings import threads, threads_of
+from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.text import meant
 
@@ -63,20 +64,18 @@ class Fit:
     Extensions add methods, such as `view` of the viewer.
     """
 
-    def __init__(
-        self, plan: Plan, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
-    ) -> None:
+    def __init__(self, plan: Plan, task: Task, settings: Document, record: Document, parameters: Params) -> None:
         self.app, self.task, self.settings, self.plan = plan.app, task, settings, plan
         self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
         self.error: float | None = record["error"]
         self.seconds: float = record["seconds"]
         self.warning: str = record.get("warning", "")
         self.guarded: bool = record.get("guarded", False)
-        self.steps: int = record.get("steps", settings["steps"])
+        self.steps: int = (settings | record)["steps"]
         fields = ("name", "seconds", "threads", "counts", "note", "warning", "guarded", "steps")
         self.errors = {key: value for key, value in record.items() if key not in fields and value is not None}
 
-    def __getattr__(self, name: str) -> Callable[..., Any]:
+    def __getattr__(self, name: str) -> Callable[..., object]:
         """A method that an extension adds."""
         for method in door.offers(door.FitMethod):
             if method.name == name:
@@ -106,7 +105,7 @@ class Fit:
         facts = f"{error}, {self.seconds:.3g} s, {self.steps} steps"
         return card_of(self.name, about, self._images, facts, self.warning)
 
-    def __call__(self, wi: Any, wo: Any) -> Any:
+    def __call__(self, wi: object, wo: object) -> Tensor | np.ndarray:
         """Evaluate a fitted BRDF.
 
         Args:
@@ -142,7 +141,7 @@ class Fit:
         maps = self.plan.presentation.maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
-    def pictures(self) -> dict[str, Any]:
+    def pictures(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
         return self.plan.presentation.outputs(self.parameters, self.task)
 
@@ -196,7 +195,7 @@ class Fits(list[Fit]):
         )
 
 
-def fit(app: str, source: Any, *, paradigm: str = "meta", **options: Any) -> Fit:
+def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
     """Fit one file, a material, a texture, a map, a scene; or one in memory.
 
     What is in memory is read as files are, at the same sizes and with the same checks. A picture is one of PIL, or an
@@ -236,7 +235,7 @@ def fit_all(
     sources: Sequence[Any] | None = None,
     *,
     paradigm: str = "meta",
-    **options: Any,
+    **options: object,
 ) -> Fits:
     """Fit files and folders, things in memory, or the test tasks of a data set.
 
@@ -265,13 +264,13 @@ def fit_all(
     return _fitted(replace(request, inputs=[Path(source) for source in sources]))
 
 
-def _request(app: str, paradigm: str, options: Mapping[str, Any]) -> Request:
+def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:
     """The request of options as programs give them, without inputs.
 
     Raises:
         BadOption: no such application, protocol or general option, or one of another type.
     """
-    general = {name: value for name, value in options.items() if name in GENERAL}
+    general: dict[str, Any] = {name: value for name, value in options.items() if name in GENERAL}
     for key in ("data", "out", "checkpoint"):
         if isinstance(general.get(key), str | PathLike):
             general[key] = Path(general[key])

@@ -9,12 +9,12 @@ from typing import Any
 NUMBER, OPTIONAL = int | float, int | float | None
 
 
-def holds(value: Any, form: Any) -> bool:
+def holds(value: object, form: object) -> bool:
     """Whether a JSON document has a form, as `misfits` reads it."""
     return next(misfits(value, form), None) is None
 
 
-def misfits(value: Any, form: Any, place: str = "") -> Iterator[str]:
+def misfits(value: object, form: object, place: str = "") -> Iterator[str]:
     """The places of a JSON document, such as `.settings.seed`, that have not a form.
 
     A form is a type, or a union of several, of which numbers must be finite; a range of whole numbers; a list of one
@@ -43,7 +43,7 @@ def misfits(value: Any, form: Any, place: str = "") -> Iterator[str]:
         yield place
 
 
-def _is(value: Any, form: Any) -> bool:
+def _is(value: object, form: Any) -> bool:
     """Whether a value is of a type, finite if a number, or in a range."""
     if isinstance(form, range):
         return type(value) is int and value in form

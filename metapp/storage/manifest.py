@@ -101,10 +101,10 @@ def to_json(manifest: Manifest) -> str:
     return json.dumps(raw, indent=1, allow_nan=False) + "\n"
 
 
-def _from_json(raw: Any, path: Path) -> Manifest:
+def _from_json(raw: object, path: Path) -> Manifest:
     """Check every field, since anybody may have written the file."""
 
-    def field(record: Any, key: str, kind: type, where: str = "") -> Any:
+    def field(record: object, key: str, kind: type, where: str = "") -> Any:
         value = record.get(key) if isinstance(record, dict) else None
         if not isinstance(value, kind) or isinstance(value, bool):
             raise ValueError(

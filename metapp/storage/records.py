@@ -112,7 +112,7 @@ class _Misnamed(Exception):
     """A tensor that is no part of a checkpoint."""
 
 
-def digest(document: Any) -> str:
+def digest(document: object) -> str:
     """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
     raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
@@ -154,7 +154,7 @@ class RunFolder:
         self.settings = settings
         self.key = digest(settings)
         self._form = form or {}
-        self._read: tuple[Any, dict[str, Document]] = (None, {})
+        self._read: tuple[object, dict[str, Document]] = (None, {})
 
     @property
     def file(self) -> Path:
@@ -247,7 +247,7 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
     return list(records.values())
 
 
-def finite(value: Any) -> Any:
+def finite(value: object) -> object:
     """A document with None for every number that is not finite."""
     if isinstance(value, dict):
         return {key: finite(each) for key, each in value.items()}

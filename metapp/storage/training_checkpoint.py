@@ -11,7 +11,6 @@ import os
 import time
 import warnings
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -21,6 +20,7 @@ from torch import Tensor
 from metapp.learning.learn import MetaParameters, Step
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Params
+from metapp.storage import Document
 from metapp.storage.files import remove_partial, write_atomically
 from metapp.storage.records import digest, tensor_digest
 from metapp.storage.tensors import opened_tensors
@@ -32,7 +32,7 @@ SCHEMA = 1
 class TrainingCheckpoint:
     """The file of one training: how far it is, and when that was last written."""
 
-    def __init__(self, checkpoint: Path, settings: dict[str, Any], device: torch.device | str = "cpu") -> None:
+    def __init__(self, checkpoint: Path, settings: Document, device: torch.device | str = "cpu") -> None:
         """Nothing is read or written yet.
 
         Args:
@@ -113,7 +113,7 @@ def _digest(document: str, tensors: Params) -> str:
     return digest(document) + tensor_digest(tensors)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], Params]:
+def _read(path: Path) -> tuple[Document, Params]:
     with opened_tensors(path) as file:
         metadata = file.metadata() or {}
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
@@ -125,9 +125,9 @@ def _read(path: Path) -> tuple[dict[str, Any], Params]:
     return document, tensors
 
 
-def _document(progress: Progress) -> tuple[dict[str, Any], Params]:
+def _document(progress: Progress) -> tuple[Document, Params]:
     """How far it is as a JSON document and tensors [...] on the CPU, no two of which share memory."""
-    document: dict[str, Any] = {"looks": progress.errors}
+    document: Document = {"looks": progress.errors}
     outer, best, losses = progress.outer, progress.best, progress.losses
     if outer is None or best is None or progress.rng is None:
         return document, {}
@@ -143,7 +143,7 @@ def _document(progress: Progress) -> tuple[dict[str, Any], Params]:
     return document, {name: value.detach().cpu().contiguous().clone() for name, value in named.items()}
 
 
-def _progress(document: dict[str, Any], tensors: Params, device: torch.device | str) -> Progress:
+def _progress(document: Document, tensors: Params, device: torch.device | str) -> Progress:
     """The inverse of `_document`."""
     errors = tuple(document["looks"])
     if "step" not in document:

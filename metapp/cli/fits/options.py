@@ -120,7 +120,7 @@ def exports() -> str:
 
 def declared() -> dict[str, object]:
     """The options that extensions declare, by name, as typer takes them; None where they are not given."""
-    return {name: annotated(option, given=True, rich_help_panel=option.panel) for name, option in all_options().items()}
+    return {name: annotated(option, given=True, panel=option.panel) for name, option in all_options().items()}
 
 
 def own_help(name: str) -> dict[str, str]:

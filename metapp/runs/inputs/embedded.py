@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 from metapp import door
 from metapp.runs.reporter import progress, say
@@ -37,7 +37,7 @@ def embedded_offer(app: str) -> door.Synthetic:
     return offers[app]
 
 
-def embedded_module(app: str) -> Any:
+def embedded_module(app: str) -> ModuleType:
     """The module that draws an application's embedded set.
 
     It has COUNTS, tasks by split; UNITS, of their tensors; `synthetic_tasks(split, count, seed, **options)`, an
@@ -72,7 +72,7 @@ def embedded_data(
     count: int | None = None,
     out: Path | None = None,
     quiet: bool = False,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, object] | None = None,
 ) -> Path:
     """The folder of an application's embedded data set, made now if it is not there yet.
 
@@ -120,7 +120,7 @@ def embedded_data(
     return folder
 
 
-def _notes(app: str, seed: int, count: int, options: Mapping[str, Any]) -> Document:
+def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
     module, known = embedded_module(app), {option.name: option for option in embedded_offer(app).options}
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
@@ -132,7 +132,7 @@ def _notes(app: str, seed: int, count: int, options: Mapping[str, Any]) -> Docum
     return notes
 
 
-def _drawn(app: str, notes: Document) -> dict[str, Any]:
+def _drawn(app: str, notes: Document) -> dict[str, object]:
     """The options that a set was drawn by."""
     return {option.name: notes[option.name] for option in embedded_offer(app).options if option.name in notes}
 

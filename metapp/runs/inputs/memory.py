@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from metapp import door
 from metapp.learning.task import Task
@@ -24,7 +23,7 @@ def in_memory(sources: Sequence[object]) -> bool:
     return count > 0
 
 
-def tasks_of_objects(app: str, objects: Sequence[object], how: Mapping[str, Any]) -> list[Task]:
+def tasks_of_objects(app: str, objects: Sequence[object], how: Mapping[str, object]) -> list[Task]:
     """The tasks of objects in memory.
 
     Args:

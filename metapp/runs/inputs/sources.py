@@ -6,7 +6,7 @@ import functools
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -92,7 +92,7 @@ def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
     """
     if plan.request.objects:
         app = plan.app
-        how: dict[str, Any] = {"observe": app.protocol}
+        how: dict[str, object] = {"observe": app.protocol}
         for form in inputs_of(app.name):
             how |= _arguments(plan, form)
         tasks = _renamed(tasks_of_objects(app.name, plan.request.objects, how))
@@ -215,13 +215,13 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
         yield places, functools.partial(form.read, arguments=_arguments(plan, form))
 
 
-def _arguments(plan: Plan, form: door.Format) -> dict[str, Any]:
+def _arguments(plan: Plan, form: door.Format) -> dict[str, object]:
     """The arguments of readers, by keyword: the size that fits have, and options of the format that were given."""
     reads = plan.app.traits.reads
     return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | read_options(form, plan.options)
 
 
-def _merged(plan: Plan, merge: door.Merge, value: Any) -> Source:
+def _merged(plan: Plan, merge: door.Merge, value: object) -> Source:
     """The one source of all inputs, as an option merges them."""
     app = plan.app
     places = [place for path in plan.request.inputs for some, _ in _found(plan, path) for place in some]

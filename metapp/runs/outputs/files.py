@@ -51,7 +51,7 @@ def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Pat
 
 def write_outputs(
     presentation: Presentation[Any],
-    outputs: Sequence[tuple[door.Output, Any]],
+    outputs: Sequence[tuple[door.Output, object]],
     run: RunFolder,
     task: Task,
     theta: Params,

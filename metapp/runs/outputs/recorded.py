@@ -66,7 +66,7 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     return Recorded(folder, [records[names.index(task)]])
 
 
-def plan_as(settings: Document, options: Mapping[str, Any] | None = None, **more: Any) -> Plan:
+def plan_as(settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Plan:
     """The plan that a fit was made by, as far as its record says it.
 
     Args:

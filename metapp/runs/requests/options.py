@@ -64,7 +64,7 @@ def options_of(app: str) -> list[Owned]:
     return owned + [Owned(watcher.option, watcher) for watcher in door.offers(door.Watcher)]
 
 
-def check_options(request: Request, protocol: str) -> dict[str, Any]:
+def check_options(request: Request, protocol: str) -> dict[str, object]:
     """What was given, without what is an option's default.
 
     Args:
@@ -95,7 +95,7 @@ def check_options(request: Request, protocol: str) -> dict[str, Any]:
     return values
 
 
-def converted(option: door.Option, value: Any) -> Any:
+def converted(option: door.Option, value: object) -> object:
     """The value as the owner takes it.
 
     Raises:
@@ -110,7 +110,7 @@ def converted(option: door.Option, value: Any) -> Any:
         raise BadOption(f"{option.flag} '{text}': {error}.") from None
 
 
-def adapted(recipe: Recipe, name: str, request: Request, options: Mapping[str, Any]) -> Recipe:
+def adapted(recipe: Recipe, name: str, request: Request, options: Mapping[str, object]) -> Recipe:
     """A recipe as options of the application change it.
 
     Args:
@@ -134,25 +134,25 @@ def adapted(recipe: Recipe, name: str, request: Request, options: Mapping[str, A
     return recipe
 
 
-def without_adapted(app: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def without_adapted(app: str, options: Mapping[str, object]) -> dict[str, object]:
     """Options but those that change recipes."""
     adapting = {option.name for option in application_of(app).options if option.adapt}
     return {name: value for name, value in options.items() if name not in adapting}
 
 
-def read_options(form: door.Format, options: Mapping[str, Any]) -> dict[str, Any]:
+def read_options(form: door.Format, options: Mapping[str, object]) -> dict[str, object]:
     """The values that a format's reader takes, by keyword."""
     given = [option for option in form.options if option.name in options]
     return {door.keyword_of(option): converted(option, options[option.name]) for option in given}
 
 
-def shown_options(app: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def shown_options(app: str, options: Mapping[str, object]) -> dict[str, object]:
     """The values that the application's presentation takes, by keyword."""
     own = [option for option in application_of(app).options if option.name in options and not option.adapt]
     return {door.keyword_of(option): converted(option, options[option.name]) for option in own}
 
 
-def merge_of(app: str, options: Mapping[str, Any]) -> tuple[door.Merge, Any] | None:
+def merge_of(app: str, options: Mapping[str, object]) -> tuple[door.Merge, object] | None:
     """What makes one task of all inputs, and by which value; None where inputs are apart."""
     for merge in door.offers_of(door.Merge, app):
         if merge.option.name in options:
@@ -160,18 +160,18 @@ def merge_of(app: str, options: Mapping[str, Any]) -> tuple[door.Merge, Any] | N
     return None
 
 
-def outputs_of(app: str, options: Mapping[str, Any]) -> list[tuple[door.Output, Any]]:
+def outputs_of(app: str, options: Mapping[str, object]) -> list[tuple[door.Output, object]]:
     """What a run makes beside files of its fits, and by which values."""
     own = [output for output in door.offers_of(door.Output, app) if output.option.name in options]
     return [(output, converted(output.option, options[output.option.name])) for output in own]
 
 
-def watchers_of(options: Mapping[str, Any]) -> list[door.Watcher]:
+def watchers_of(options: Mapping[str, object]) -> list[door.Watcher]:
     """What follows fits while they run."""
     return [watcher for watcher in door.offers(door.Watcher) if watcher.option.name in options]
 
 
-def recorded_options(app: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def recorded_options(app: str, options: Mapping[str, object]) -> dict[str, object]:
     """Options that errors of fits depend on, as records state them: of reading, merging and recipes."""
     names = {
         option.name
@@ -181,7 +181,7 @@ def recorded_options(app: str, options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: _as_recorded(value) for name, value in sorted(options.items()) if name in names}
 
 
-def options_from_record(app: str, recorded: Mapping[str, Any]) -> dict[str, Any]:
+def options_from_record(app: str, recorded: Mapping[str, object]) -> dict[str, object]:
     """Options as a record states them, for a `Request`; those that the application does not have are left out."""
     kinds = {option.name: option for option, _ in options_of(app)}
     return {
@@ -191,7 +191,7 @@ def options_from_record(app: str, recorded: Mapping[str, Any]) -> dict[str, Any]
     }
 
 
-def name_parts(app: str, options: Mapping[str, Any]) -> list[str]:
+def name_parts(app: str, options: Mapping[str, object]) -> list[str]:
     """What the name of a run's folder states of options: detail512."""
     return [
         f"{option.name}{options[option.name]}"
@@ -200,11 +200,11 @@ def name_parts(app: str, options: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _as_recorded(value: Any) -> Any:
+def _as_recorded(value: object) -> object:
     return [str(path.absolute()) for path in value] if isinstance(value, tuple) else value
 
 
-def _typed(option: door.Option, value: Any) -> Any:
+def _typed(option: door.Option, value: Any) -> object:
     """A value of the option's type; of paths a tuple.
 
     Raises:

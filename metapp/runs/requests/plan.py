@@ -61,7 +61,7 @@ class Plan:
     job: Job
     device: torch.device
     budget: float | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     checkpoint: Checkpoint | None = None
 
     @property
@@ -184,7 +184,7 @@ def plan(request: Request) -> Plan:
     return planned
 
 
-def _check(request: Request, options: Mapping[str, Any]) -> None:
+def _check(request: Request, options: Mapping[str, object]) -> None:
     """Refuse options that exclude each other, and forms that the application is not written in.
 
     Raises:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from metapp.runs import BadOption
 
@@ -45,7 +45,7 @@ class Request:
     batch: str = ""
     shard: str = ""
     export: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     seed: int = 0
     device: str = "auto"
     quiet: bool = False
