@@ -40,7 +40,8 @@ from metapp.runs.outputs.pictures import Column, write_sheet
 from metapp.runs.outputs.statistics import Errors, paired
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import threads_of
+from metapp.runs.torch_state import threads
 
 PARADIGMS = ("general", "quickft", "meta")
 OF_MIRRORS = ("unwrap", "gaussian")

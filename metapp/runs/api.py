@@ -33,7 +33,8 @@ from metapp.runs.requests.naming import factor_of, title_of
 from metapp.runs.requests.options import all_options, outputs_of
 from metapp.runs.requests.plan import Plan, plan
 from metapp.runs.requests.request import Request
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import threads_of
+from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.text import meant
@@ -125,7 +126,7 @@ class Fit:
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
-        with torch.no_grad():
+        with threads(threads_of(self.app)), torch.no_grad():
             values = self.app.reflectance(self.parameters, directions_to_four_angles(light, viewer).float())
         values = values * ((light[:, 2:] > 0) & (viewer[:, 2:] > 0))
         return values if isinstance(wi, Tensor) else values.numpy()
@@ -138,12 +139,14 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        maps = self.plan.presentation.maps(self.parameters, self.task)
+        with threads(threads_of(self.app)):
+            maps = self.plan.presentation.maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        return self.plan.presentation.outputs(self.parameters, self.task)
+        with threads(threads_of(self.app)):
+            return self.plan.presentation.outputs(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
@@ -159,8 +162,7 @@ class Fit:
     @functools.cached_property
     def _images(self) -> dict[str, Image]:
         """`pictures`, as screens show them."""
-        with threads(threads_of(self.app)):
-            return {name: image_of(linear) for name, linear in self.pictures().items()}
+        return {name: image_of(linear) for name, linear in self.pictures().items()}
 
     def picture(self) -> Image:
         """Return a picture of PIL, 8 bits of sRGB: the reference left, where there is one, and the fit right."""

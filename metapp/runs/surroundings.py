@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import platform
 import tempfile
-from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -19,17 +17,6 @@ from metapp.storage.text import meant
 def threads_of(app: App) -> int | None:
     """The threads of an application's fits: 1 where threads only wait for each other, else None, all there are."""
     return 1 if app.traits.single_threaded else None
-
-
-@contextlib.contextmanager
-def threads(count: int | None) -> Iterator[None]:
-    """Have torch work with so many threads, None for as many as it does; afterwards with as many as before."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def find_device(name: str, app: App) -> torch.device:

@@ -13,7 +13,8 @@ from metapp.runs.outputs.pictures import COMPARED, column_of, write_compared
 from metapp.runs.outputs.recorded import SETTINGS, app_as, read_run, tasks_as
 from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import threads_of
+from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.forms import OPTIONAL
 from metapp.storage.records import summary

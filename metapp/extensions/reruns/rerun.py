@@ -25,7 +25,8 @@ from metapp.runs.inputs.sources import tasks_to_fit
 from metapp.runs.outputs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.requests.plan import Plan
-from metapp.runs.surroundings import machine, threads, threads_of
+from metapp.runs.surroundings import machine, threads_of
+from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.forms import NUMBER, OPTIONAL, misfits
 from metapp.storage.records import RunFolder, finite, read_theta

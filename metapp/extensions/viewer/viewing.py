@@ -19,7 +19,8 @@ from metapp.learning.task import Params, Task
 from metapp.runs.outputs.recorded import Recorded, app_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.requests.naming import factor_of, title_of
-from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.surroundings import make_folder, threads_of
+from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.html import write_page
 from metapp.storage.records import file_name, read_theta

@@ -28,7 +28,8 @@ from metapp.runs.requests.options import outputs_of, watchers_of
 from metapp.runs.requests.plan import Plan
 from metapp.runs.requests.plan import plan as plan_of
 from metapp.runs.requests.request import Request, portion_of
-from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.surroundings import make_folder, threads_of
+from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, guarded, summary
