@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -27,6 +28,7 @@ from metapp.storage.text import as_text
 
 Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
+SMALL_BYTES = 2**16  # of a record file: below it replaced lines stay
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)
 
@@ -130,9 +132,9 @@ class RunFolder:
     """A run's folder: `record.jsonl`, one line a task, and `params/<task>.safetensors`.
 
     Lines are appended, whole or not at all, and what several programs add at once stays. Of a task's lines the last one
-    counts, since its parameters are those on disk. Lines carry the run's key, a digest of all settings; those of
-    another key are another run's, and count for that run alone. A run that was cut off resumes at its first missing
-    task.
+    counts, since its parameters are those on disk; the others are removed once they are most of a large file. Lines
+    carry the run's key, a digest of all settings; those of another key are another run's: they stay, and count for that
+    run alone. A run that was cut off resumes at its first missing task.
 
     Args:
         path: the folder, made at the first record.
@@ -155,6 +157,7 @@ class RunFolder:
         self.key = digest(settings)
         self._form = form or {}
         self._read: tuple[object, dict[str, Document]] = (None, {})
+        self._live_bytes = 0  # of the lines that counted when replaced ones were last looked for
 
     @property
     def file(self) -> Path:
@@ -187,6 +190,26 @@ class RunFolder:
             whole = {**record, "key": self.key, "settings": self.settings, **self.origin}
             line = json.dumps(as_text(finite(whole)), allow_nan=False)
             append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
+            with contextlib.suppress(OSError):  # the record is kept, whatever happens to replaced ones
+                self._remove_replaced()
+
+    def _remove_replaced(self) -> None:
+        """Remove lines that do not count any more: else a fit repeated n times reads n lines each time."""
+        size = self.file.stat().st_size
+        if size < max(SMALL_BYTES, 2 * self._live_bytes):
+            return
+        lines = self.file.read_bytes().split(b"\n")
+        tasks = [self._task_of(line) for line in lines]
+        last = {task: number for number, task in enumerate(tasks)}
+        kept = [line for number, line in enumerate(lines) if tasks[number] is None or last[tasks[number]] == number]
+        if 2 * len(kept) < len(lines):
+            write_atomically(self.file, lambda target: target.write_bytes(b"\n".join(kept)))
+        self._live_bytes = sum(map(len, kept))
+
+    def _task_of(self, line: bytes) -> tuple[str, str] | None:
+        """Name and key of a record; None where the line is none."""
+        record = _parsed(line)
+        return (record["name"], record["key"]) if holds(record, _RECORD | self._form) else None
 
     def params(self, task: str) -> Path:
         """The file of a task's parameters."""

@@ -29,7 +29,9 @@ def two_threads() -> Iterator[None]:
 
 
 def brdf() -> float:
-    fit = metapp.fit("brdf", lambda wi, wo: np.full(len(wi), 0.2, np.float32) + 0.1 * (wi * wo).sum(1, keepdims=True)[:, 0])
+    fit = metapp.fit(
+        "brdf", lambda wi, wo: np.full(len(wi), 0.2, np.float32) + 0.1 * (wi * wo).sum(1, keepdims=True)[:, 0]
+    )
     assert fit.error is not None
     return fit.error
 

@@ -14,10 +14,12 @@ import torch
 from safetensors.torch import load_file, save
 
 from metapp.learning.learn import MetaParameters
+from metapp.storage.files import PARTIAL
 from metapp.storage.forms import holds, misfits
 from metapp.storage.records import (
     FIT,
     SCHEMA,
+    SMALL_BYTES,
     RunFolder,
     digest,
     file_name,
@@ -213,6 +215,45 @@ def test_a_task_that_runs_again_replaces_its_line_alone(tmp_path: Path) -> None:
     assert [(line["name"], line["error"]) for line in read_records(run.file)][1:] == [("gold", 7.0)]
     assert {name: line["error"] for name, line in run.finished().items()} == {"gold": 7.0, "tin": 0.5}
     assert (run.finished()["gold"]["ssim"], run.finished()["gold"]["curve"]) == (None, [[1, None]])
+
+
+def test_a_task_that_runs_many_times_leaves_a_small_file(tmp_path: Path) -> None:
+    """Else the n-th repetition reads n records; what else is in the file stays."""
+    settings = {"steps": 10, "long": "x" * 1000}
+    run, other = RunFolder(tmp_path, settings, FIT), RunFolder(tmp_path, {"steps": 20}, FIT)
+    other.add(record("zinc", seconds=0.1))
+    run.add(record("tin", seconds=0.1))
+    with run.file.open("ab") as file:
+        file.write(b"no record\n" + json.dumps(record("gold", key=run.key, settings=settings)).encode() + b"\n")
+    sizes = []
+    for repetition in range(300):
+        run.add(record("gold", seconds=float(repetition)))
+        sizes.append(run.file.stat().st_size)
+    assert max(sizes) < 1.2 * SMALL_BYTES
+    lines = run.file.read_bytes().splitlines()
+    assert b"no record" in lines
+    assert sum(b'"gold"' in line and b"seconds" not in line for line in lines) == 1  # of another form
+    with pytest.warns(UserWarning, match="no record"):
+        finished = run.finished()
+    assert {name: line["seconds"] for name, line in finished.items()} == {"tin": 0.1, "gold": 299.0}
+    with pytest.warns(UserWarning, match="no record"):
+        assert list(other.finished()) == ["zinc"]
+    assert not list(tmp_path.glob(f"{PARTIAL}*"))
+
+
+def test_a_record_is_kept_where_there_is_no_room_to_remove_replaced_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, write: Any) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("metapp.storage.records.SMALL_BYTES", 0)
+    monkeypatch.setattr("metapp.storage.records.write_atomically", full)
+    run = RunFolder(tmp_path, {}, FIT)
+    for repetition in range(5):
+        run.add(record("gold", seconds=float(repetition)))
+    assert run.finished()["gold"]["seconds"] == 4
+    assert len(run.file.read_bytes().splitlines()) == 5
 
 
 def test_parameters_are_there_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
