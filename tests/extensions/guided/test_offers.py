@@ -13,7 +13,6 @@ from torch import Generator
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
-from metapp.appearance.metrics import mape
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
@@ -21,8 +20,6 @@ from metapp.apps.transport.images import REGULAR, REGULAR_NEE
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.guided import GUIDED_NEE
-from metapp.extensions.viewer.pages import transport as pages
-from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Task
 from metapp.rendering.paths import path_space
 from metapp.rendering.scenes.rules import scene_bytes
@@ -77,33 +74,7 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     assert "regular_nee: " in result.err
 
 
-@pytest.mark.long
-@needs_mitsuba
-def test_a_scene_is_shown_in_equal_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages, "GUIDED_SECONDS", 0.3)
-    monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.1)
-    view = view_of(TransportPresentation(Transport(TransportSetup(FLOW, picture=16))), THETA, task_of(0))
-    assert [each["title"] for each in view.facts["pictures"]] == [
-        "reference",
-        GUIDED_NEE,
-        REGULAR_NEE,
-        pages.GUIDED_BY_FIT,
-        REGULAR,
-    ]
-    steps = len(view.facts["steps"]["titles"])
-    assert 1 <= steps <= pages.MOST
-    assert [len(each["names"]) for each in view.facts["pictures"]] == [1, steps, steps, 1, 1]
-    assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
-    assert float(view.arrays["reference"].float().mean()) == pytest.approx(1, rel=1e-3)
-    lines = {line["title"]: line["points"] for line in view.facts["chart"]["lines"]}
-    assert len(lines[GUIDED_NEE]) == len(lines[REGULAR_NEE]) == steps
-    reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
-    made = view.arrays[f"{GUIDED_NEE} {steps - 1}"].float().permute(2, 0, 1)[None]
-    assert float(mape(made, reference)) == pytest.approx(lines[GUIDED_NEE][-1][1], rel=0.01)
-
-
-def test_pages_and_captions_do_without(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_captions_do_without(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_WITHOUT", "guided")
     shown = TransportPresentation(Transport(TransportSetup(FLOW)))
     assert "guided_path" not in shown.image_measure
-    assert set(view_of(shown, THETA, task_of(0)).pictures) == {"reference", "fit"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,16 @@ from PIL import Image
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
+from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape, ssim
 from metapp.appearance.presentation import Picture
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.apps.transport.images import Shot
+from metapp.apps.transport.app import Transport, TransportSetup
+from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.images import REGULAR
+from metapp.apps.transport.presentation import TransportPresentation
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.texture import QUILTED
@@ -28,9 +31,11 @@ from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
+from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
 from metapp.storage.html import write_page
 from tests.browser import Page, browsing
+from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
 WHOLE = TILED * SIZE
@@ -62,16 +67,9 @@ LIGHT = {"reference": light_of(0, 0.0), "noisy": light_of(1, 0.3), "noisier": li
 
 
 def lit() -> View:
-    """As views of scenes are: a reference, and one picture of two steps."""
-    pictures = [{"title": "reference", "names": ["reference"]}, {"title": "made", "names": ["noisier", "noisy"]}]
-    chart = {"x": "seconds", "y": "MAPE", "lines": [{"title": "made", "points": [[0.5, 0.4], [1, 0.2]]}]}
-    facts = {
-        "pictures": pictures,
-        "steps": {"label": "Seconds", "titles": ["0.5 s", "1 s"]},
-        "reference": "reference",
-        "chart": chart,
-        "notes": ["Rendered here."],
-    }
+    """As views of scenes are: a reference, and two pictures."""
+    pictures = [{"title": name, "name": name} for name in LIGHT]
+    facts = {"pictures": pictures, "reference": "reference", "notes": ["Rendered here."]}
     return View("pictures", {name: light.half() for name, light in LIGHT.items()}, {}, facts)
 
 
@@ -105,16 +103,22 @@ def test_a_texture_is_shown_without_its_exemplar_and_while_its_fit_runs() -> Non
     }
 
 
-def test_a_picture_takes_the_time_of_another_though_the_machine_was_slow() -> None:
-    """A rate that was measured beside other work is measured again; samples are never fewer than one."""
-
-    def studio(rate: float) -> Any:
-        return SimpleNamespace(path=lambda spp, seed: Shot(torch.zeros(3, 1, 1), rate * spp))
-
-    assert pages._within(studio(0.01), 1.0, rate=0.1, seed=0).spp == 100
-    assert pages._within(studio(0.01), 1.0, rate=0.0101, seed=0).spp == 99
-    assert pages._within(studio(0.01), 1.0, rate=0.1, seed=0, tries=1).spp == 10
-    assert pages._within(studio(5.0), 1.0, rate=0.1, seed=0).spp == 1
+@pytest.mark.long
+@needs_mitsuba
+def test_a_scene_is_shown_by_its_fit_and_by_regular_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.1)
+    flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
+    app, task = Transport(TransportSetup(flow, picture=16)), Task("room", {"scene": scene_bytes(random_scene(0))})
+    theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
+    view = view_of(TransportPresentation(app), theta, task)
+    shown = {each["title"]: each for each in view.facts["pictures"]}
+    assert list(shown) == ["reference", REGULAR, pages.GUIDED]
+    assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
+    reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
+    assert float(reference.mean()) == pytest.approx(1, rel=1e-3)
+    guided = view.arrays[pages.GUIDED].float().permute(2, 0, 1)[None]
+    told = float(shown[pages.GUIDED]["told"].partition("MAPE ")[2].partition(",")[0])
+    assert float(mape(guided, reference)) == pytest.approx(told, rel=0.01)
 
 
 # What the page shows of them
@@ -136,7 +140,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         assert opened.problems == []
 
 
-FIRST = {"show": "all", "gain": 5, "exposure": 0, "tiles": 1, "seams": False, "zoom": -6, "x": 0, "y": 0, "chart": True}
+FIRST = {"show": "all", "gain": 5, "exposure": 0, "tiles": 1, "seams": False, "zoom": -6, "x": 0, "y": 0}
 
 
 def seen(page: Page, group: int, size: tuple[int, int], **settings: Any) -> np.ndarray:
@@ -170,7 +174,7 @@ def test_a_texture_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_radiance_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
-    settings = {"show": "one", "one": "reference", "zoom": 0, "chart": False}
+    settings = {"show": "one", "one": "reference", "zoom": 0}
     screen = seen(page, 2, (64, 48), **settings)
     assert_same_as_file(screen, Picture(LIGHT["reference"], "radiance"), tmp_path)
     brighter = seen(page, 2, (64, 48), **settings, exposure=1)
@@ -228,18 +232,11 @@ def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
 
 @pytest.mark.long
 def test_errors_are_those_of_metrics(page: Page) -> None:
-    for step, name in enumerate(("noisier", "noisy")):
-        seen(page, 2, (200, 200), show="error", step=step)
+    seen(page, 2, (200, 200), show="error")
+    labels = page.page.locator(".label").all_text_contents()
+    for name in ("noisy", "noisier"):
         expected = float(mape(*(LIGHT[each].permute(2, 0, 1)[None] for each in (name, "reference"))))
-        assert page.page.locator(".label").all_text_contents()[-1] == f"made, MAPE {expected:.3g}"
-
-
-@pytest.mark.long
-def test_a_chart_lies_below(page: Page) -> None:
-    screen = seen(page, 2, (300, 400), show="one", one="made")
-    yellow = (np.abs(screen - np.array([255, 215, 106]) / 255).max(2) < 0.02).any(1)
-    assert yellow[-136:].any()
-    assert not yellow[:-136].any()
+        assert f"{name}, MAPE {expected:.3g}" in labels
 
 
 @pytest.mark.long

@@ -30,7 +30,7 @@ def view(presentation: TexturePresentation, theta: Params, task: Task, *, quick:
         pictures["exemplar"] = exemplar
         if not quick:
             pictures["image quilting"] = _quilted(exemplar)
-    rows = [{"title": name, "names": [name], "tiles": how} for name, how in tiles.items() if name in pictures]
+    rows = [{"title": name, "name": name, "tiles": how} for name, how in tiles.items() if name in pictures]
     return View("pictures", pictures=pictures, facts={"pictures": rows, "compared": [rows[0]["title"], "fit"]})
 
 

@@ -1,19 +1,15 @@
-// Pictures: side by side or one at a time, a wipe and the difference of two, errors against a reference, tiles, texels, a chart.
+// Pictures: side by side or one at a time, a wipe and the difference of two, errors against a reference, tiles, texels.
 //
 // pictures: display values, 8 bits. arrays: linear radiance [H, W, 1 or 3] of any unit, tone-mapped here as in metapp's PNGs.
 // facts, none of which is needed:
-//   pictures   [{title, names, tiles, told}]: what is shown, in this order; by default all, titled as they are named. names: of `pictures`
-//              or `arrays`, one, or one for each of steps.titles. tiles: "whole" (its edges meet) or "seams" (they do not). told: of each
-//              of names, what its label says beside the title
-//   steps      {label, titles}: what a slider chooses between, such as seconds
+//   pictures   [{title, name, tiles, told}]: what is shown, in this order; by default all, titled as they are named. name: of `pictures`
+//              or `arrays`. tiles: "whole" (its edges meet) or "seams" (they do not). told: what its label says beside the title
 //   compared   [left, right]: titles of the pair that is compared first; by default reference and fit
 //   reference  title of the radiance whose mean all are exposed by, and that errors are against; by default each has its own mean
-//   chart      {x, y, lines: [{title, points: [[x, y], ...]}]}, both axes logarithmic
 //   notes      [text]
 
 const FITTED = -6;                 // of the setting `zoom`, a logarithm to base 2: as large as fits in the view
 const LARGEST = 6;                 // of the same
-const LINES = ["#ffd76a", "#7fb2ff", "#c9ccd1"];
 const HEAT = [[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]];  // of errors, from none to all
 
 // A picture of the page: display values as a canvas, and the numbers behind it.
@@ -107,12 +103,12 @@ class PicturesViewer extends Viewer {
     this.redraw();
   }
 
-  // Of each fit the rasters by title, one or as many as there are steps.
+  // Of each fit the pictures by title.
   async _load() {
     this.sets = await Promise.all(this.fits.map(async (fit) => {
-      const specs = fit.facts.pictures ?? [...Object.keys(fit.pictures), ...Object.keys(fit.arrays)].map((name) => ({ title: name, names: [name] }));
-      const rasters = await Promise.all(specs.map((spec) => Promise.all(spec.names.map((name) => Raster.of(name, fit)))));
-      return new Map(specs.map((spec, i) => [spec.title, { ...spec, rasters: rasters[i] }]));
+      const specs = fit.facts.pictures ?? [...Object.keys(fit.pictures), ...Object.keys(fit.arrays)].map((name) => ({ title: name, name }));
+      const rasters = await Promise.all(specs.map((spec) => Raster.of(spec.name, fit)));
+      return new Map(specs.map((spec, i) => [spec.title, { ...spec, raster: rasters[i] }]));
     }));
     this.titles = [...new Set(this.sets.flatMap((set) => [...set.keys()]))];
     this.derived = new Map();
@@ -124,7 +120,7 @@ class PicturesViewer extends Viewer {
     const { titles } = this, all = this.sets.flatMap((set) => [...set.values()]), options = titles.map((title) => [title, title]);
     const usual = titles.includes("reference") && titles.includes("fit") ? ["reference", "fit"] : [titles[0], titles.at(-1)];
     const [left, right] = this.facts("compared") ?? usual, several = titles.length > 1, pair = (s) => ["wipe", "difference"].includes(s.show);
-    const steps = this.facts("steps"), hdr = all.some((each) => each.rasters[0].radiance), tiled = all.some((each) => each.tiles);
+    const hdr = all.some((each) => each.raster.radiance), tiled = all.some((each) => each.tiles);
     const shows = [["all", "Side by side"], ["one", "One at a time"], ["wipe", "Wipe between two"], ["difference", "Difference of two"]];
     if (this.facts("reference")) shows.push(["error", "Error against the reference"]);
     const percent = () => `${parseFloat((100 * (this.zoom ?? 1)).toPrecision(4))} %`;
@@ -136,8 +132,6 @@ class PicturesViewer extends Viewer {
       { name: "wipe", label: "Wipe", type: "range", min: 0, max: 1, step: 0.005, value: 0.5, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "wipe" },
       { name: "gain", label: "Difference times", type: "range", min: 1, max: 50, step: 1, value: 5, when: (s) => s.show === "difference" },
       { name: "most", label: "Brightest error", type: "range", min: 0.05, max: 2, step: 0.05, value: 1, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "error" },
-      ...(steps ? [{ name: "step", label: steps.label, type: "range", min: 0, max: steps.titles.length - 1, step: 1, value: steps.titles.length - 1,
-        text: (i) => steps.titles[i] ?? steps.titles.at(-1) }] : []),
       { name: "exposure", label: "Exposure", type: "range", min: -6, max: 6, step: 0.1, value: 0, text: (x) => `${x > 0 ? "+" : ""}${x.toFixed(1)} stops`, when: () => hdr },
       { name: "tiles", label: "Tiles", type: "range", min: 1, max: 8, step: 1, value: 1, text: (n) => `${n} x ${n}`, when: () => tiled },
       { name: "seams", label: "Mark where tiles meet", type: "check", value: false, when: () => tiled },
@@ -146,7 +140,6 @@ class PicturesViewer extends Viewer {
       { name: "whole", label: "100 %", type: "action", run: () => this._put({ zoom: 0 }) },
       { name: "x", label: "", type: "note", value: 0, when: () => false },  // of what is in the middle: texels from the pictures' middle
       { name: "y", label: "", type: "note", value: 0, when: () => false },
-      { name: "chart", label: "Chart", type: "check", value: true, when: () => Boolean(this.facts("chart")) },
       ...[...new Set(this.fits.flatMap((fit) => fit.facts.notes ?? []))].map((text, i) => ({ name: `note${i}`, label: text, type: "note" })),
     ];
   }
@@ -168,14 +161,13 @@ class PicturesViewer extends Viewer {
     controls?.refresh();
   }
 
-  // The raster of a title in a fit at the chosen step, at the chosen exposure; undefined where it has none.
+  // The raster of a title in a fit, at the chosen exposure; undefined where it has none.
   _raster(i, title) {
     const picture = this.sets[i].get(title);
     if (!picture) return undefined;
-    const of = (each, what = "rasters") => each[what][Math.min(this.settings.step ?? 0, each[what].length - 1)], raster = of(picture);
-    const by = this.sets[i].get(this.facts("reference"));
-    raster.exposed(2 ** this.settings.exposure / (by ? of(by) : raster).mean);
-    return Object.assign(raster, { tiles: picture.tiles, note: picture.told && of(picture, "told") });
+    const { raster } = picture, by = this.sets[i].get(this.facts("reference"));
+    raster.exposed(2 ** this.settings.exposure / (by ?? picture).raster.mean);
+    return Object.assign(raster, { tiles: picture.tiles, note: picture.told });
   }
 
   // What is shown: [{fit, titles, rasters: one, or two of a wipe}]; what fits have in common is shown once.
@@ -241,7 +233,7 @@ class PicturesViewer extends Viewer {
   _area(raster) {
     const { tiles } = this.settings;
     if (!raster.tiles || (tiles === 1 && this.settings.show !== "wipe")) return [raster.width, raster.height];
-    const tiled = this.sets.flatMap((set) => [...set.values()]).filter((each) => each.tiles).map((each) => each.rasters[0]);
+    const tiled = this.sets.flatMap((set) => [...set.values()]).filter((each) => each.tiles).map((each) => each.raster);
     return [tiles * Math.max(...tiled.map((each) => each.width)), tiles * Math.max(...tiled.map((each) => each.height))];
   }
 
@@ -250,13 +242,12 @@ class PicturesViewer extends Viewer {
     const { canvas, settings } = this, ratio = devicePixelRatio, gap = Math.round(6 * ratio);
     if (!canvas.width || !canvas.height || settings.show === undefined) return;
     this.panels = this._panels();
-    const below = settings.chart && this.facts("chart") ? Math.round(clamp(0.34 * canvas.height, 110 * ratio, 260 * ratio)) : 0;
-    const height = canvas.height - below, areas = this.panels.flatMap((panel) => panel.rasters.map((each) => this._area(each)));
+    const areas = this.panels.flatMap((panel) => panel.rasters.map((each) => this._area(each)));
     const [w, h] = [0, 1].map((axis) => Math.max(1, ...areas.map((area) => area[axis])));
     let best = { fit: 0 };
     for (let columns = 1; columns <= this.panels.length; columns++) {
       const rows = Math.ceil(this.panels.length / columns);
-      const cell = [Math.floor((canvas.width - gap * (columns - 1)) / columns), Math.floor((height - gap * (rows - 1)) / rows)];
+      const cell = [Math.floor((canvas.width - gap * (columns - 1)) / columns), Math.floor((canvas.height - gap * (rows - 1)) / rows)];
       const fit = Math.min(cell[0] / w, cell[1] / h);
       if (fit > best.fit) best = { fit, columns, cell };
     }
@@ -270,7 +261,6 @@ class PicturesViewer extends Viewer {
       const column = i % best.columns, row = Math.floor(i / best.columns);
       Object.assign(panel, { x: column * (best.cell[0] + gap), y: row * (best.cell[1] + gap), width: best.cell[0], height: best.cell[1] });
     });
-    this.below = below;
     this._place();
   }
 
@@ -298,7 +288,6 @@ class PicturesViewer extends Viewer {
         g.restore();
       });
     }
-    if (this.below) this._chart(g, this.facts("chart"), canvas.height - this.below, this.below);
     return false;
   }
 
@@ -320,53 +309,6 @@ class PicturesViewer extends Viewer {
     const line = Math.max(1, Math.round(devicePixelRatio));
     for (let x = 0; x <= w; x += width) g.fillRect(left + Math.round(x * zoom) - (x === w ? line : 0), top, line, h * zoom);
     for (let y = 0; y <= h; y += height) g.fillRect(left, top + Math.round(y * zoom) - (y === h ? line : 0), w * zoom, line);
-  }
-
-  // Both axes logarithmic; larger dots at the step that is shown.
-  _chart(g, { x: across, y: up, lines }, top, height) {
-    const ratio = devicePixelRatio, { width } = this.canvas, points = lines.flatMap((each) => each.points);
-    const box = { left: 52 * ratio, right: width - 14 * ratio, top: top + 26 * ratio, bottom: top + height - 34 * ratio };
-    const range = [0, 1].map((axis) => {
-      const all = points.map((point) => point[axis]).filter((value) => value > 0);
-      return [Math.log10(Math.min(...all)) - 0.06, Math.log10(Math.max(...all)) + 0.06];
-    });
-    const at = ([x, y]) => [
-      box.left + (Math.log10(x) - range[0][0]) / (range[0][1] - range[0][0]) * (box.right - box.left),
-      box.bottom - (Math.log10(y) - range[1][0]) / (range[1][1] - range[1][0]) * (box.bottom - box.top)];
-    g.font = `${11 * ratio}px system-ui, sans-serif`;
-    g.lineWidth = ratio;
-    for (const axis of [0, 1]) {
-      const [low, high] = range[axis];
-      for (let decade = Math.floor(low); decade <= high; decade++) {
-        for (const times of high - low < 0.5 ? [1, 1.5, 2, 3, 4, 5, 6, 8] : high - low < 1.7 ? [1, 2, 5] : [1]) {
-          const value = times * 10 ** decade;
-          if (Math.log10(value) < low || Math.log10(value) > high) continue;
-          const [x, y] = at(axis ? [10 ** range[0][0], value] : [value, 10 ** range[1][0]]);
-          g.fillStyle = "#34373d";
-          if (axis) g.fillRect(box.left, y, box.right - box.left, ratio); else g.fillRect(x, box.top, ratio, box.bottom - box.top);
-          g.fillStyle = "#9a9fa8"; g.textAlign = axis ? "right" : "center"; g.textBaseline = axis ? "middle" : "top";
-          g.fillText(`${parseFloat(value.toPrecision(2))}`, axis ? box.left - 6 * ratio : x, axis ? y : box.bottom + 4 * ratio);
-        }
-      }
-    }
-    g.textAlign = "right"; g.fillText(across, box.right, box.bottom + 17 * ratio);
-    g.textBaseline = "middle"; g.textAlign = "left"; g.fillText(up, 6 * ratio, top + 12 * ratio);
-    let legend = 6 * ratio + g.measureText(up).width + 16 * ratio;
-    lines.forEach(({ title, points: own }, i) => {
-      g.strokeStyle = g.fillStyle = LINES[i % LINES.length]; g.lineWidth = 1.5 * ratio;
-      g.setLineDash(i === 2 ? [5 * ratio, 4 * ratio] : []);
-      g.beginPath(); own.forEach((point) => g.lineTo(...at(point))); g.stroke();
-      g.setLineDash([]);
-      if (i < 2) own.forEach((point, k) => this._dot(g, at(point), (k === this.settings.step ? 5.5 : 3) * ratio, i));
-      this._dot(g, [legend, top + 12 * ratio], 3.5 * ratio, i);
-      g.fillText(title, legend + 9 * ratio, top + 12 * ratio);
-      legend += g.measureText(title).width + 22 * ratio;
-    });
-  }
-  _dot(g, [x, y], radius, kind) {
-    g.beginPath();
-    if (kind) g.rect(x - radius, y - radius, 2 * radius, 2 * radius); else g.arc(x, y, radius, 0, 2 * Math.PI);
-    g.fill();
   }
 
   png() { return this.canvas; }
@@ -399,7 +341,7 @@ class PicturesViewer extends Viewer {
       wipe.style.left = `${(panel.x + panel.width * this.settings.wipe) / ratio}px`;
       Object.assign(wipe.style, { top: `${panel.y / ratio}px`, bottom: "auto", height: `${panel.height / ratio}px` });
     });
-    this.pointed.style.bottom = `${this.below / ratio + 8}px`;
+    this.pointed.style.bottom = "8px";
     this.pointed.style.left = "8px";
   }
 
