@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,11 +11,10 @@ import typer
 
 from metapp import door
 from metapp.cli import completion
-from metapp.cli.console import print_json
 from metapp.cli.options import Json, extended, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
-from metapp.runs.requests.request import Portion, Request, portion_of
+from metapp.runs.requests.request import Request
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
@@ -51,14 +50,6 @@ class Evaluation:
     no_run: Annotated[
         bool, typer.Option("--no-run", help="Print what there is, and the commands that make the rest.")
     ] = False
-    shard: Annotated[
-        str,
-        typer.Option(
-            metavar="I/N",
-            help="Run the I-th of N parts of what is missing, on machines that share --out; without it the same "
-            "command prints the table of all parts.",
-        ),
-    ] = ""
     overfit_share: Annotated[
         float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
     ] = 1.0
@@ -102,13 +93,10 @@ def command(options: Evaluation, **own: Path) -> None:
 
     reported = NAMES if options.which in ("", ALL) else [options.which]
     reports = {offer: own[offer.option.name] for offer in door.offers(door.Report) if offer.option.name in own}
-    options = check(options, reports)
+    options = check(options)
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else [options.which]
     cells = cells_of([load_table(name) for name in (reported if reports else names)], subjects)
-    if options.shard:
-        fill_part(cells, portion_of(options.shard), options)
-        return
     fill(cells, subjects, options)
     if not options.quiet:
         draw(subjects, names)
@@ -118,11 +106,11 @@ def command(options: Evaluation, **own: Path) -> None:
             say(f"{offer.option.name}: {file}")
 
 
-def check(options: Evaluation, reports: Iterable[door.Report]) -> Evaluation:
+def check(options: Evaluation) -> Evaluation:
     """The options, with the default table.
 
     Raises:
-        BadParameter: there is no such table or format, or --shard stands beside what prints or writes all.
+        BadParameter: there is no such table or format.
     """
     options = replace(options, which=options.which or "results")
     if extension := door.switched_off(door.Table, options.which):
@@ -132,10 +120,6 @@ def check(options: Evaluation, reports: Iterable[door.Report]) -> Evaluation:
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
-    portion_of(options.shard)
-    flags = [*(["--no-run"] if options.no_run else []), *(offer.option.flag for offer in reports)]
-    if options.shard and flags:
-        raise typer.BadParameter(f"--shard: runs a part and prints no table; leave {', '.join(flags)} out.")
     return options
 
 
@@ -184,22 +168,6 @@ def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:
     # named have empty cells where a checkpoint is missing
     assert all(subject.fits for subject in subjects)
     return [cell for table in tables for subject in subjects for cell in table.cells(subject)]
-
-
-def fill_part(cells: list[Cell], portion: Portion, options: Evaluation) -> None:
-    """Measure one part of what has no record yet; say what was done and what is left."""
-    from metapp.evaluation.cell import distinct, run_cells
-
-    made = run_cells(cells, portion, quiet=options.quiet)
-    cells = distinct(cells)
-    total, missing = sum(len(cell.tasks) for cell in cells), sum(len(cell.missing()) for cell in cells)
-    if not options.quiet:
-        rest = f"{missing:,} of {total:,} are missing"
-        if not missing:
-            rest = f"all {total:,} are there, the same command without --shard prints the table"
-        say(f"part {options.shard}: {made:,} records made; {rest}")
-    if options.json:
-        print_json({"which": options.which, "shard": options.shard, "made": made, "missing": missing})
 
 
 def fill(cells: list[Cell], subjects: list[Subject], options: Evaluation) -> None:

@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import progress
-from metapp.runs.requests.request import Portion
 from metapp.runs.torch_state import threads
 from metapp.storage.records import Record, RunFolder
 
-WHOLE = Portion()
 Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
 
@@ -41,14 +39,14 @@ class Cell(NamedTuple):
         finished = self.folder.finished() if self.folder else {}
         return [finished[task.name] for task in self.tasks if task.name in finished]
 
-    def missing(self, portion: Portion = WHOLE) -> list[Task]:
-        """The tasks of a portion that have no record yet."""
+    def missing(self) -> list[Task]:
+        """The tasks that have no record yet."""
         finished = self.folder.finished() if self.folder else {}
-        return [task for task in portion.of(self.tasks) if task.name not in finished]
+        return [task for task in self.tasks if task.name not in finished]
 
     @property
     def whole(self) -> bool:
-        """Whether there is a record of every task."""
+        """True if there is a record of every task."""
         return bool(self.tasks) and not self.missing()
 
     def run(self, tasks: list[Task]) -> Iterator[Record]:
@@ -59,32 +57,23 @@ class Cell(NamedTuple):
             yield record
 
 
-def distinct(cells: Sequence[Cell]) -> list[Cell]:
-    """The cells that can be run, once each: tables share most of them."""
-    return list({cell.folder.path: cell for cell in cells if cell.folder}.values())
-
-
-def run_cells(cells: Sequence[Cell], portion: Portion = WHOLE, *, quiet: bool) -> int:
+def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
     """Measure what is missing; a killed run goes on at the first task without a record.
 
     Within a stage cells of few steps come first: most of a table is soon there. The progress counts gradient steps.
-    Programs that run different portions at the same time measure nothing twice, and none needs another's records.
-
-    Returns:
-        The number of records that were made.
     """
-    ordered = sorted(distinct(cells), key=lambda cell: (cell.stage, cell.steps))
-    planned = [(cell, missing) for cell in ordered if (missing := cell.missing(portion))]
+    once = {cell.folder.path: cell for cell in cells if cell.folder}.values()  # tables share most of them
+    ordered = sorted(once, key=lambda cell: (cell.stage, cell.steps))
+    planned = [(cell, missing) for cell in ordered if (missing := cell.missing())]
     if not planned:
-        return 0
+        return
     total = sum((cell.steps + 1) * len(missing) for cell, missing in planned)
-    count = done = 0
+    done = 0
     with progress("evaluate", total, long=True, quiet=quiet) as bar:
         for i, (cell, missing) in enumerate(planned, 1):
             place = f"cell {i} of {len(planned)}"
             bar.at(done, total, f"{cell.title}, {place}")
             with threads(cell.threads):
                 for record in cell.run(missing):
-                    count, done = count + 1, done + cell.steps + 1
+                    done += cell.steps + 1
                     bar.at(done, total, f"{cell.title} {record['name']}, {place}")
-    return count

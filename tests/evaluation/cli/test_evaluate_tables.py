@@ -115,32 +115,13 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
             assert table.columns[0].text(row) in text, name
 
 
-@pytest.mark.long
-def test_parts_make_the_records_of_one_program(evaluate: Callable, done: Path, tmp_path: Path) -> None:
-    """All tables in two parts: the same records, the same tables; each part by itself, nothing twice."""
-
-    def records(runs: Path) -> dict[tuple[str, str], dict[str, Any]]:
-        timed = ("seconds", "threads", "origin")
-        return {
-            (str(file.parent.relative_to(runs)), record["name"]): {
-                key: value for key, value in record.items() if key not in timed
-            }
-            for file in runs.rglob("record.jsonl")
-            for record in read_records(file)
-        }
-
-    second = evaluate("--which", "all", "--shard", "2/2", "--quiet", "--json")
-    assert second.code == 0, second.err
-    of_second = records(tmp_path / "runs")
-    assert second.document == {"which": "all", "shard": "2/2", "made": len(of_second), "missing": 2 * len(of_second)}
-    first = evaluate("--which", "all", "--shard", "1/2")
-    assert f"part 1/2: {2 * len(of_second)} records made; all {3 * len(of_second)} are there" in first.err
-    assert first.out == ""
-    assert records(tmp_path / "runs") == records(done / "runs")
-    lines = [line for file in (tmp_path / "runs").rglob("record.jsonl") for line in file.read_text().splitlines()]
-    assert len(lines) == 3 * len(of_second)
-    for refused in (("--shard", "3/2"), ("--shard", "1/2", "--no-run"), ("--shard", "1/2", "--report", tmp_path)):
-        assert evaluate(*refused).code == 2
+def test_parts_of_fits_fill_the_table(evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path) -> None:
+    for part in ("1/2", "2/2"):
+        words = ("--recipe", "quick", "--out", tmp_path / "runs", "--quiet", "--shard", part)
+        result = metapp("quickft", "brdf", "--data", data, *words)
+        assert result.code == 0, result.err
+    rows = {row["paradigm"]: row for row in evaluate("--no-run", "--json").document["rows"]}
+    assert {name: row["tasks"] for name, row in rows.items() if row["tasks"]} == {"quickft": 3}
 
 
 def killed_at(count: int, *arguments: str | Path) -> int:
