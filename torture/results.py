@@ -156,7 +156,7 @@ def _load_elsewhere(cache: Path) -> None:
         code = 9
         with contextlib.suppress(BaseException):
             os.environ["METAPP_CACHE"] = str(cache)
-            functions = load.__wrapped__(source)
+            functions = load.__wrapped__(source, "seven")
             code = 8 if functions is None else functions.seven() - 7
         os._exit(code)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

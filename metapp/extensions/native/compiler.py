@@ -1,17 +1,24 @@
 """Small C sources of ours: compiled once for a source and a CPU, kept in the cache folder, loaded through ctypes.
 
-All of them are optional. Where there is no compiler, whoever asks for one computes with torch instead.
+All of them are optional. Where there is no compiler, whoever asks for one computes with torch instead. A library is
+code, so it is loaded only where nobody but the user, and root, can have written it.
 """
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import functools
 import hashlib
 import os
 import shutil
+import stat
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metapp.runs.reporter import say
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import write_atomically
 
@@ -26,18 +33,65 @@ FLAGS = (
 SECONDS = 60  # until a compiler is given up
 
 
-@functools.cache
-def load(source: Path) -> CDLL | None:
-    """The functions of a C source; None where it can neither be found compiled nor be compiled."""
-    import ctypes
+class _NotOwn(Exception):
+    """A folder that others can write to."""
 
+
+@functools.cache
+def load(source: Path, *names: str) -> CDLL | None:
+    """The functions of a C source, these names; None where it can neither be found compiled nor be compiled."""
+    file = f"{source.stem}-{_key(source)}.so"
     try:
-        path = cache_folder() / "native" / f"{source.stem}-{_key(source)}.so"
-        if not _is_whole(path):
-            _compile(source, path)
-        return ctypes.CDLL(str(path))
+        try:
+            return _loaded(source, _own(cache_folder() / "native") / file, names)
+        except _NotOwn as reason:
+            say(f"warning: {reason}; C sources are compiled for this run alone.")
+            return _loaded(source, _own(_temporary_folder()) / file, names)
     except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
         return None
+
+
+def _loaded(source: Path, path: Path, names: Sequence[str]) -> CDLL:
+    """A library that is whole, the user's own and has these functions, compiled where it is not.
+
+    Raises:
+        OSError: it cannot be compiled or loaded.
+    """
+    import ctypes
+
+    if not _is_whole(path, names):
+        _compile(source, path)
+    return ctypes.CDLL(str(path))
+
+
+def _own(folder: Path) -> Path:
+    """A folder, made if missing, that only its user can write to.
+
+    Raises:
+        _NotOwn: it is another user's or a link, or others can put another one in its place.
+        OSError: it cannot be made.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    state = folder.lstat()
+    if not stat.S_ISDIR(state.st_mode) or state.st_uid not in (os.getuid(), 0):
+        raise _NotOwn(f"{folder}: a link or another user's, expected a folder of one's own")
+    if any(
+        parent.stat().st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH for parent in folder.absolute().parents
+    ):
+        raise _NotOwn(f"{folder}: in a folder that all can write to, expected one of one's own")
+    if state.st_uid == os.getuid() and state.st_mode & 0o077:
+        folder.chmod(0o700)
+    return folder
+
+
+@functools.cache
+def _temporary_folder() -> Path:
+    """A folder of this process, removed at its end."""
+    folder = tempfile.mkdtemp(prefix="metapp-native-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def compiler() -> str | None:
@@ -63,12 +117,27 @@ def _cpu() -> str:
     return "\n".join([platform.machine(), *lasting])
 
 
-def _is_whole(path: Path) -> bool:
-    """Test whether a library is as it was compiled: a truncated one would end the process at its first use."""
+def _is_whole(path: Path, names: Sequence[str]) -> bool:
+    """Test whether a library is as its user compiled it: a truncated one would end the process at its first use."""
     try:
-        return _digest_path(path).read_text("ascii") == hashlib.sha256(path.read_bytes()).hexdigest()
-    except (FileNotFoundError, UnicodeError):
+        digest, content = _own_bytes(_digest_path(path)), _own_bytes(path)
+    except OSError:
         return False
+    same = digest == hashlib.sha256(content).hexdigest().encode()
+    return same and all(b"\0%s\0" % name.encode() in content for name in names)
+
+
+def _own_bytes(path: Path) -> bytes:
+    """The content of a file of one's own.
+
+    Raises:
+        OSError: it is not there, a link, another user's, or others can write to it.
+    """
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        state = os.fstat(file.fileno())
+        if not stat.S_ISREG(state.st_mode) or state.st_uid not in (os.getuid(), 0) or state.st_mode & 0o022:
+            raise PermissionError(f"{path}: not one's own.")
+        return file.read()
 
 
 def _digest_path(path: Path) -> Path:
@@ -91,9 +160,15 @@ def _compile(source: Path, path: Path) -> None:
         arguments = [command, *FLAGS, str(source), "-o", str(partial), "-lm"]
         try:
             subprocess.run(arguments, check=True, capture_output=True, timeout=SECONDS)
+            partial.chmod(0o700)
         except subprocess.SubprocessError as error:
             raise OSError(f"{command}: does not compile {source.name}") from error
 
     write_atomically(path, write)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    write_atomically(_digest_path(path), lambda partial: partial.write_text(digest, "ascii"))
+
+    def write_digest(partial: Path) -> None:
+        partial.write_text(digest, "ascii")
+        partial.chmod(0o600)
+
+    write_atomically(_digest_path(path), write_digest)

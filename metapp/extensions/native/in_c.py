@@ -141,7 +141,7 @@ def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
 
 @functools.cache
 def _library() -> ctypes.CDLL | None:
-    library = load(Path(__file__).with_name("step.c"))
+    library = load(Path(__file__).with_name("step.c"), "step", "step_back")
     if library is not None:
         counts, pointer = [ctypes.c_int] * 3, ctypes.c_void_p
         library.step.argtypes = [*counts, *[pointer] * 7]

@@ -24,7 +24,7 @@ def loss(theta: Params) -> LossInC | None:
 
 @functools.cache
 def _library() -> ctypes.CDLL | None:
-    library = load(Path(__file__).with_name("nbrdf.c"))
+    library = load(Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product")
     if library is not None:
         count, pointer = ctypes.c_int, ctypes.c_void_p
         read = (count, count, pointer, pointer, pointer, pointer, count, pointer, count)

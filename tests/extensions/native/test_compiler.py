@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,14 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
-@pytest.mark.parametrize("damage", ["whole", "truncated", "a flipped bit", "no digest", "a digest that is no text"])
+@pytest.mark.parametrize(
+    "damage", ["whole", "truncated", "a flipped bit", "no digest", "a digest that is no text", "another library"]
+)
 def test_a_damaged_library_is_compiled_anew(damage: str, cache: Path, tmp_path: Path) -> None:
     source = tmp_path / "seven.c"
     source.write_text("int seven(void) { return 7; }\n")
     if (child := os.fork()) == 0:  # the library is loaded elsewhere: damage to one that is loaded ends a process
-        os._exit(load.__wrapped__(source) is None)
+        os._exit(load.__wrapped__(source, "seven") is None)
     assert os.waitpid(child, 0)[1] == 0
     (library,), (digest,) = (list((cache / "native").glob(f"seven-*.{suffix}")) for suffix in ("so", "sha256"))
     content, compiled_at = library.read_bytes(), library.stat().st_ino
@@ -36,8 +39,93 @@ def test_a_damaged_library_is_compiled_anew(damage: str, cache: Path, tmp_path: 
         digest.unlink()
     elif damage == "a digest that is no text":
         digest.write_bytes(b"\xff" * 64)
-    functions = load.__wrapped__(source)
+    elif damage == "another library":
+        other = tmp_path / "eight.c"
+        other.write_text("int eight(void) { return 8; }\n")
+        load.__wrapped__(other, "eight")
+        (eight,) = (cache / "native").glob("eight-*.so")
+        eight.replace(library)
+        eight.with_suffix(".sha256").replace(digest)
+    functions = load.__wrapped__(source, "seven")
     assert functions is not None
     assert functions.seven() == 7
     assert (library.stat().st_ino == compiled_at) == (damage == "whole")
     assert sorted(path.suffix for path in (cache / "native").iterdir()) == [".sha256", ".so"]
+
+
+def seven_of(folder: Path) -> Path:
+    source = folder / "seven.c"
+    source.write_text("int seven(void) { return 7; }\n")
+    return source
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
+def test_the_folder_is_the_users_alone(cache: Path, tmp_path: Path) -> None:
+    (cache / "native").mkdir(parents=True)
+    (cache / "native").chmod(0o777)
+    assert load.__wrapped__(seven_of(tmp_path), "seven") is not None
+    assert stat.S_IMODE((cache / "native").stat().st_mode) == 0o700
+    assert all(not file.stat().st_mode & 0o077 for file in (cache / "native").iterdir())
+
+
+UNSAFE = ["a folder of another user", "a linked folder", "a place for all"]
+REPLACED = ["a library of another user", "a digest of another user", "a library that all can write", "a linked library"]
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
+@pytest.mark.parametrize("attack", [*UNSAFE, *REPLACED])
+def test_a_library_of_others_is_not_run(
+    attack: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A library that is compiled from another source, with its digest, lies where ours would."""
+    if "another user" in attack and os.getuid() != 0:
+        pytest.skip("only root can give files away")
+    source, native = seven_of(tmp_path), cache / "native"
+    assert compiled(source, "seven") == 7
+    (library,), (digest,) = (list(native.glob(f"seven-*.{suffix}")) for suffix in ("so", "sha256"))
+    other = tmp_path / "other" / "seven.c"
+    other.parent.mkdir()
+    other.write_text("int seven(void) { return 666; }\n")
+    assert compiled(other, "seven") == 666
+    (bad,) = set(native.glob("seven-*.so")) - {library}
+    bad.replace(library)
+    bad.with_suffix(".sha256").replace(digest)
+    spoil(attack, native, library, digest)
+    said: list[str] = []
+    monkeypatch.setattr(module, "say", said.append)
+    assert compiled(source, "seven") == 7
+    assert load.__wrapped__(source, "seven") is not None
+    assert len(said) == (attack in UNSAFE)
+    assert all("C sources are compiled for this run alone" in line and str(native) in line for line in said)
+
+
+def spoil(attack: str, native: Path, library: Path, digest: Path) -> None:
+    if attack == "a folder of another user":
+        os.chown(native, 12345, 12345)
+    elif attack == "a linked folder":
+        native.rename(native.with_name("elsewhere"))
+        native.symlink_to("elsewhere")
+    elif attack == "a place for all":
+        native.parent.chmod(0o777)
+    elif attack == "a library of another user":
+        os.chown(library, 12345, 12345)
+    elif attack == "a digest of another user":
+        os.chown(digest, 12345, 12345)
+    elif attack == "a library that all can write":
+        library.chmod(0o777)
+    else:
+        library.rename(library.with_suffix(".bak"))
+        library.symlink_to(library.with_suffix(".bak"))
+
+
+def compiled(source: Path, name: str) -> int:
+    """The result of a function, in a process of its own."""
+    reading, writing = os.pipe()
+    if (child := os.fork()) == 0:
+        functions = load.__wrapped__(source, name)
+        os.write(writing, str(functions and getattr(functions, name)()).encode())
+        os._exit(0)
+    os.close(writing)
+    os.waitpid(child, 0)
+    with open(reading, "rb") as file:
+        return int(file.read())
