@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,15 +15,16 @@ from data_tools.readers.measured_pairs import LARGEST, Pairs, task_of_pairs
 from data_tools.readers.picture_objects import array_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
+from metapp.rendering.types import Bsdf
 from metapp.rendering.variant import load_mitsuba
 
 SAMPLES = 65_536
 SAMPLED = ("wi", "wo", "reflectance")  # arrays of samples
 
-Function = Callable[[np.ndarray, np.ndarray], Any]
+Function = Callable[[np.ndarray, np.ndarray], object]
 
 
-def from_object(source: Any, name: str, how: Mapping[str, Any]) -> Task:
+def from_object(source: object, name: str, how: Mapping[str, object]) -> Task:
     """Make the task of a BRDF in memory, with phi_h where it is anisotropic.
 
     Args:
@@ -65,7 +65,7 @@ def _evaluated(name: str, evaluate: brdf_task.Evaluate) -> Task:
     return brdf_task.measured_task(name, evaluate, SAMPLES, name, azimuths=brdf_task.is_anisotropic(evaluate))
 
 
-def evaluated_by(mitsuba: ModuleType, bsdf: Any, angles: Tensor) -> Tensor:
+def evaluated_by(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
     """A BSDF of Mitsuba, without the cosine: linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3 or 4] in rad."""
     import drjit
 
@@ -90,12 +90,12 @@ def _called(name: str, function: Function, angles: Tensor) -> Tensor:
     return values.reshape(*angles.shape[:-1], 3)
 
 
-def _doubles(name: str, values: Any) -> Tensor:
+def _doubles(name: str, values: object) -> Tensor:
     """Numbers of any kind as a tensor; a copy, since arrays may be read-only or run backwards."""
     return torch.from_numpy(np.array(array_of(name, values), np.float64, order="C"))
 
 
-def _array(name: str, values: Any, what: str) -> Tensor:
+def _array(name: str, values: object, what: str) -> Tensor:
     """An array of samples [N, 3], float64."""
     array = _doubles(f"{name}: {what}", values)
     if array.ndim != 2 or array.shape[1] != 3:
@@ -103,7 +103,7 @@ def _array(name: str, values: Any, what: str) -> Tensor:
     return array
 
 
-def unit_vectors(name: str, values: Any, what: str) -> Tensor:
+def unit_vectors(name: str, values: object, what: str) -> Tensor:
     """Directions, an array or a tensor, as unit vectors [N, 3], float64.
 
     Raises:

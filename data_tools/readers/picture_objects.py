@@ -14,18 +14,21 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.formats import inputs_of
 from data_tools.readers import latlong, material_maps
+from data_tools.readers.image_files import Array
 from metapp.appearance.latlong import directions
 from metapp.learning.task import Task
 from metapp.storage.images import write_exr, write_png
+
+if TYPE_CHECKING:
+    from PIL import Image as images
 
 SIDE = 512  # px of a picture that a function is evaluated for
 ROWS = 512  # of a map of light that a function is evaluated for
@@ -36,10 +39,8 @@ _EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
 _SLACK = 1e-3  # by which rounding may leave [0, 1]
 _UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
 
-Array = NDArray[Any]
 
-
-def texture(source: object, name: str, how: Mapping[str, Any]) -> Task:
+def texture(source: object, name: str, how: Mapping[str, object]) -> Task:
     """Make the task of a texture.
 
     Args:
@@ -58,7 +59,7 @@ def texture(source: object, name: str, how: Mapping[str, Any]) -> Task:
     return _read("texture", name, lambda folder: write_picture(name, source, folder), how)
 
 
-def flash_photo(source: object, name: str, how: Mapping[str, Any]) -> Task:
+def flash_photo(source: object, name: str, how: Mapping[str, object]) -> Task:
     """Make the task of a flash photograph, or of one that is rendered of a material, as `material` takes it.
 
     Raises:
@@ -77,7 +78,7 @@ def flash_photo(source: object, name: str, how: Mapping[str, Any]) -> Task:
     return _read("svbrdf_stationary", name, write, how)
 
 
-def material(source: object, name: str, how: Mapping[str, Any]) -> Task:
+def material(source: object, name: str, how: Mapping[str, object]) -> Task:
     """Make the task of a material.
 
     Args:
@@ -91,7 +92,7 @@ def material(source: object, name: str, how: Mapping[str, Any]) -> Task:
     return _read("svbrdf_nonstationary", name, lambda folder: _write_material(name, source, folder), how)
 
 
-def light(source: object, name: str, how: Mapping[str, Any]) -> Task:
+def light(source: object, name: str, how: Mapping[str, object]) -> Task:
     """Make the task of an environment map or of the photograph of a ball.
 
     Args:
@@ -114,7 +115,7 @@ def light(source: object, name: str, how: Mapping[str, Any]) -> Task:
     return _read("illumination", name, lambda folder: _write_light(name, source, folder, is_photo), how)
 
 
-def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, Any]) -> Task:
+def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, object]) -> Task:
     """Read the file that `write` makes in a temporary folder; errors name the object alone."""
     with tempfile.TemporaryDirectory(prefix="metapp-") as temporary:
         folder = Path(temporary).resolve()
@@ -236,7 +237,7 @@ def write_picture(name: str, source: object, folder: Path) -> Path:
     return path
 
 
-def _write_pil(name: str, source: Any, path: Path) -> None:
+def _write_pil(name: str, source: images.Image, path: Path) -> None:
     try:
         if source.mode not in ("L", "LA", "RGB", "RGBA", "I;16"):
             source = source.convert("RGBA" if "transparency" in source.info else "RGB")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from metapp.extensions.guided.cache import Bounce, GuideCache, Location
 from metapp.extensions.guided.histogram import BINS
@@ -54,6 +54,10 @@ class Evaluated(NamedTuple):
     value: mt.Color
     density: mt.Float
     to_emitter: tuple[mt.Color, mt.Float]
+
+
+Fields = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
+"""Those of `Evaluated`, which Dr.Jit dispatches."""
 
 
 class Vertex:
@@ -160,7 +164,7 @@ class Vertex:
         sees_emitter = self.emitter is not None
 
         def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3, of_cache: mt.Mask,
-                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> tuple[Any, ...]:  # fmt: skip
+                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Fields:  # fmt: skip
             if is_lambertian(bsdf):
                 lobe = lambertian(bsdf, si, active)
                 light = lobe(to_emitter) if sees_emitter else (mi.Color3f(0), mi.Float(0))

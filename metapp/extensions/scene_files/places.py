@@ -7,7 +7,6 @@ import stat
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from metapp.extensions.scene_files.files import check_file
 from metapp.rendering.scenes.plugins import snake_case
@@ -61,7 +60,7 @@ class Places(Files):
         _read_before.add(path)
         return path
 
-    def check(self, kind: str, parameters: Mapping[str, Any]) -> None:
+    def check(self, kind: str, parameters: Mapping[str, object]) -> None:
         """Refuse a picture or volume that takes too much memory."""
         for name, value in parameters.items():
             if snake_case(name) == "filename" and isinstance(value, str):

@@ -19,6 +19,7 @@ from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
 from metapp.learning.task import Task
 from metapp.rendering.paths.path_space import DIMENSIONS
+from metapp.rendering.scenes.instances import Json
 from metapp.rendering.scenes.plugins import Unsupported
 from metapp.rendering.scenes.rules import DEPTH, SceneDict
 from metapp.rendering.variant import load_mitsuba
@@ -177,7 +178,7 @@ def _below(folder: Path) -> list[Path]:
     return sorted(path for path in files if path.is_file())
 
 
-def _plain(key: str, value: Any, depth: int = 0) -> Any:
+def _plain(key: str, value: object, depth: int = 0) -> Json:
     """A value of a scene in memory as JSON holds it."""
     if depth > DEPTH:
         raise ValueError(f"objects within each other, more than {DEPTH} deep, expected fewer.")
@@ -196,13 +197,13 @@ def _plain(key: str, value: Any, depth: int = 0) -> Any:
     return numbers.tolist()
 
 
-def _numbers(value: Any) -> np.ndarray | None:
+def _numbers(value: object) -> np.ndarray | None:
     """Numbers of numpy, Mitsuba or Dr.Jit, a transform as its matrix; None of all else."""
     if type(value).__module__.partition(".")[0] not in _NUMBERS:
         return None
     try:
         numbers = np.array(value)
-        numbers = np.array(value.matrix) if numbers.dtype == object else numbers
+        numbers = np.array(value.matrix) if hasattr(value, "matrix") else numbers
     except Exception:  # whatever an object of another library raises
         return None
     if numbers.shape[-1:] == (1,):  # of a variant that works on arrays

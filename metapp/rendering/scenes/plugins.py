@@ -7,7 +7,6 @@ import importlib.util
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
@@ -62,7 +61,7 @@ def check_plugin(kind: str) -> None:
         raise Unsupported(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
 
 
-def check_parameters(kind: str, given: Mapping[str, Any]) -> None:
+def check_parameters(kind: str, given: Mapping[str, object]) -> None:
     """Refuse a plugin with parameters, or without some, that Mitsuba ends the process or never ends with.
 
     Args:

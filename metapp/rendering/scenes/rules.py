@@ -6,15 +6,15 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from metapp.rendering.scenes.instances import Json
 from metapp.rendering.scenes.plugins import MEDIA, check_parameters, check_plugin, materials, snake_case
+from metapp.storage import Document
 
-Json = Any  # a value of a scene
-SceneDict = dict[str, Any]  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
+SceneDict = Document  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
 READER = "the extension scene_files"
 BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 
@@ -58,7 +58,7 @@ class Files:
         """
         raise ValueError(f"names the file {name[:100]!r}, expected none; scenes with files need {READER}.")
 
-    def check(self, kind: str, parameters: Mapping[str, Any]) -> None:
+    def check(self, kind: str, parameters: Mapping[str, object]) -> None:
         """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
 
 
@@ -149,7 +149,7 @@ class CheckedDict:
             raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of numbers or text.")
 
 
-def _media(scene: SceneDict) -> dict[str, Any]:
+def _media(scene: SceneDict) -> dict[str, SceneDict]:
     """The participating media that a scene declares, by key; they do nothing where no shape and no sensor has them."""
     objects = {key: value for key, value in scene.items() if isinstance(value, dict)}
     return {key: value for key, value in objects.items() if value.get("type") in tuple(MEDIA)}

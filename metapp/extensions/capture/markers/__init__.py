@@ -5,12 +5,12 @@ Markers are ArUco's (Garrido-Jurado et al. 2014), which OpenCV draws and finds: 
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 INSTALL = 'pip install "metapp[markers]"'
 
 
-def opencv() -> Any:
+def opencv() -> ModuleType:
     """The module cv2.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from metapp.storage.files import write_atomically
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.path import Path as Outline
 
 OPENINGS_CM = range(4, 14)  # sides of the opening; each has markers of its own, so that photos tell it
 OPENING_CM = 10
@@ -47,7 +48,7 @@ class Page(NamedTuple):
     centre_cm: tuple[float, float]
 
 
-def dictionary() -> Any:
+def dictionary() -> object:
     """OpenCV's dictionary of the markers: any two differ in six cells or more, however they are turned."""
     aruco = opencv().aruco
     return aruco.getPredefinedDictionary(aruco.DICT_5X5_250)
@@ -125,7 +126,7 @@ def draw_sheet(opening: int = OPENING_CM, page: str = "a4") -> Page:
     return Page(figure, axes, centre)
 
 
-def _black_cells(number: int, corners: Floats) -> Any:
+def _black_cells(number: int, corners: Floats) -> Outline:
     """The black cells of a marker as one path: without seams between them."""
     from matplotlib.path import Path as Outline
 
