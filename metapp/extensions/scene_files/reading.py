@@ -203,7 +203,7 @@ def _numbers(value: object) -> np.ndarray | None:
         return None
     try:
         numbers = np.array(value)
-        numbers = np.array(value.matrix) if hasattr(value, "matrix") else numbers
+        numbers = np.array(value.matrix) if numbers.dtype == object and hasattr(value, "matrix") else numbers
     except Exception:  # whatever an object of another library raises
         return None
     if numbers.shape[-1:] == (1,):  # of a variant that works on arrays
