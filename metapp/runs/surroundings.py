@@ -11,6 +11,7 @@ import torch
 
 from metapp.learning.app import App, ReducedPrecision
 from metapp.runs import BadOption
+from metapp.storage.plain import write_plainly
 from metapp.storage.text import meant
 
 
@@ -52,13 +53,14 @@ def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, st
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder to write to, before any work is done.
+    """Make a folder to write to, before any work is done; links in it are not followed then.
 
     Raises:
         ValueError: it cannot be made or written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        write_plainly(folder)
         with tempfile.TemporaryFile(dir=folder):  # nameless, as other runs may write there, too
             pass
     except OSError as error:

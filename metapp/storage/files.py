@@ -13,6 +13,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from metapp.storage.plain import check_plain, open_own
+
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
 
 
@@ -26,12 +28,15 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
 
     Raises:
         OSError: it cannot be written; names the folder. What was there before is still there.
+        ValueError: as `metapp.storage.plain.check_plain`.
     """
     path = Path(path)
+    check_plain(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_path(path)
     try:
         with naming(path):
+            partial.unlink(missing_ok=True)
             write(partial)
             _sync(partial)
             # one of the same bytes is what this program wrote before it was killed: the one before that stays
@@ -157,8 +162,9 @@ def append_line(path: Path, line: bytes, is_whole: Callable[[bytes], bool]) -> N
 
     Raises:
         OSError: the disk is full; the file is then as before.
+        ValueError: it is a link, or no file.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+    descriptor = open_own(path, os.O_RDWR | os.O_APPEND)
     try:
         size = os.fstat(descriptor).st_size
         tail = _last_line(descriptor, size)
@@ -186,16 +192,6 @@ def _last_line(descriptor: int, size: int) -> bytes:
         at -= step
         tail = os.pread(descriptor, step, at) + tail
     return tail.rpartition(b"\n")[2]
-
-
-def check_readable(path: Path) -> None:
-    """Refuse what a user names as input but has no end, such as a pipe or a device.
-
-    Raises:
-        ValueError: neither a file nor a folder, though it is there.
-    """
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise ValueError(f"{path}: a pipe or device, expected a file or folder; copy what it gives to a file.")
 
 
 def named(error: Exception, source: Path) -> ValueError:

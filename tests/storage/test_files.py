@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.storage.files import check_readable, remove_partial, write_atomically
+from metapp.storage.files import remove_partial, write_atomically
+from metapp.storage.plain import check_readable
 
 
 def test_write_atomically(tmp_path: Path) -> None:

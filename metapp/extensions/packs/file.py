@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from metapp.storage import Document
-from metapp.storage.files import check_readable, write_atomically
+from metapp.storage.files import write_atomically
 from metapp.storage.forms import holds
+from metapp.storage.plain import check_readable
 
 SCHEMA = 1
 BITS = (2, 16)  # of a whole number, at least and at most

@@ -25,6 +25,7 @@ from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.forms import OPTIONAL, holds
+from metapp.storage.plain import write_plainly
 from metapp.storage.records import FIT, RunFolder, read_theta
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
@@ -149,6 +150,7 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
     base = shared_with(plan.prepared, packed.shapes)
     _require_finite(file, plan.app, steps, base)
     folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})
+    write_plainly(folder.path)
     for i, record in enumerate(records):
         folder.add(record, restored(steps, base, i))
     before, after = ([record[key] for record in records] for key in ("before", "error"))
