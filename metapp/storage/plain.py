@@ -58,7 +58,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def read_text(path: str | Path, encoding: str = "utf-8") -> str:
-    """The text of a file, with its line ends as "\\n"; errors as of `open_regular`, and UnicodeDecodeError."""
+    """The text of a file, its line ends as those of Unix; errors as of `open_regular`, and UnicodeDecodeError."""
     return read_bytes(path).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
