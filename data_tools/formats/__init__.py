@@ -22,7 +22,7 @@ OFFERS = (*brdf.OFFERS, *pictures.OFFERS, *light.OFFERS)
 
 
 class Files(Protocol):
-    """What finds and reads the files of a format, a module.
+    """A module that finds and reads the files of a format.
 
     Its `read_task` also takes what `Format.takes` names, and values of options. Where it converts files it has UNITS,
     of the tasks' tensors by name, and where that takes more than these, `conversion(paths, split, **options)`.

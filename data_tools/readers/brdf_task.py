@@ -113,7 +113,7 @@ def columns_of(angles: Tensor) -> dict[str, Tensor]:
 
 
 def is_anisotropic(evaluate: Evaluate) -> bool:
-    """Whether reflectance depends on phi_h: by more than LEAST_CHANGE of its mean, both as log(1 + f cos theta_i)."""
+    """True if reflectance depends on phi_h: by more than LEAST_CHANGE of its mean, both as log(1 + f cos theta_i)."""
     angles = _analytic_angles(_TRIED, 0, azimuths=True)
     still = angles * angles.new_tensor([1.0, 1.0, 1.0, 0.0])
     with torch.no_grad():

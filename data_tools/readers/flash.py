@@ -55,7 +55,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, fov: float) -> Conversion:
-    """How photographs become tasks, all of a material in one split."""
+    """Conversion of photographs to tasks, all of a material in one split."""
     photos = find_shown(paths)
     if split == AUTO:
         photos = split_by_material(photos)
@@ -67,7 +67,7 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, fov: float) -> C
 
 
 def shown(photo: Path, folder: Path | None = None) -> Label:
-    """What a photograph shows, by its name and place: its group is the material, its split what is stated, "" for none.
+    """Label of a photograph by its name and place: its group is the material, its split what is stated, "" for none.
 
     Args:
         photo: the file.

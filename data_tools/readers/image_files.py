@@ -73,7 +73,7 @@ def check_exists(path: Path) -> None:
 
 
 def opens(path: Path) -> bool:
-    """Whether a file is an image that can be read, by its content."""
+    """True if a file is an image that can be read, by its content."""
     if is_heif(path):
         return can_read()
     try:
@@ -226,7 +226,7 @@ def turn_upright(values: Array, orientation: int) -> Array:
 
 
 def is_heif(path: Path) -> bool:
-    """Whether a file begins as HEIF pictures do, whatever its name."""
+    """True if a file begins as HEIF pictures do, whatever its name."""
     try:
         with path.open("rb") as stream:
             start = stream.read(12)
@@ -236,7 +236,7 @@ def is_heif(path: Path) -> bool:
 
 
 def can_read() -> bool:
-    """Whether pillow-heif is installed."""
+    """True if pillow-heif is installed."""
     return importlib.util.find_spec("pillow_heif") is not None
 
 
@@ -246,7 +246,7 @@ def _damaged(path: Path, error: Exception) -> str:
 
 
 def _description(profile: bytes | None) -> str:
-    """What an ICC profile calls itself; "" where it is damaged."""
+    """The name of an ICC profile; "" where it is damaged."""
     from PIL import ImageCms
 
     with contextlib.suppress(ImageCms.PyCMSError, OSError, TypeError):

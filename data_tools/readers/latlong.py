@@ -59,7 +59,7 @@ _REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # red, green, bl
 
 
 def is_latlong(height: int, width: int) -> bool:
-    """Whether a picture is twice as wide as high, but for a row."""
+    """True if a picture is twice as wide as high, but for a row."""
     return abs(width - 2 * height) <= 2
 
 
@@ -72,7 +72,7 @@ class Header(NamedTuple):
 
     @property
     def is_hdr(self) -> bool:
-        """Whether they are floating-point values."""
+        """True if they are floating-point values."""
         return self.kind in ("half", "float", "double")
 
     def __str__(self) -> str:
@@ -94,7 +94,7 @@ def read_task(path: Path, size: int = HEIGHT) -> Task:
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
-    """How maps become tasks."""
+    """Conversion of maps to tasks."""
     read, notes = partial(read_task, size=size), {"made_by": "metapp data laval", "rows": size}
     return Conversion("illumination", "map", UNITS, find, read, notes)
 
@@ -121,12 +121,12 @@ def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
 
 
 def is_map(path: Path) -> bool:
-    """Whether a file is an HDR image, which holds floating-point values."""
+    """True if a file is an HDR image, which holds floating-point values."""
     return path.suffix.lower() in _SUFFIXES or (opens(path) and header_of(path).is_hdr)
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is an HDR image, or a folder with one below it."""
+    """True if a path is an HDR image, or a folder with one below it."""
     return any(map(is_map, files_below(path) if path.is_dir() else [path]))
 
 
@@ -219,7 +219,7 @@ def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:
 
 
 def _channels(names: Sequence[str], path: Path) -> list[int]:
-    """Where red, green and blue are: without a layer, else of the first layer that has them; or Y three times."""
+    """Indices of red, green and blue: without a layer, else of the first layer that has them; or Y three times."""
     layers: dict[str, dict[str, int]] = {"": {}}
     for index, name in enumerate(names):
         layer, _, channel = name.upper().rpartition(".")

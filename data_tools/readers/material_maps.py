@@ -91,7 +91,7 @@ class Material(NamedTuple):
 
     @property
     def title(self) -> str:
-        """What the material is called: its own name, or its folder's."""
+        """The material's own name, or its folder's."""
         return self.name or self.folder.resolve().name
 
     @property
@@ -109,7 +109,7 @@ class Material(NamedTuple):
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is a folder with a material below it, or one of the maps of a material."""
+    """True if a path is a folder with a material below it, or one of the maps of a material."""
     path = Path(path)
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
@@ -185,12 +185,12 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
 
 
 def lies_aside(file: Path) -> bool:
-    """Whether a file's name says that it belongs to a material but is no map of use here: heights, previews."""
+    """True if a file's name says that it belongs to a material but is no map of use here: heights, previews."""
     return _parts(file.stem)[1] == ""
 
 
 def role_of(word: str) -> str | None:
-    """What a map of this name says, such as "base colour"; "" for nothing of use here, None for no usual name."""
+    """The role of a map of this name, such as "base colour"; "" for nothing of use here, None for no usual name."""
     return _parts(word)[1]
 
 
@@ -256,7 +256,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
-    """How materials become tasks, variants of one in one split."""
+    """Conversion of materials to tasks, variants of one in one split."""
     labels = split_materials(find_materials(paths)[0])
     read = partial(read_task, size=size, normals=normals)
     notes = {"made_by": "metapp data maps", "size": size, "normals": normals}
@@ -266,7 +266,7 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) ->
 
 
 def mixed_slopes(normal: Tensor) -> float:
-    """How alike both mixed second derivatives of the height are that normals [3, H, W] tell, in [-1, 1].
+    """Likeness of the two mixed second derivatives of the height that normals [3, H, W] tell, in [-1, 1].
 
     2 <u v> / <u^2 + v^2> for u the slope along x derived along y (up), v the other: a height field has u = v, one whose
     y is turned over u = -v. 0 for a plane.

@@ -90,7 +90,7 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
 
 
 def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
-    """Whether reflectance depends on phi_h: whether that explains how neighbours in the other angles differ.
+    """True if reflectance depends on phi_h: if that explains how neighbours in the other angles differ.
 
     By least squares of differences of log reflectance on differences of the first two harmonics of phi_h, which noise
     does not follow. Of measurements at one azimuth nothing is told: they count as isotropic.

@@ -70,7 +70,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def recognises(path: str | Path) -> bool:
-    """Whether a path is this reader's: a file named .binary or of a MERL file's size, or a folder with one below it."""
+    """True if a path is this reader's: a file named .binary or of a MERL file's size, or a folder with one below it."""
     path = Path(path)
     if path.is_dir():
         return any(recognises(file) for file in path.rglob("*") if file.is_file())
@@ -140,7 +140,7 @@ def _check_file(path: Path) -> None:
 
 
 def _problem(path: Path) -> str:
-    """What is wrong with the size or the header of a file; "" for nothing."""
+    """The fault of a file's size or header; "" for none."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         return f"{path}: {found}, expected a MERL file; check the path."

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def merl_valid(table: Array) -> NDArray[np.bool_]:
-    """Which entries [90, 90, 180] of a table [90, 90, 180, 3] are valid: those with a channel that is not negative."""
+    """Mask [90, 90, 180] of a table's valid entries: those with a channel that is not negative."""
     return (table[..., 0] >= 0) | (table[..., 1] >= 0) | (table[..., 2] >= 0)
 
 

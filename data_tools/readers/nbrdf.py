@@ -71,13 +71,13 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def recognises(path: str | Path) -> bool:
-    """Whether a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
+    """True if a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
     path = Path(path)
     return path.is_dir() and any(_FILE.fullmatch(file.name) for file in path.rglob("*.npy"))
 
 
 def conversion(paths: Sequence[Path], split: str, *, samples: int) -> Conversion:
-    """How networks become tasks, each named by its folder or by the name in front of its files."""
+    """Conversion of networks to tasks, each named by its folder or by the name in front of its files."""
     read, notes = partial(read_task, samples=samples), {"made_by": "metapp data nbrdf", "samples": samples}
     label = lambda source: Label(source.resolve().name)  # noqa: E731
     return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, read, notes, label)

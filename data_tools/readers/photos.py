@@ -84,7 +84,7 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
 
 
 def is_photo(path: str | Path) -> bool:
-    """Whether a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it.
+    """True if a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it.
 
     A camera's raw or a HEIF file is one too, though reading it may only say that it is to be exported.
     """
@@ -93,7 +93,7 @@ def is_photo(path: str | Path) -> bool:
 
 
 def holds_photos(path: str | Path) -> bool:
-    """Whether a path is an image file, or a folder with one below it, known by its suffix."""
+    """True if a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
     return any(file.suffix.lower() in NAMED for file in files_below(path)) if path.is_dir() else is_photo(path)
 

@@ -210,7 +210,7 @@ def _write_linear(values: Array, path: Path) -> Path:
 
 
 def is_picture(source: object) -> bool:
-    """Whether something is an array, a tensor or a picture of PIL, whatever its shape."""
+    """True if something is an array, a tensor or a picture of PIL, whatever its shape."""
     from PIL.Image import Image
 
     return isinstance(source, np.ndarray | Tensor | Image) or hasattr(source, "__array_interface__")
@@ -326,7 +326,7 @@ def texel_places() -> Array:
 
 
 def rows_of(name: str, returned: object, count: int) -> Array:
-    """What a function returned for so many places, [count, 1 or 3].
+    """Values that a function returned for so many places, [count, 1 or 3].
 
     Raises:
         ValueError: another shape or type.

@@ -51,14 +51,14 @@ find = find_photos  # the names that every reader has
 
 
 class Blend(NamedTuple):
-    """What a strip is made of: base materials, and presets of them, `marble;1`."""
+    """The parts of a strip: base materials, and presets of them, `marble;1`."""
 
     materials: frozenset[str]
     presets: frozenset[str]
 
 
 class Split(NamedTuple):
-    """How strips are split.
+    """A split of strips.
 
     Attributes:
         sides: "train" or "test" of each that is kept.
@@ -72,7 +72,7 @@ class Split(NamedTuple):
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is an image file that is five times as wide as high."""
+    """True if a path is an image file that is five times as wide as high."""
     if not is_photo(path):
         return False
     try:
@@ -82,7 +82,7 @@ def recognises(path: Path) -> bool:
 
 
 def is_strip(path: Path) -> bool:
-    """Whether an image is five times as wide as high, within a texel of a tile.
+    """True if an image is five times as wide as high, within a texel of a tile.
 
     Raises:
         ValueError: no such file, no image.
@@ -136,7 +136,7 @@ def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, sp
 def conversion(
     paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float, predicted: str
 ) -> Conversion:
-    """How strips become tasks; with a split by base materials, those that blend both sides are left out."""
+    """Conversion of strips to tasks; with a split by base materials, those that blend both sides are left out."""
     if predicted and not Path(predicted).is_dir():
         raise ValueError(f"{predicted}: no such folder, expected one of predicted maps; check --predicted.")
     sources = [source.resolve() for source in find(paths)[0]]
@@ -163,7 +163,7 @@ def conversion(
 
 
 def _remarks(parted: Split, count: int) -> tuple[str, ...]:
-    """What a person should know about how strips were split."""
+    """Remarks on the split, for a person."""
     lines = []
     if parted.by == "preset":
         lines.append("base materials are blended with all others: training and test strips show other presets of them.")
@@ -211,7 +211,7 @@ def _resampled(tile: Floats, size: int, share: float = 1.0) -> Tensor:
 
 
 def blend(strip: Path) -> Blend:
-    """What a strip is made of, by its name; one that says nothing is made of itself.
+    """The parts of a strip by its name; one that says nothing is made of itself.
 
     Every capital X parts: a material whose own name holds one is parted, too, always alike, so that no strip seems to
     share less than it does.
@@ -230,7 +230,7 @@ def blend(strip: Path) -> Blend:
 
 
 def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
-    """What each strip shows, for `Task.group`.
+    """The groups of strips, for `Task.group`.
 
     Of five components of strips that share base materials, or more, a component is a group, called after its first base
     material. Where there are fewer, validation would have nothing to part: the strips of one blend are a group.
@@ -286,7 +286,7 @@ def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
 
 
 def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
-    """What only test strips may be made of, as `split_strips` says; empty where there is no such choice.
+    """The parts of test strips alone, as `split_strips` says; empty where there is no such choice.
 
     The test side grows from one blend by the one after which most strips are left; the best state of several walks.
 
@@ -315,5 +315,5 @@ def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
 
 
 def _kept(member: Tensor, weight: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-    """How many strips are made of chosen units alone, and of none of them, for K choices [K, U]; both [K]."""
+    """Numbers of strips made of chosen units alone, and of none of them, for K choices [K, U]; both [K]."""
     return weight @ (member @ (1 - chosen).T == 0).float(), weight @ (member @ chosen.T == 0).float()

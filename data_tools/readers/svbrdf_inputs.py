@@ -1,4 +1,4 @@
-"""What fits of non-stationary svBRDFs read: strips, materials as maps, and plain flash photographs."""
+"""Inputs of fits of non-stationary svBRDFs: strips, materials as maps, and plain flash photographs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["UNITS", "find", "read_task", "recognises"]
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is an image file, or a folder with one below it that is not among those with places."""
+    """True if a path is an image file, or a folder with one below it that is not among those with places."""
     if not path.is_dir():
         return holds_photos(path)
     placed = placed_in(path)

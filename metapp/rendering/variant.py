@@ -117,7 +117,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def _own_folder() -> Path:
-    """Where tools/setup.sh puts the library, and those it needs, if it may not install them."""
+    """The folder where tools/setup.sh puts the library, and those it needs, if it may not install them."""
     return Path(sys.prefix) / "lib" / "llvm"
 
 

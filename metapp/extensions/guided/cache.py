@@ -56,7 +56,7 @@ class Location(NamedTuple):
 
 
 class GuideCache:
-    """What was learned about one scene.
+    """The directional histograms of one scene.
 
     Args:
         low, high: corners of the box that voxels fill, [3] each; what is outside belongs to the outermost.
@@ -78,7 +78,7 @@ class GuideCache:
         self.prior: MomentPrior = second_moments
 
     def locate(self, point: mt.Point3, normal: mt.Vector3) -> Location:
-        """Where points with these unit normals are."""
+        """The location of points with these unit normals."""
         voxel = self.voxels.index(point)
         size = dr.abs(normal)
         along_x = (size.x >= size.y) & (size.x >= size.z)
@@ -119,7 +119,7 @@ class GuideCache:
         return mi.Float(word >> 2 * BYTE) * (BINS / SLOTS)
 
     def expect(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
-        """What is expected at a surface in a row of the table; 0 where few paths were.
+        """Expectations at a surface in a row of the table; 0 where few paths were.
 
         The luminance that it sends out, but for emission; the root mean square of what a path brings that goes on.
         """
@@ -198,7 +198,7 @@ class GuideCache:
 
 
 class Bounce(NamedTuple):
-    """What is recorded of a bounce, in this order.
+    """The record of a bounce, in this order.
 
     Attributes:
         index: entry * BINS + bin + 1.

@@ -106,7 +106,7 @@ def _in_quarters(values: Tensor) -> Tensor:
 
 
 def quantised(weights: Tensor) -> Tensor:
-    """How many slots each bin has.
+    """Numbers of slots of the bins.
 
     Args:
         weights: float64 [P, BINS], not negative, no row all zero.

@@ -50,7 +50,7 @@ class _Paths:
 
 
 class Traced(NamedTuple):
-    """What paths brought.
+    """The results of traced paths.
 
     Attributes:
         radiance: of each.
@@ -151,7 +151,7 @@ class PathTracer(NamedTuple):
         return dr.select(remaining > 0, dr.clip(WORTH * remaining, least, most), usual)
 
     def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
-        """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""
+        """Emission of the surface or sky that paths met, by its MIS weight beside emitter sampling."""
         there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
         light = there.emitter.eval(si, paths.active)
         if not self.emitter_sampling:

@@ -53,7 +53,7 @@ def parts_of(spp: int, pixels: int) -> list[int]:
 
 
 class Work(NamedTuple):
-    """What paths brought, and what they took.
+    """The luminance of paths and their cost.
 
     Attributes:
         luminance: of the samples, [rows, columns, samples].
@@ -64,7 +64,7 @@ class Work(NamedTuple):
     bounces: float
 
     def noise(self, samples: int) -> float:
-        """How far halves of blocks of pixels differ, relative to their sum, on average; of so many samples of each."""
+        """Mean difference of halves of blocks of pixels, relative to their sum; of so many samples of each."""
         side = math.ceil(math.sqrt(BLOCK / samples))
         rows, columns = (max(1, length // side) for length in self.luminance.shape[:2])
         tall, wide = (min(side, length) for length in self.luminance.shape[:2])
@@ -75,7 +75,7 @@ class Work(NamedTuple):
         return float((np.abs(2 * first - sums)[sums > 0] / sums[sums > 0]).mean()) if (sums > 0).any() else 0.0
 
     def pays(self, regular: Work) -> bool:
-        """Whether this guided part has less error than a regular one in the same time; errors go by the root of it."""
+        """True if this guided part has less error than a regular one in the same time; errors go by the root of it."""
         samples = min(self.luminance.shape[2], regular.luminance.shape[2])
         time_ratio = STEP_COST * self.bounces / regular.bounces
         return self.noise(samples) * math.sqrt(time_ratio) <= PAYS * regular.noise(samples)

@@ -158,7 +158,7 @@ def init(rng: Generator) -> Params:
 
 
 def densities(theta: Params, features: Tensor) -> Tensor:
-    """How densely directions should be sampled by features [P, FEATURES, SIDE, SIDE] of any entries.
+    """Densities of directions by features [P, FEATURES, SIDE, SIDE] of any entries.
 
     Returns:
         [P, BINS], of sum 1, each at least 1 / DEFENSIVE of the uniform density.

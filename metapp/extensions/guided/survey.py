@@ -30,7 +30,7 @@ class SurveyRecords(Records):
     numbers = 11
 
     def outgoing(self, radiance: mt.Color) -> tuple[Tensor, Tensor]:
-        """What entries send out but for emission, as sums of luminance and counts of paths, float64 [ENTRIES] each."""
+        """Radiance of entries but for emission: sums of luminance and counts of paths, float64 [ENTRIES] each."""
         total = _tensor(mi.luminance(radiance)).repeat_interleave(RECORDED)
         outgoing = (total - _tensor(self.stores[4])).clamp_min(0) / _tensor(self.stores[2]).clamp_min(1e-12)
         # what the camera sees is left out: other surfaces are met by directions that paths sampled
@@ -93,7 +93,7 @@ def _features(
 def _first_hits(
     records: SurveyRecords, start: Tensor, scene: mt.Scene, cache: GuideCache, sampler: mt.Sampler
 ) -> FirstHits:
-    """What rays from the bounces of such indices [P, RAYS, BINS] meet, each in its bin, behind mirrors and glass."""
+    """First hits of rays from the bounces of indices [P, RAYS, BINS], each in its bin, behind mirrors and glass."""
     count = start.numel()
     index = mi.UInt32(start.flatten().numpy().astype(np.uint32))
     x, y, z, *up = (dr.gather(mi.Float, values, index) for values in records.stores[5:])

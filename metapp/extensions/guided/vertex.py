@@ -16,7 +16,7 @@ LAMBERTIAN, TWO_SIDED = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
 
 
 class Sampled(NamedTuple):
-    """How paths go on.
+    """The next direction of paths.
 
     Attributes:
         wo: the direction, in the surface's frame.
@@ -156,7 +156,7 @@ class Vertex:
         return bounce, self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
 
     def expected(self, cache: GuideCache, sample: Sampled) -> mt.Vector2:
-        """What the cache expects of paths that go on by a sample of this vertex, as of `expect`."""
+        """The cache's expectations of paths that go on by a sample of this vertex, as of `expect`."""
         return cache.expect(self._location(cache).row, self.active & (self.share > 0) & ~sample.is_delta)
 
     def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
@@ -200,7 +200,7 @@ class Vertex:
 
 
 def is_lambertian(bsdf: mt.Bsdf) -> bool:
-    """Whether a BSDF is Mitsuba's `diffuse`, on one side or on both."""
+    """True if a BSDF is Mitsuba's `diffuse`, on one side or on both."""
     kind = bsdf.class_name()
     both = (f"brdf[{side}] = {LAMBERTIAN}[" in str(bsdf) for side in range(2))
     return kind == LAMBERTIAN or (kind == TWO_SIDED and all(both))

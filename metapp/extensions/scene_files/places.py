@@ -22,7 +22,7 @@ _read_before: set[Path] = set()
 
 @dataclass(frozen=True)
 class Places(Files):
-    """Where the files of a scene may lie.
+    """Places where the files of a scene may lie.
 
     Attributes:
         search: folders in which relative names are looked for, in this order.

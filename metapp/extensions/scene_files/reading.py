@@ -34,7 +34,7 @@ _SHAPES = ((), (3,), (3, 3), (4, 4))
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is a scene file, or a folder with one in it, known by its suffix."""
+    """True if a path is a scene file, or a folder with one in it, known by its suffix."""
     return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SUFFIXES
 
 

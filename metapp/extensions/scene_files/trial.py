@@ -88,7 +88,7 @@ def _load(variant: str) -> None:
 
 
 def _problem(mitsuba: Mitsuba, scene: Scene) -> str:
-    """What is wrong with a scene's meshes, volumes and pictures, which Mitsuba takes as they are; "" for nothing."""
+    """The fault of a scene's meshes, volumes and pictures, which Mitsuba takes as they are; "" for none."""
     parameters = mitsuba.traverse(scene)
     for key, value in parameters.items():
         name, _, kind = key.rpartition(".")

@@ -184,7 +184,7 @@ class _Reader:
     def _included(
         self, element: SceneElement, places: Places, chain: tuple[str, ...], depth: int
     ) -> list[SceneElement]:
-        """What a document holds, or, of one without <scene>, the document's element."""
+        """The content of a document, or, of one without <scene>, the document's element."""
         name = self._substituted(element.get("filename", ""))
         self.includes += 1
         if self.includes > _INCLUDES:

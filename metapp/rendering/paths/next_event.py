@@ -102,7 +102,7 @@ def trace(
 
 
 def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
-    """What the surface or sky that paths met emits, by its weight where emitters were sampled before."""
+    """Emission of the surface or sky that paths met, by its weight where emitters were sampled before."""
     there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
     light = there.emitter.eval(si, paths.active)
     density = scene.pdf_emitter_direction(paths.origin, there, paths.active & paths.weighted)

@@ -57,7 +57,7 @@ class Tracer:
         self.next_event = next_event or any(self.mi.has_flag(flag, self.mi.EmitterFlags.Delta) for flag in flags)
 
     def contributions(self, points: Tensor, rng: Generator) -> Tensor:
-        """What paths carry to the film.
+        """The radiance that paths carry to the film.
 
         Args:
             points: float32 [N, d] in [0, 1), d = 2, 4, 6, ...

@@ -30,6 +30,6 @@ def _matrices(mi: Mitsuba, value: Json) -> Json:
 
 
 def one_line(reason: str) -> str:
-    """What Mitsuba says of an error, in one line."""
+    """Mitsuba's message of an error, in one line."""
     reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", reason).strip()
     return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"

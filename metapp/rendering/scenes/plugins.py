@@ -1,4 +1,4 @@
-"""Which of Mitsuba's plugins a scene may name, and with what parameters."""
+"""The plugins of Mitsuba that a scene may name, and their parameters."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def _is_number(value: Json) -> bool:
 
 
 def _is_list(value: Json, kind: str) -> bool:
-    """Whether a value is three numbers, a matrix of nine or sixteen, or pairs of a spectrum."""
+    """True if a value is three numbers, a matrix of nine or sixteen, or pairs of a spectrum."""
     if not isinstance(value, list) or not value or len(value) > PARTS:
         return False
     if kind == "spectrum":

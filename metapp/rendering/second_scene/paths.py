@@ -87,7 +87,7 @@ class Paths:
         return lambda: mi.Point2f(draw(), draw())
 
     def _first_hit(self, row: mt.UInt32, place: mt.Point2) -> mt.Interaction:
-        """What a row looks at: the scene through a place in its pixel, or a place in its patch, seen from above it."""
+        """The first hit of a row: through a place in its pixel, or at a place in its patch, seen from above."""
         film = (mi.Point2f(row % WIDTH, row // WIDTH) + place) / mi.Point2f(WIDTH, HEIGHT)
         view, _ = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0))
         patch = dr.select(row < PIXELS, 0, row - PIXELS)

@@ -63,7 +63,7 @@ def transfer(height: int = 32, width: int = 64, *, report: Report = lambda done,
 
 
 def matrix_path(height: int = 32, width: int = 64) -> Path:
-    """Where the cache keeps the matrix for maps of that size."""
+    """The cached file of the matrix for maps of that size."""
     return cache_folder() / f"second-scene-{height}x{width}-v{VERSION}.safetensors"
 
 

@@ -59,7 +59,7 @@ def _registered(known: Shot, shot: Shot, angle: float) -> Shot:
 
 
 class _Residuals(NamedTuple):
-    """What differs of logarithms after the best gain and power, and of what is expected."""
+    """Residuals of logarithms after the best gain and power, and of what is expected."""
 
     shot: Shot
     towards: Floats

@@ -41,21 +41,19 @@ _BETTER = 0.9  # residuals of a recovered curve over those of sRGB's, for the fo
 
 @dataclass(frozen=True)
 class Settings:
-    """How photographs of a ball are read.
+    """Settings of reading photographs of a ball.
 
     Attributes:
         exposures: of each photograph, in any unit; () as EXIF says, else as pixels tell.
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else far away.
         ball: x, y, radius in px of the first photograph; None: it is found.
         rows: of the map.
-        recover: whether the camera's curve may be recovered from three photographs or more of known exposures.
     """
 
     exposures: tuple[float, ...] = ()
     fov_rad: float = 0.0
     ball: tuple[float, float, float] | None = None
     rows: int = ROWS
-    recover: bool = True
 
 
 class Capture(NamedTuple):
@@ -178,7 +176,7 @@ def _merged(
     pairs = [shot.at(towards) for shot in shots]
     lights, seen = [light for light, _ in pairs], [there & on_ball for _, there in pairs]
     exposures, told_by = known
-    can_recover = settings.recover and exposures is not None and len(shots) >= 3
+    can_recover = exposures is not None and len(shots) >= 3
     if exposures is None:
         exposures = measured_steps(lights, seen, order)
     chosen = _chosen(lights, seen, order)
@@ -224,5 +222,5 @@ def merge(paths: Sequence[Path], exposures: str, size: int = ROWS, fov_rad: floa
 
 
 def task_of(name: str, found: Capture) -> Task:
-    """What fits read."""
+    """The task of a capture."""
     return Task(name, {"photos": found.photo[None], "seen": found.seen, "certain": found.certain})

@@ -101,7 +101,7 @@ def _scored(slopes: Floats, ball: Ball) -> Ball:
 
 
 def support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
-    """How well edges agree with a ball, up to about 1: -1 where less than half of its contour is in the picture.
+    """Agreement of edges with a ball, up to about 1: -1 where less than half of its contour is in the picture.
 
     The share of the contour that lies on edges along it; more where edges just inside run along it, too, as a mirror
     presses all that is around into its rim, and less where edges just outside do, as if it was inside a larger one.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,6 @@ from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
     from metapp.extensions.capture.ball.capture import Capture
-
-
-class CameraCurve(enum.StrEnum):
-    """How display values become radiance."""
-
-    AUTO = "auto"
-    SRGB = "srgb"
 
 
 @dataclass(frozen=True)
@@ -46,9 +38,6 @@ class BallOptions:
         str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
     ] = ""
     size: Annotated[int, typer.Option(min=32, max=1024, metavar="ROWS", help="Of the map.")] = 128
-    curve: Annotated[
-        CameraCurve, typer.Option(help="auto: recovered of three or more known exposures where these agree better.")
-    ] = CameraCurve.AUTO
     quiet: Quiet = False
     as_json: Json = False
 
@@ -58,9 +47,9 @@ def ball(options: BallOptions) -> None:
     """Read the light around a mirror ball from photographs of it.
 
     The ball is found in each photo (borders may cut it), photos of several exposures are aligned and merged
-    (Debevec & Malik 1997), and what the ball mirrors is unwrapped. Writes a data set for `metapp meta illumination
-    --data DIR --observe photo`, the map DIR/NAME.exr, whose alpha says where it is seen and does not clip, and
-    pictures of what was found in DIR/found/.
+    (Debevec & Malik 1997), and what the ball mirrors is unwrapped. Of three or more known exposures the camera's curve
+    is recovered. Writes a data set for `metapp meta illumination --data DIR --observe photo`, the map DIR/NAME.exr,
+    whose alpha says where it is seen and does not clip, and pictures of what was found in DIR/found/.
 
     Examples:
       metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
@@ -70,13 +59,7 @@ def ball(options: BallOptions) -> None:
     from metapp.extensions.capture.ball.write import FOUND, write_capture
 
     place = _place(options.ball)
-    settings = Settings(
-        _times(options.exposures),
-        math.radians(options.fov),
-        place,
-        options.size,
-        options.curve is CameraCurve.AUTO,
-    )
+    settings = Settings(_times(options.exposures), math.radians(options.fov), place, options.size)
     folder, name = options.folder, options.folder.resolve().name
     with progress("photos", len(options.paths), quiet=options.quiet) as bar:
         found = capture(options.paths, settings, bar.advance)
@@ -114,7 +97,7 @@ def _place(text: str) -> tuple[float, float, float] | None:
 
 
 def _summary(paths: list[Path], found: Capture) -> list[str]:
-    """What was found, a line a photograph and one of all."""
+    """A summary: a line a photograph and one of all."""
     lines = []
     for path, shot, exposure, residual in zip(paths, found.shots, found.exposures, found.light.residuals, strict=True):
         circle = shot.whole
@@ -131,7 +114,7 @@ def _summary(paths: list[Path], found: Capture) -> list[str]:
 
 
 def _document(options: BallOptions, found: Capture) -> dict[str, object]:
-    """What scripts read."""
+    """The document for scripts."""
     photos = [
         {
             "source": str(path),

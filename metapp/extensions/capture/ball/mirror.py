@@ -1,4 +1,4 @@
-"""Whether the ball of a single photograph is a mirror.
+"""Classification of the ball of a single photograph: a mirror or not.
 
 A mirror shows edges as sharp as the photograph, all over, and things that are dark; a ball with a body of its own or
 a rough one shows neither. A logistic regression on three numbers, made for simulated balls under synthetic maps, says
@@ -26,7 +26,7 @@ BIAS = -7.225
 
 
 def is_mirror(shot: Shot) -> bool:
-    """Whether a ball is surely a mirror; False where it cannot be told."""
+    """True if a ball is surely a mirror; False where it cannot be told."""
     if shot.ball.radius < LEAST_PX:
         return False
     return float(np.dot(WEIGHTS, features(looked_at(shot)))) + BIAS > 0

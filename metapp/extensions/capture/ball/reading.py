@@ -13,7 +13,7 @@ from metapp.learning.task import Task
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is an LDR image, or a folder with one below it."""
+    """True if a path is an LDR image, or a folder with one below it."""
     return any(is_photo(file) and not latlong.is_map(file) for file in (files_below(path) if path.is_dir() else [path]))
 
 

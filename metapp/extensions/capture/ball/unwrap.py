@@ -1,4 +1,4 @@
-"""What a ball mirrors as a lat-long map, and how far each texel is seen."""
+"""Unwrapping of what a ball mirrors to a lat-long map, and how far its texels are seen."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def mirrored(disc: Floats, angle: float = 0.0) -> Floats:
 
 
 def seen_at(towards: Floats, angle: float = 0.0) -> tuple[Floats, Floats]:
-    """Where directions are seen: places [2, ...] in the disc, and how fast these move with them [...], 1 / rad.
+    """Places [2, ...] in the disc where directions are seen, and how fast these move with them [...], 1 / rad.
 
     The latter is along the radius, where it is least: 1/2 in the middle, 0 at the contour, and 0 for directions that
     the ball hides, whose place is on the contour.
@@ -121,7 +121,7 @@ def seen_at(towards: Floats, angle: float = 0.0) -> tuple[Floats, Floats]:
 
 
 def _reach(psi: Floats, angle: float) -> tuple[Floats, Floats]:
-    """How far from the disc's middle what is `psi` off the axis is seen, and its derivative, by Newton's method."""
+    """Distance from the disc's middle of a direction `psi` off the axis, and its derivative, by Newton's method."""
     away = 1 / math.sin(angle)  # of the camera
     most = math.pi / 2 - angle
     phi = psi / (math.pi - angle) * most  # of the normal

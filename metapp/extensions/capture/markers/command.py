@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Paper(enum.StrEnum):
-    """What a sheet is printed on."""
+    """The paper that a sheet is printed on."""
 
     A4 = "a4"
     LETTER = "letter"
@@ -134,7 +134,7 @@ def _flash(text: str) -> tuple[float, float]:
 
 
 def _document(folder: Path, placed: Set, others: list[str]) -> dict[str, object]:
-    """What scripts read."""
+    """The document for scripts."""
     photos = [
         {
             "file": f"{number:02}.png",

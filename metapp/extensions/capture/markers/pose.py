@@ -1,4 +1,4 @@
-"""Where the camera was, of photographs of the marker sheet."""
+"""Camera poses of photographs of the marker sheet."""
 
 from __future__ import annotations
 

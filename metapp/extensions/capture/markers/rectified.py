@@ -35,7 +35,7 @@ _SHOWN_PX = 1200  # the longer side of pictures that show what was found
 
 @dataclass(frozen=True)
 class Settings:
-    """How photographs are rectified.
+    """Settings of rectifying photographs.
 
     Attributes:
         size: greatest side of the pictures in px.
@@ -241,7 +241,7 @@ def _shown(pixels: Pixels, photo: Placed, name: str) -> NDArray[np.float32]:
 
 
 def summary(photo: Placed) -> str:
-    """What was found, in words."""
+    """A photograph's markers and camera, in words."""
     distance = float(np.linalg.norm(photo.camera_cm))
     return (
         f"{photo.sighting.path.name}, {len(photo.sighting.numbers)} markers, error {photo.pose.error_px:.2f} px, "

@@ -55,7 +55,7 @@ def dictionary() -> object:
 
 
 def corners_cm(opening: int) -> dict[int, Floats]:
-    """Where the markers of a sheet lie.
+    """Places of the markers of a sheet.
 
     Args:
         opening: its side in cm, one of OPENINGS_CM.

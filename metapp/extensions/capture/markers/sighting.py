@@ -48,11 +48,11 @@ class Sighting(NamedTuple):
 
     @property
     def limit_px(self) -> float:
-        """How far markers may be off."""
+        """The greatest error of markers."""
         return LIMIT * self.opening * float(self.scales()[1])
 
     def corners_px(self) -> Floats:
-        """Where the corners of the opening are in the photograph [4, 2], round it from the lower left one."""
+        """Corners of the opening in the photograph [4, 2], round it from the lower left one."""
         return moved(self.to_px, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening / 2)
 
     def scales(self) -> tuple[float, float]:
@@ -135,7 +135,7 @@ def _refined(gray: Array, corners: Floats) -> Floats:
 
 
 def _plane(points_cm: Floats, points_px: Floats, opening: int) -> tuple[Array, Floats, float]:
-    """Which corners lie in a plane, the homography from cm to px, and its root mean square error in px."""
+    """Mask of the corners that lie in a plane, the homography from cm to px, and its root mean square error in px."""
     cv2 = opencv()
     everywhere, _ = cv2.findHomography(points_cm, points_px, 0)
     if everywhere is None:

@@ -18,7 +18,7 @@ Log = Callable[[SceneElement, str], None]
 
 
 class Repair(NamedTuple):
-    """What was done to an element.
+    """A repair of an element.
 
     Attributes:
         line: of the document that holds it.

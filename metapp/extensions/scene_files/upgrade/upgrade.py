@@ -33,7 +33,7 @@ class Upgraded(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether Mitsuba 3 takes a scene.
+    """Mitsuba 3's answer to a scene.
 
     Attributes:
         problem: why it cannot load it; empty if it can.
@@ -92,7 +92,7 @@ def write(root: SceneElement, path: Path) -> None:
 
 
 def verdict(path: Path, roots: Iterable[Path] = ()) -> Verdict:
-    """Whether Mitsuba 3 loads a scene file, and metapp traces its paths.
+    """Test if Mitsuba 3 loads a scene file, and metapp traces its paths.
 
     Args:
         path: of the file, XML.
