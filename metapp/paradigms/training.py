@@ -5,39 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 
-from torch import Generator
-
-from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
-from metapp.learning.task import Tasks
 from metapp.paradigms import paradigms
 from metapp.paradigms.paradigm import Job, TrainingData
-from metapp.paradigms.validation import split_validation
 
 
-def prepare(
-    name: str,
-    job: Job,
-    tasks: Tasks,
-    rng: Generator,
-    *,
-    encoder: MetaParameters | None = None,
-    steps: int | None = None,
-    since: Progress = Progress(),  # noqa: B008  (never written to)
-    first: MetaParameters = MetaParameters(),  # noqa: B008
-) -> Iterator[Progress]:
+def prepare(name: str, job: Job, data: TrainingData) -> Iterator[Progress]:
     """Prepare what a paradigm needs, by its name: "general", "quickft", or a learned rule.
 
     Args:
         name: what to prepare.
         job: application and recipe.
-        tasks: the training tasks; every eighth of them validates.
-        rng: of all random draws.
-        encoder: a prepared General; QuickFT tunes on it, Meta begins with it or with the mean of its predictions.
-        steps: outer steps instead of the recipe's; validations where there is only a search.
-        since: how far the same preparation was when it was cut off, to go on from.
-        first: a checkpoint of this name whose outer steps go on, instead of a fresh one.
+        data: the training tasks.
 
     Yields:
         How far it is, before each outer step and after each validation; at the end `best` is the result.
@@ -45,11 +25,9 @@ def prepare(
     Raises:
         FloatingPointError: the training loss is not finite; names tasks and step.
     """
-    to_fit, to_validate = split_validation(tasks)
     # a checkpoint is learned through the recipe's number of steps
     job = job._replace(steps=None, rule=name if name not in paradigms() else job.rule)
-    paradigm = paradigms().get(name, paradigms()["meta"])
-    return paradigm.prepare(job, TrainingData(to_fit, to_validate, rng, encoder, steps, since, first))
+    return paradigms().get(name, paradigms()["meta"]).prepare(job, data)
 
 
 def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:

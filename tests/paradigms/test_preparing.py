@@ -59,7 +59,7 @@ def by(name: str, job: Job) -> Job:
 
 
 def look(name: str, job: Job, tasks: Tasks, **options: Any) -> Prepared:
-    return result(prepare.prepare(name, by(name, job), tasks, rng(3), **options))
+    return result(prepare.prepare(name, by(name, job), TrainingData(*split_validation(tasks), rng(3), **options)))
 
 
 def error_of(name: str, job: Job, start: MetaParameters, tasks: Tasks) -> float:
@@ -171,7 +171,7 @@ def test_each_moment_has_the_best_state_so_far(name: str, job: Job, tasks: Tasks
     """Before each outer step, and after each validation, which alone has a note."""
     whole, validation = look(name, job, tasks), split_validation(tasks)[1]
     moments = []
-    for now in prepare.prepare(name, by(name, job), tasks, rng(3)):
+    for now in prepare.prepare(name, by(name, job), TrainingData(*split_validation(tasks), rng(3))):
         assert now.best is not None
         assert now.best.curve[1:] == whole.curve[1 : len(now.best.curve)]
         assert now.best.validation == min([math.inf, *(error for _, _, error in now.best.curve)])

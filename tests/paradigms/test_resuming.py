@@ -18,6 +18,8 @@ from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms, tuning
 from metapp.paradigms import training as prepare
+from metapp.paradigms.paradigm import TrainingData
+from metapp.paradigms.validation import split_validation
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.marked import long
@@ -65,7 +67,7 @@ def run(name: str, job: Job, tasks: Tasks, checkpoint: TrainingCheckpoint | None
     options: dict[str, Any] = {"encoder": None if name == "general" else encoder_for(job)}
     if checkpoint is not None:
         options["since"] = checkpoint.load()
-    for progress in prepare.prepare(name, job, tasks, rng(3), **options):
+    for progress in prepare.prepare(name, job, TrainingData(*split_validation(tasks), rng(3), **options)):
         if checkpoint is not None:
             checkpoint.keep(progress)
     assert progress.best is not None

@@ -20,6 +20,7 @@ from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QUICKFT, adam_of
+from metapp.paradigms.validation import split_validation
 from tests.paradigms.small import result, rng
 from tests.quick import app_by
 
@@ -142,7 +143,7 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
     monkeypatch.setattr(tuning, "validation_error", told)
     encoder = MetaParameters(encoder={"w": torch.ones(2)})
     data = Tasks(names, {}, torch.arange(240))
-    assert len(list(prepare.prepare("quickft", job, data, rng(), encoder=encoder, steps=3))) == 3
+    assert len(list(prepare.prepare("quickft", job, TrainingData(*split_validation(data), rng(), encoder, 3)))) == 3
     assert looked == [count] * 3
 
 
@@ -157,7 +158,7 @@ def test_a_rule_is_tuned_as_quickft_is(
     training = replace(job.recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
     job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
     encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
-    made = result(prepare.prepare(rule, job, tasks, rng(), encoder=encoder))
+    made = result(prepare.prepare(rule, job, TrainingData(*split_validation(tasks), rng(), encoder)))
     plain = rule_of(rule).alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta

@@ -14,7 +14,9 @@ from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Tasks
 from metapp.paradigms import paradigms, ranks
+from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.training import describe, prepare, training_of
+from metapp.paradigms.validation import split_validation
 from metapp.runs import BadOption
 from metapp.runs.checkpoints.finding import find_checkpoint, has_general, trained_path
 from metapp.runs.inputs.sources import data_folder, data_label
@@ -76,7 +78,8 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         rng = Generator(plan.device).manual_seed(request.seed)
         prepared: Prepared | None = None
         try:
-            for now in prepare(name, plan.job, tasks, rng, encoder=encoder, steps=steps, since=since, first=phi):
+            data = TrainingData(*split_validation(tasks), rng, encoder, steps, since, phi)
+            for now in prepare(name, plan.job, data):
                 prepared = now.best
                 if writes:
                     checkpoint.keep(now)
