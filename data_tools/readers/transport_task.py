@@ -6,14 +6,14 @@ import torch
 from torch import Generator
 
 from metapp.learning.task import Task
-from metapp.rendering.paths.path_space import DIMENSIONS, Tracer
+from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.paths.resampling import draw_samples
 from metapp.rendering.scenes.rules import SceneDict, scene_bytes
 
 SAMPLES, HELD = 32_768, 8_192
 UNITS = {
-    "samples": "primary sample space, in [0, 1) [N, d]: film (x right, y down), then two numbers for the direction at "
-    "each of the first surfaces that scatter; in proportion to the luminance carried",
+    "samples": "primary sample space, in [0, 1) [N, 4]: film (x right, y down), then two numbers for the direction at "
+    "the first surface that scatters; in proportion to the luminance carried",
     "held": "as samples; for tests alone",
     "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
     "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
@@ -29,7 +29,6 @@ def transport_task(
     *,
     samples: int = SAMPLES,
     held: int = HELD,
-    dimensions: int = DIMENSIONS,
 ) -> Task:
     """A scene as a task.
 
@@ -39,17 +38,16 @@ def transport_task(
         seed: of all draws.
         samples: N, for fits to see.
         held: M, for tests alone.
-        dimensions: d of both, 4 or 6.
 
     Returns:
-        `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
+        `samples` [N, 4], `held` [M, 4] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
         next-event estimation also `next_event`, uint8 [1].
 
     Raises:
         ValueError: as `load_scene` and `draw_samples`.
     """
     rng, tracer = Generator().manual_seed(seed), Tracer(scene)
-    points, image = draw_samples(tracer, samples + held, dimensions, rng)
+    points, image = draw_samples(tracer, samples + held, rng)
     data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
     if tracer.next_event:
         data["next_event"] = torch.ones(1, dtype=torch.uint8)

@@ -12,7 +12,6 @@ from data_tools.readers.transport_task import BESIDE, HELD, SAMPLES, UNITS, tran
 from data_tools.synthetic.cornell import draw_scene
 from data_tools.synthetic.stationary.families import Split, turns
 from metapp.learning.task import Task
-from metapp.rendering.paths.path_space import DIMENSIONS
 
 __all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]
 
@@ -26,7 +25,6 @@ def synthetic_tasks(
     *,
     samples: int = SAMPLES,
     held: int = HELD,
-    dimensions: int = DIMENSIONS,
 ) -> Iterator[Task]:
     """The Cornell boxes of one split, one by one.
 
@@ -36,7 +34,6 @@ def synthetic_tasks(
         seed: of all draws, >= 0.
         samples: of each scene, for fits to see.
         held: of each scene, for tests alone.
-        dimensions: of a sample, 4 or 6.
 
     Returns:
         Tasks as `transport_task` makes them, named "box-000" and so on ("box-t000" in the test split).
@@ -47,12 +44,10 @@ def synthetic_tasks(
     for _, name, rng in turns("scenes", ["box"], COUNTS, split, count, seed):
         scene = draw_scene(rng)
         drawn = int(rng.integers(2**63))
-        yield transport_task(name, scene, drawn, samples=samples, held=held, dimensions=dimensions)
+        yield transport_task(name, scene, drawn, samples=samples, held=held)
 
 
-def cornell_tasks(
-    count: int, seed: int = 0, *, samples: int = SAMPLES, held: int = HELD, dimensions: int = DIMENSIONS
-) -> Iterator[Task]:
+def cornell_tasks(count: int, seed: int = 0, *, samples: int = SAMPLES, held: int = HELD) -> Iterator[Task]:
     """Other Cornell boxes than any of the default sets, one by one: those of `metapp data cornell`.
 
     Returns:
@@ -63,4 +58,4 @@ def cornell_tasks(
         rng = stream(seed, len(COUNTS), 0, index)  # beside those that `turns` draws from
         scene = draw_scene(rng)
         drawn, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
-        yield transport_task(name, scene, drawn, samples=samples, held=held, dimensions=dimensions)
+        yield transport_task(name, scene, drawn, samples=samples, held=held)

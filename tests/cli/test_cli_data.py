@@ -116,7 +116,6 @@ synth glass                        | 'glass' has no embedded data set, expected 
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
 synth brdf --as merl               | expected a folder for the merl files
 synth brdf --out file              | a file, expected a folder to write to
-cornell --out out --dimensions 5   | --dimensions: 5, expected 4 or 6
 cornell --out out --count 0        | '--count':
 cornell --out out --samples 0      | '--samples':
 """

@@ -91,7 +91,7 @@ def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyP
 def test_resampled_points_are_in_proportion_to_what_paths_carry(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**17)
     tracer, count = Tracer(scene, next_event=True), 4096
-    points, image = resampled(tracer, count, 4, Generator().manual_seed(0))
+    points, image = resampled(tracer, count, Generator().manual_seed(0))
     assert points.shape == (count, 4)
     assert (points.min() >= 0) & (points.max() < 1)
     assert len(points.unique(dim=0)) > 0.9 * count
@@ -119,7 +119,7 @@ class _Steep:
 
 def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**16)
-    points, image = resampled(_Steep(), 20_000, 4, Generator().manual_seed(0))  # type: ignore[arg-type]
+    points, image = resampled(_Steep(), 20_000, Generator().manual_seed(0))  # type: ignore[arg-type]
     # of a density 3 x^2 the cumulative distribution is x^3; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
     assert float((place**3 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
@@ -131,13 +131,13 @@ def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytes
 def test_samples_are_resampled_where_and_only_where_few_paths_meet_a_light(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**16)
     plain, small = Tracer(random_scene(0)), Tracer(small_lamp(0, 12))
-    expected = path_samples(plain, 500, 4, Generator().manual_seed(3))
-    found = draw_samples(plain, 500, 4, Generator().manual_seed(3))
+    expected = path_samples(plain, 500, Generator().manual_seed(3))
+    found = draw_samples(plain, 500, Generator().manual_seed(3))
     assert not plain.next_event
     assert all(map(torch.equal, expected, found))  # bit for bit
     with pytest.raises(FewPaths, match="meet a light"):
-        path_samples(small, 500, 4, Generator())
-    points, _ = draw_samples(small, 500, 4, Generator())
+        path_samples(small, 500, Generator())
+    points, _ = draw_samples(small, 500, Generator())
     assert small.next_event
     assert points.shape == (500, 4)
 

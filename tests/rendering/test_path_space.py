@@ -113,7 +113,7 @@ def test_streams_are_even_and_not_alike() -> None:
 def test_samples_are_in_proportion_to_what_paths_carry() -> None:
     tracer = Tracer(random_scene(0))
     cells, count = 4, 20_000
-    points, image = path_samples(tracer, count, 4, seeded())
+    points, image = path_samples(tracer, count, seeded())
     assert points.shape == (count, 4)
     assert (points.min() >= 0) & (points.max() < 1)
     assert len(points.unique(dim=0)) == count
@@ -148,7 +148,7 @@ class _Sloped:
 @pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
 def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH", 1000)
-    points, image = path_samples(_Sloped(brightest), 100_000, 4, seeded())  # type: ignore[arg-type]
+    points, image = path_samples(_Sloped(brightest), 100_000, seeded())  # type: ignore[arg-type]
     # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
     assert float((place**2 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
@@ -162,7 +162,7 @@ def test_scenes_without_light_in_view_are_refused() -> None:
             return torch.zeros(len(points), 3)
 
     with pytest.raises(ValueError, match=r"0 of [\d,]+ paths meet a light, expected 0.02% or more; point the camera"):
-        path_samples(Dark(1.0), 100, 4, seeded())  # type: ignore[arg-type]
+        path_samples(Dark(1.0), 100, seeded())  # type: ignore[arg-type]
 
 
 @needs_mitsuba

@@ -44,8 +44,8 @@ class Transport(App):
 
     name = "transport"
     holds: ClassVar = {
-        "samples": Held(("N", "d"), low=0.0, high=1.0),
-        "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
+        "samples": Held(("N", 4), low=0.0, high=1.0),
+        "held": Held(("M", 4), low=0.0, high=1.0, optional=True),
         "image": Held((3, 32, 32), low=0.0),
         "scene": Held(("L",), "uint8", optional=True),
         "next_event": Held((1,), "uint8", optional=True),
@@ -61,21 +61,14 @@ class Transport(App):
         return {"note": NOTE} if "next_event" in task.data else {}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`samples` [d, N] and `held` [d, M] of primary sample space, and `image` [3, 32, 32], linear.
-
-        Raises:
-            ValueError: the samples have another number of coordinates than the network.
-        """
-        count, expected = task.data["samples"].shape[1], 2 + self.flow.directions
-        if count != expected:
-            raise ValueError(f"{task.name}: samples of {count} coordinates, expected {expected}; make the data anew.")
+        """`samples` [N, 4] and `held` [M, 4] of primary sample space, and `image` [3, 32, 32], linear."""
         return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
 
     def init(self, rng: Generator, count: int) -> Params:
         return self.flow.init(rng, count)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`points` [T, d, count]."""
+        """`points` [T, 4, count]."""
         samples = tasks.data["samples"]
         rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
         return {"points": samples[tasks.rows[:, None], rows].mT.contiguous()}

@@ -75,8 +75,6 @@ class Encoder(NamedTuple):
 
     def _film(self, logs: Tensor, corrections: Tensor) -> Params:
         """The film's splines: evenly wide bins that hold what the picture says, [T, rows, columns], and corrections."""
-        if logs.shape[-1] != self.flow.film_bins:
-            raise ValueError(f"picture: {logs.shape[-1]} px a side, expected {self.flow.film_bins}, the film's bins.")
         fine = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
         of_picture = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
         widths, masses, bends = fine[:, 3:].mean(2).unbind(1)

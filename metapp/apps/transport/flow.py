@@ -13,6 +13,8 @@ from metapp.apps.transport import spline
 from metapp.learning.draws import normal
 from metapp.learning.task import Params
 
+DIRECTIONS = 2  # coordinates after the film's two: those of the direction at the first surface that scatters
+
 
 class Flow(NamedTuple):
     """A chain of rational-quadratic splines, one a coordinate, each conditioned on the coordinates before it.
@@ -23,7 +25,6 @@ class Flow(NamedTuple):
     that each move one coordinate are such a chain; it needs no more of them, as splines take any shape.
 
     Attributes:
-        directions: coordinates after the film's two: 2 a bounce.
         rows, columns: cells of the code's grid on the film.
         code: length of the code in a cell.
         hidden: units of a layer.
@@ -34,7 +35,6 @@ class Flow(NamedTuple):
             weight.
     """
 
-    directions: int = 2
     rows: int = 16
     columns: int = 16
     code: int = 16
@@ -58,7 +58,7 @@ class Flow(NamedTuple):
             "trunk.kernel": normal(rng, count, self.hidden, self.code) * math.sqrt(2 / self.code),
             "trunk.shift": zeros(self.hidden),
         }
-        for i in range(self.directions):
+        for i in range(DIRECTIONS):
             theta[f"mix{i}.kernel"] = normal(rng, count, self.hidden, self.hidden) * math.sqrt(2 / self.hidden)
             if i:
                 theta[f"mix{i}.blobs"] = normal(rng, count, self.hidden, i * self.blobs)
@@ -72,7 +72,7 @@ class Flow(NamedTuple):
 
         Args:
             theta: parameters of T flows, as of `init`.
-            points: in [0, 1), [T, 2 + directions, N].
+            points: in [0, 1), [T, 2 + DIRECTIONS, N].
 
         Returns:
             log q(film) and log q(directions | film), [T, N] each.
@@ -82,7 +82,7 @@ class Flow(NamedTuple):
         film = spline.log_density(of_x, x) + spline.log_density(of_y, y)
         trunk = self.trunk(theta, x, y)
         directions = torch.zeros_like(film)
-        for i in range(self.directions):
+        for i in range(DIRECTIONS):
             numbers = self.numbers(theta, i, trunk, points[:, 2 : 2 + i])
             directions = directions + spline.log_density(numbers, points[:, 2 + i])
         return film, directions

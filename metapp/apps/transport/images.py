@@ -89,11 +89,10 @@ class Studio:
         return _timed(lambda: rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
 
     def sampling(self, samples: Tensor) -> float:
-        """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
-        count, dimensions = samples.shape
-        draw_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
+        """Seconds that as many samples [N, 4] of the scene take, and with them the picture that General reads."""
+        draw_samples(self.tracer, 1, Generator())  # the first call compiles
         begin = time.process_time()
-        draw_samples(self.tracer, count, dimensions, Generator())
+        draw_samples(self.tracer, len(samples), Generator())
         return time.process_time() - begin
 
     @functools.cached_property

@@ -10,7 +10,7 @@ from torch import Tensor
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.presentation import Fitted, Picture, Presentation, Visible
 from metapp.apps.transport.app import Transport
-from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.flow import DIRECTIONS, Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.images import image_errors, integrators, studio_of
 from metapp.learning.task import Params, Task
@@ -85,7 +85,7 @@ def picture_of_flow(flow: Flow, theta: Params, scene: Tensor | None = None) -> T
     """The density of a fit, no task axis in theta, as `picture` shows it, or a picture instead of its film."""
     middles = (torch.arange(FILM) + 0.5) / FILM
     y, x = (each.flatten() for each in torch.meshgrid(middles, middles, indexing="ij"))
-    points = torch.stack([x, y, *[torch.full_like(x, 0.5)] * flow.directions])[None]
+    points = torch.stack([x, y, *[torch.full_like(x, 0.5)] * DIRECTIONS])[None]
     one = {key: value[None] for key, value in theta.items()}
     film = flow.log_density(one, points)[0].exp().reshape(FILM, FILM)
     table = table_of(flow, theta, FILM, CELLS, power=1.0).masses

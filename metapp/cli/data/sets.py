@@ -31,10 +31,6 @@ class Cornell:
         int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
     ] = 32_768
     held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192
-    dimensions: Annotated[
-        int,
-        typer.Option(min=4, max=6, metavar="D", help="Of a sample: 4, film and a direction; 6, a second direction."),
-    ] = 4
     quiet: Quiet = False
     as_json: Json = False
 
@@ -49,17 +45,13 @@ def cornell(options: Cornell) -> None:
 
     Examples:
       metapp data cornell --count 20 --seed 7 --out boxes
-      metapp data cornell --count 4 --samples 288000 --dimensions 6 --split test --out boxes
+      metapp data cornell --count 4 --samples 288000 --split test --out boxes
     """
     from data_tools.synthetic import transport
     from metapp.storage.shards import ShardWriter
 
-    if options.dimensions % 2:
-        raise typer.BadParameter(f"{options.dimensions}, expected 4 or 6.", param_hint="--dimensions")
     count, seed, split = options.count, options.seed, options.split.value
-    tasks = transport.cornell_tasks(
-        count, seed, samples=options.samples, held=options.held, dimensions=options.dimensions
-    )
+    tasks = transport.cornell_tasks(count, seed, samples=options.samples, held=options.held)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
     shown = progress("Cornell boxes", count, quiet=options.quiet)
     with ShardWriter(options.folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, shown as bar:

@@ -18,7 +18,6 @@ from metapp.extensions.scene_files.checking import checked
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
 from metapp.learning.task import Task
-from metapp.rendering.paths.path_space import DIMENSIONS
 from metapp.rendering.scenes.instances import Json
 from metapp.rendering.scenes.plugins import Unsupported
 from metapp.rendering.scenes.rules import DEPTH, SceneDict
@@ -59,9 +58,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list({file.resolve(): file for file in found}.values()), []
 
 
-def read_task(
-    path: Path, samples: int = SAMPLES, held: int = HELD, dimensions: int = DIMENSIONS, roots: Iterable[Path] = ()
-) -> Task:
+def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Iterable[Path] = ()) -> Task:
     """Trace the paths of a scene file, as the task that is named by the file's stem.
 
     The same file name gives the same draws.
@@ -70,7 +67,6 @@ def read_task(
         path: of the file.
         samples: N, for fits to see.
         held: M, for tests alone.
-        dimensions: of both, 4 or 6.
         roots: folders that its files may come from, beside its own.
 
     Returns:
@@ -81,7 +77,7 @@ def read_task(
     """
     load_mitsuba()  # what keeps it from rendering is no fault of the scene
     scene = read_scene(path, roots)
-    return _traced(path.stem, scene, str(path), samples=samples, held=held, dimensions=dimensions)
+    return _traced(path.stem, scene, str(path), samples=samples, held=held)
 
 
 def from_object(source: object, name: str, how: Mapping[str, Any]) -> Task:

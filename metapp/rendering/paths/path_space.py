@@ -171,20 +171,20 @@ class ImageSum:
         return picture
 
 
-def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
+def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points of primary sample space in proportion to the luminance of their paths, by rejection.
 
     A path is kept with a probability of its luminance over the lights' greatest, which none exceeds where surfaces
-    conserve energy. Should one do so, the bound is raised to it and what was kept before is thinned.
+    conserve energy. Should one do so, the bound is raised to it and what was kept before is thinned. All random numbers
+    of a path but DIMENSIONS are marginalised.
 
     Args:
         tracer: of the scene.
         count: points wanted.
-        dimensions: of a point, 4 or 6; all others are marginalised.
         rng: of all draws.
 
     Returns:
-        points float32 [count, dimensions], no two from one path; and the picture that all paths, kept or not, add up
+        points float32 [count, DIMENSIONS], no two from one path; and the picture that all paths, kept or not, add up
         to, float32 [3, 32, 32], linear RGB.
 
     Raises:
@@ -194,7 +194,7 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
     bound, traced, have = tracer.brightest, 0, 0
     image = ImageSum()
     while have < count:
-        points = torch.rand(BATCH, dimensions, generator=rng)
+        points = torch.rand(BATCH, DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
         bright = brightness(carried)
         highest = float(bright.max())

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.rendering.paths import path_space
-from metapp.rendering.paths.path_space import BELOW_ONE, FewPaths, ImageSum, Tracer, path_samples
+from metapp.rendering.paths.path_space import BELOW_ONE, DIMENSIONS, FewPaths, ImageSum, Tracer, path_samples
 from metapp.rendering.scenes.loading import brightness
 
 ENOUGH = 0.25  # effective paths of the pool, for each sample
@@ -23,7 +23,7 @@ MOVES = 24  # proposals for each sample
 STEPS = (2.0**-12, 2.0**-3)  # standard deviation of proposals in each number, log-uniform
 
 
-def draw_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
+def draw_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Samples as of `path_samples`, or resampled where there are too few; that sets `next_event` of the tracer.
 
     Raises:
@@ -31,13 +31,13 @@ def draw_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
     """
     if not tracer.next_event:
         try:
-            return path_samples(tracer, count, dimensions, rng)
+            return path_samples(tracer, count, rng)
         except FewPaths:
             tracer.next_event = True
-    return resampled(tracer, count, dimensions, rng)
+    return resampled(tracer, count, rng)
 
 
-def resampled(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
+def resampled(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points of primary sample space in proportion to the luminance of their paths, by resample-move.
 
     Points are in the order of the pool that they come from: two parts of them have at most one path in common.
@@ -45,7 +45,6 @@ def resampled(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tu
     Args:
         tracer: of the scene, with next-event estimation.
         count: points wanted.
-        dimensions: of a point, 4 or 6; all others are marginalised.
         rng: of all draws.
 
     Returns:
@@ -54,14 +53,14 @@ def resampled(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tu
     Raises:
         FewPaths: what meets a light is too little.
     """
-    points, weights, image = _pool(tracer, count, dimensions, rng)
+    points, weights, image = _pool(tracer, count, rng)
     ends = weights[:, 0].double().cumsum(0)
     places = (torch.arange(count) + torch.rand(1, generator=rng, dtype=torch.float64)) * (ends[-1] / count)
     rows = torch.searchsorted(ends, places, right=True).clamp_max(len(ends) - 1)
     return _moved(tracer, points[rows], weights[rows, 1], rng), image
 
 
-def _pool(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor, Tensor]:
+def _pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, Tensor]:
     """Points [P, d], their weights and luminances [P, 2], and the picture of all paths.
 
     Dark paths are kept by chance, with a weight that makes up for it, so that memory is bounded.
@@ -69,7 +68,7 @@ def _pool(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[
     kept, weights, image = [], [], ImageSum()
     first, second, batch = 0.0, 0.0, path_space.BATCH
     for number in range(1, LAST + 1):
-        points = torch.rand(batch, dimensions, generator=rng)
+        points = torch.rand(batch, DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
         image.add(points, carried)
         bright = brightness(carried).clamp_min(0)

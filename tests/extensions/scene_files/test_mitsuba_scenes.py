@@ -78,7 +78,6 @@ def test_a_dictionary_is_the_task_it_came_from(tmp_path: Path) -> None:
     again = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
     assert all(torch.equal(task.data[key], again.data[key]) for key in task.data)
     assert not torch.equal(task.data["samples"][:100], task.data["held"])
-    assert read_task(tmp_path / "five.json", 64, 64, dimensions=6).data["held"].shape == (64, 6)
 
 
 @needs_mitsuba
