@@ -204,15 +204,15 @@ EXTENSIONS = {
     "few": 1_020,
     "guided": 1_690,
     "mitsuba_bsdfs": 600,
-    "native": 690,
+    "native": 760,
     "packs": 560,
-    "report": 680,
+    "report": 660,
     "reruns": 630,
     "rgl": 440,
     "scene_files": 1_360,
     "several": 190,
     "vgg": 350,
-    "viewer": 1_560,
+    "viewer": 1_500,
 }
 
 

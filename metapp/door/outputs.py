@@ -135,19 +135,6 @@ class Table(NamedTuple):
     table: str
 
 
-class Figure(NamedTuple):
-    """A figure of what `metapp evaluate` has measured.
-
-    Attributes:
-        name: of its file.
-        figure: `figure(subject) -> metapp.evaluation.style.Drawn`, or None where nothing was measured yet that
-            it could show.
-    """
-
-    name: str
-    figure: str
-
-
 class Report(NamedTuple):
     """Files that `metapp evaluate` writes of what it has measured, where their option is given.
 

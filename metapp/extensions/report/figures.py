@@ -1,33 +1,24 @@
-"""The figures that are offered: drawn and written."""
+"""All figures: drawn and written."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from metapp import door
+from matplotlib import rc_context
 
-if TYPE_CHECKING:
-    from metapp.evaluation.style import Drawn
-    from metapp.evaluation.subject import Subject
+from metapp.evaluation.style import STYLE, Drawn, save
+from metapp.evaluation.subject import Subject
+from metapp.extensions.report.drawing import curves, plane, ranks, rates, strips, trajectories
+from metapp.runs.requests.naming import name_of
 
-
-def figure_names() -> list[str]:
-    """The names of all figures."""
-    return [offer.name for offer in door.offers(door.Figure)]
+FIGURES = {drawing.__name__: drawing for drawing in (plane, ranks, curves, trajectories, rates, strips)}
 
 
 def draw(name: str, subject: Subject) -> Drawn | None:
     """The figure of that name; None where nothing was measured yet that it could show."""
-    from matplotlib import rc_context
-
-    from metapp.evaluation.style import STYLE
-
-    (reference,) = (offer.figure for offer in door.offers(door.Figure) if offer.name == name)
     with rc_context(STYLE):
-        result: Drawn | None = door.load(reference)(subject)
-        return result
+        return FIGURES[name](subject)
 
 
 def write_figures(subjects: Sequence[Subject], folder: Path, tables: Sequence[str]) -> list[Path]:
@@ -36,12 +27,9 @@ def write_figures(subjects: Sequence[Subject], folder: Path, tables: Sequence[st
     Returns:
         The PNG files.
     """
-    from metapp.evaluation.style import save
-    from metapp.runs.requests.naming import name_of
-
     files = []
     for subject in subjects:
-        for name in figure_names():
+        for name in FIGURES:
             drawn = draw(name, subject)
             if drawn:
                 stem = f"{name_of(subject.app)} {name}".replace(" ", "-")

@@ -18,7 +18,7 @@ from metapp.evaluation.subject import Subject, evenly, shared_words
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.results import result_row
 from metapp.extensions.report.drawing import TITLES
-from metapp.extensions.report.figures import draw, figure_names
+from metapp.extensions.report.figures import FIGURES, draw
 from metapp.extensions.report.html import (
     anchor,
     drawn_html,
@@ -84,7 +84,7 @@ def _text(name: str) -> str:
 
 def section(subject: Subject, tables: Sequence[str]) -> str:
     """All there is of one application, and these of its tables."""
-    figures = {name: draw(name, subject) for name in figure_names() if name != "plane"}
+    figures = {name: draw(name, subject) for name in FIGURES if name != "plane"}
     widths = {"trajectories": "figure broad"}
     drawn = {name: drawn_html(one, widths.get(name, "figure")) for name, one in figures.items() if one}
     strips = drawn.pop("strips", "")

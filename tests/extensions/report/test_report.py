@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from metapp import door
-from metapp.extensions.report.figures import figure_names
+from metapp.extensions.report.figures import FIGURES
 
 
 class Page(HTMLParser):
@@ -70,7 +70,7 @@ def test_the_report_is_one_whole_page_that_needs_no_network(drawn: Path) -> None
     for expected in ("metapp evaluate brdf --which all", str(torch.__version__), "4555", "95 % interval"):
         assert expected in text or expected.replace("4555", "4,555") in text
     figures = {file.name for file in (drawn / "figures").iterdir()}
-    assert figures == {f"brdf-{name}.{form}" for name in figure_names() for form in ("png", "pdf")}
+    assert figures == {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
     assert (drawn / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
 
 
