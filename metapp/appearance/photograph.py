@@ -22,6 +22,7 @@ from metapp.learning.draws import uniform
 from metapp.storage.tensors import kept
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
+SAMPLES = 4  # of a mirror's pixel along each side
 CACHED = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these are kept on disk
 _CHUNK = 16  # pixels at a time: a lobe is sampled in up to 32,768 directions, which then stay in the CPU's cache
 
@@ -132,18 +133,17 @@ def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[flo
     return torch.lerp(body, gloss, fresnel.expand_as(body)) * mask
 
 
-def mirror(maps: Tensor, size: int, samples: int = 4) -> Tensor:
+def mirror(maps: Tensor, size: int) -> Tensor:
     """Radiance [T, 3, size, size] of perfect mirror spheres under maps [T, 3, H, W]; 0 outside the disc.
 
     Args:
         maps: linear radiance.
         size: side of the pictures, px.
-        samples: of a pixel along each side.
     """
-    texels, mask = (part.to(maps.device) for part in _mirrored(size * samples, *maps.shape[-2:]))
+    texels, mask = (part.to(maps.device) for part in _mirrored(size * SAMPLES, *maps.shape[-2:]))
     seen = maps.flatten(2)[..., texels.flatten()].unflatten(2, texels.shape) * mask
-    shares = avg_pool2d(mask[None].to(maps), samples).clamp_min(0.5)
-    return avg_pool2d(seen, samples) / shares * sphere_normals(size, device=maps.device)[1]
+    shares = avg_pool2d(mask[None].to(maps), SAMPLES).clamp_min(0.5)
+    return avg_pool2d(seen, SAMPLES) / shares * sphere_normals(size, device=maps.device)[1]
 
 
 def develop(radiance: Tensor, camera: Camera) -> Tensor:

@@ -51,8 +51,8 @@ class App(ABC):
     All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
     tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
     table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
-    `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`,
-    `Doubtful` fits, `Remarked` tasks.
+    `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `Reflective` fits,
+    `ReducedPrecision`, `Doubtful` fits, `Remarked` tasks.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
@@ -188,6 +188,14 @@ class Distilled(Protocol):
 
     def evaluated(self, theta: Params, task: Task) -> Task:
         """The task that one fit reproduces without error."""
+
+
+@runtime_checkable
+class Reflective(Protocol):
+    """An application whose fits are BRDFs."""
+
+    def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
+        """Linear RGB [..., 3] in 1/sr, of half and difference angles and phi_h, [..., 4] in rad."""
 
 
 @runtime_checkable

@@ -17,7 +17,7 @@ from torch import Tensor
 from data_tools.readers.brdf_objects import unit_vectors
 from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.apps.brdf.app import Brdf
+from metapp.learning.app import Reflective
 from metapp.learning.task import Params, Task
 from metapp.runs import BadOption
 from metapp.runs.checkpoints.finding import find_checkpoint
@@ -119,7 +119,7 @@ class Fit:
         Raises:
             ValueError: a fit of another application; no unit vectors, another shape.
         """
-        if not isinstance(self.app, Brdf):
+        if not isinstance(self.app, Reflective):
             raise ValueError(
                 f"{self.name}: a fit of {self.app.name}, expected one of brdf; take fit.maps or fit.picture()."
             )
