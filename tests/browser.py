@@ -11,7 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
+from torch import Tensor
+
+from metapp.appearance.metrics import ssim
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 ARGUMENTS = (
@@ -37,6 +41,20 @@ def browsing() -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS.split())
         yield browser
         browser.close()
+
+
+def assert_alike(
+    seen: np.ndarray, wanted: Any, where: Tensor | None = None, *, mean: float = 2 / 255, least: float = 0.97
+) -> None:
+    """Assert that the screen shows a picture [H, W, 3] of display values, where `where` [H, W] is true.
+
+    To a mean difference of at most `mean` and a structural similarity of `least` or more.
+    """
+    pair = [torch.as_tensor(np.ascontiguousarray(each)).float() for each in (seen, wanted)]
+    mask = torch.ones(pair[0].shape[:2], dtype=torch.bool) if where is None else where
+    similar = ssim(*(torch.where(mask[..., None], each, 0.5).permute(2, 0, 1)[None] for each in pair))
+    assert float(similar.mean()) >= least
+    assert float((pair[0] - pair[1])[mask].abs().mean()) <= mean
 
 
 class Page:

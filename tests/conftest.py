@@ -138,10 +138,7 @@ USER_WEIGHTS, USER_MATRIX = weights_path(), matrix_path()  # before any test mov
 @pytest.fixture
 def vgg(cache: Path) -> Path:
     """The VGG weights that `make setup` fetched, in the test's cache."""
-    if not USER_WEIGHTS.is_file():
-        pytest.skip("the VGG weights are not there: metapp data vgg fetches them")
-    (cache / USER_WEIGHTS.name).symlink_to(USER_WEIGHTS)
-    return cache
+    return lend(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
 
 
 @pytest.fixture
@@ -169,9 +166,14 @@ def shared_scene(_shared_cache: Path) -> Path:
 
 
 def lend_scene(cache: Path) -> Path:
-    if not USER_MATRIX.is_file():
-        pytest.skip("the second scene's matrix is not there: metapp data scene builds it")
-    (cache / USER_MATRIX.name).symlink_to(USER_MATRIX)
+    return lend(USER_MATRIX, cache, "the second scene's matrix is not there: metapp data scene builds it")
+
+
+def lend(file: Path, cache: Path, reason: str) -> Path:
+    """The cache with a file of the user's; skips the test where there is none."""
+    if not file.is_file():
+        pytest.skip(reason)
+    (cache / file.name).symlink_to(file)
     return cache
 
 

@@ -10,10 +10,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from data_tools.readers.nbrdf import SHAPES
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "developers" / "extend.md"
@@ -26,13 +23,9 @@ def blocks() -> dict[str, str]:
 
 
 @pytest.fixture
-def command(tmp_path: Path) -> Callable[..., str]:
+def command(neural_fits: Callable[[int], Path], tmp_path: Path) -> Callable[..., str]:
     """Runs a command where these modules of the page are installed; returns its standard output."""
-    network = tmp_path / "gold"
-    network.mkdir()
-    rng = np.random.default_rng(0)
-    for part, shape in SHAPES.items():
-        np.save(network / f"{part}.npy", rng.normal(0, 0.1, shape).astype(np.float32))
+    (neural_fits(1) / "m0").rename(tmp_path / "gold")
 
     def run(module: str, *words: object) -> str:
         packages = tmp_path / "packages"

@@ -8,8 +8,6 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-import OpenImageIO as oiio
 import pytest
 from torch import Generator, Tensor
 
@@ -22,7 +20,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints.finding import checkpoint_name
 from metapp.runs.checkpoints.shipped import FULL, QUICK, shipped_path, ships
-from metapp.storage.records import load_checkpoint, read_records, tensor_digest
+from metapp.storage.records import load_checkpoint, tensor_digest
 from tests.marked import long
 from tests.quick import app_by
 from tests.small_spheres import shrink_spheres
@@ -237,34 +235,3 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     again = metapp("meta", "brdf", "--data", data, "--out", tmp_path)
     assert f"{trained} is used with --recipe quick alone; here the recipe is full" in again.err
     assert f"from {trained}" in metapp("meta", "brdf", "--data", data, "--out", tmp_path, "--recipe", "quick").err
-
-
-PHOTO = ("--observe", "photo")
-
-
-@pytest.mark.usefixtures("vgg", "scene")
-@pytest.mark.parametrize(
-    ("name", "options", "made", "most"),
-    [
-        # of the files; the fit has the size of the recipe
-        long("texture", ("--size", "64x64"), {"texture.png"}, 0.5),
-        pytest.param("svbrdf_stationary", ("--size", "64x64"), {"height.png"}, 0.5, marks=pytest.mark.slow),
-        ("illumination", PHOTO, {"map.exr", "map.png", "relit.png", "confidence.png"}, None),
-        long("svbrdf_nonstationary", PHOTO, {"normal.png", "diffuse.png", "roughness.png", "specular.png"}, None),
-    ],
-)
-def test_a_photo_is_fitted_at_once_by_what_ships(
-    name: str, options: tuple[str, ...], made: set[str], most: float | None, metapp: Callable, tmp_path: Path
-) -> None:
-    data = tasks_of(name, 16 if name in OBSERVED else 1)[0].data
-    photo = next(data[key] for key in ("image", "photo", "photos") if key in data)
-    pixels = (photo[0] if photo.ndim == 4 else photo).permute(1, 2, 0).numpy()
-    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(tmp_path / "wall.png"))
-    result = metapp("meta", name, tmp_path / "wall.png", *options, "--out", tmp_path / "runs", "--json")
-    assert result.code == 0, result.err
-    assert "the checkpoint that ships" in result.err
-    found = {path.name for path in (Path(result.document["out"]) / "outputs" / "wall").iterdir()}
-    assert made == found if name == "illumination" else made <= found
-    (record,) = read_records(Path(result.document["out"]) / "record.jsonl")
-    assert name != "illumination" or min(record["deviation"].values()) > 1
-    assert most is None or result.document["error"] < most

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import OpenImageIO as oiio
 import pytest
 import torch
-from safetensors.numpy import save_file
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 from data_tools.readers.material_maps import read_task
 from metapp import door
 from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.features import BLOCKS, weights_path
+from metapp.appearance.features import weights_path
 from metapp.appearance.flash import normal_from_height, unpack
 from metapp.apps import presentation_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.storage.records import read_records
+from tests.appearance.test_features import made_up
 from tests.pictures import photograph
 from tests.quick import app_by
 
@@ -156,12 +154,7 @@ def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, 
 def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, metapp: Callable) -> None:
     common = (app, "--data", data)
     assert metapp("meta", *common, "--rule", "meta-sgd", "--train", "--quiet").code == 0
-    widths = [3, *(width for block in BLOCKS for width in block)]
-    weights = {}
-    for i, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
-        weights[f"conv{i}.weight"] = np.zeros((outputs, inputs, 3, 3), np.float32)
-        weights[f"conv{i}.bias"] = np.zeros(outputs, np.float32)
-    save_file(weights, weights_path())
+    save_file(made_up(), weights_path())
     assert "its encoder reads random filters" in metapp("general", *common).refusal
     meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet")
     assert meta.code == 0

@@ -12,11 +12,12 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene, rgb
 from metapp.rendering.paths import path_space, resampling
-from metapp.rendering.paths.path_space import FewPaths, Guide, Tracer, path_samples, reference, render
+from metapp.rendering.paths.path_space import FewPaths, Tracer, path_samples, reference, render
 from metapp.rendering.paths.resampling import draw_samples, resampled
 from metapp.rendering.scenes.loading import brightness
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
+from tests.rendering.test_path_space import corner
 
 CELLS = {4: 3, 6: 2}  # along each number of a point, so that each cell has thousands of paths
 
@@ -142,16 +143,11 @@ def test_samples_are_resampled_where_and_only_where_few_paths_meet_a_light(monke
     assert points.shape == (500, 4)
 
 
-def corner(film: Tensor) -> tuple[Tensor, Tensor]:
-    """Directions all in one corner, of density 16."""
-    return 0.25 * torch.rand(len(film), 2), torch.full((len(film),), 16.0)
-
-
 @needs_mitsuba
 @pytest.mark.parametrize("scene", [bulb(1), long(small_lamp(3, 2))], ids=["bulb", "small"])
 def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
     tracer = Tracer(scene, next_event=True)
-    guide = Guide(corner, lambda film, directions: 16 * (directions < 0.25).all(1).float())
+    guide = corner(16.0)
     wanted = float(reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
     for each in (None, guide):
         shots = torch.stack([render(tracer, 512, 8, seed, each)[:, 4:].mean() for seed in range(8)]).double()
@@ -168,7 +164,7 @@ def test_a_guide_leaves_the_light_of_a_point_at_the_first_surface_without_noise(
     assert not carried.any()
     assert torch.is_tensor(beside)
     assert beside.mean() > 0.01
-    guide = Guide(corner, lambda film, directions: 16 * (directions < 0.25).all(1).float())
+    guide = corner(16.0)
     torch.testing.assert_close(render(tracer, 64, 8, 0, guide), render(tracer, 64, 8, 0), rtol=0.5, atol=0.02)
 
 

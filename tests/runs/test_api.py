@@ -72,9 +72,14 @@ def test_options_are_those_of_the_command(network: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks
-def test_several_tasks(neural_fits: Callable[[int], Path]) -> None:
+def test_several_tasks_and_their_table(neural_fits: Callable[[int], Path]) -> None:
     folder = neural_fits(2)
-    assert len(api.fit_all("brdf", [folder])) == 2
+    fits = api.fit_all("brdf", [folder])
+    assert len(fits) == 2
+    html = fits._repr_html_()
+    assert html.count("<tr>") == 3
+    assert all(f"<td>{fit.name}</td><td>{fit.error:.3f}</td>" in html for fit in fits)
+    assert fits[:0] == []
     with pytest.raises(ValueError, match=r"2 tasks, expected one; take metapp\.fit_all"):
         api.fit("brdf", folder)
     with pytest.raises(ValueError, match="no such file or folder"):
@@ -371,15 +376,6 @@ def test_a_warning_is_shown_and_names_are_text(network: Path) -> None:
     html = fit._repr_html_()
     assert "&lt;b&gt;" in html
     assert "warning: 1 &lt; 2" in html
-
-
-@pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks
-def test_several_fits_show_themselves(neural_fits: Callable[[int], Path]) -> None:
-    fits = api.fit_all("brdf", [neural_fits(2)])
-    html = fits._repr_html_()
-    assert html.count("<tr>") == 3
-    assert all(f"<td>{fit.name}</td><td>{fit.error:.3f}</td>" in html for fit in fits)
-    assert api.fit_all("brdf", [neural_fits(2)])[:0] == []
 
 
 def test_other_fits_have_no_reflectance() -> None:

@@ -13,7 +13,7 @@ from torch import Generator
 
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.evaluation.cell import run_cells
-from metapp.evaluation.rows import blank, paper
+from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.ablation import INITIALISATION_ALONE, RULE_ALONE, combined, learned, same_initialisation
@@ -28,6 +28,7 @@ from metapp.learning.task import Task
 from metapp.runs.requests.plan import Checkpoint, plan
 from metapp.runs.requests.request import Request
 from tests.evaluation.cli.subjects import rows, subject_of
+from tests.evaluation.test_notes import row
 
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
@@ -142,10 +143,6 @@ def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.Monkey
     assert meta["paper_share"] == 0.99
     assert by["meta", "MAPE"]["share"] is None
     assert (by["regular", "MAPE"]["measured"], by["regular", "SSIM"]["measured"]) == (3, 0)
-
-
-def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
-    return blank("brdf", paradigm) | {"error": error, "seconds": seconds, "tasks": 8}
 
 
 def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+import torch
+
+from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.ball.shots import disc
 from metapp.extensions.capture.ball.view import Ball, Floats, mirrored
+from metapp.storage.images import write_png
 
 
 def light(towards: Floats) -> Floats:
@@ -51,4 +56,11 @@ def busy(height: int, width: int, seed: int) -> Floats:
     return result
 
 
-__all__ = ["busy", "detailed", "disc", "light", "photograph", "places_of"]
+def written(path: Path, linear: np.ndarray) -> Path:
+    """A PNG of linear RGB [3, height, width] in [0, 1]."""
+    display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
+    write_png(display, {"encoding": "sRGB"}, path)
+    return path
+
+
+__all__ = ["busy", "detailed", "disc", "light", "photograph", "places_of", "written"]

@@ -19,15 +19,8 @@ from metapp.extensions.capture.ball.mirror import features, is_mirror
 from metapp.extensions.capture.ball.reading import read_task
 from metapp.extensions.capture.ball.shots import Shot
 from metapp.extensions.capture.ball.view import Ball
-from metapp.storage.images import write_png
-from tests.extensions.capture.ball_photos import detailed, light, photograph
+from tests.extensions.capture.ball_photos import detailed, light, photograph, written
 from tests.pictures import write
-
-
-def written(path: Path, linear: np.ndarray) -> Path:
-    display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
-    write_png(display, {"encoding": "sRGB"}, path)
-    return path
 
 
 def room(towards: np.ndarray) -> np.ndarray:

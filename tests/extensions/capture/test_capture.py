@@ -15,16 +15,9 @@ from metapp.extensions.capture.ball.capture import Settings, capture, recovered
 from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed
 from metapp.extensions.capture.ball.shots import Shot, disc
 from metapp.extensions.capture.ball.view import Ball, mirrored
-from metapp.storage.images import write_png
-from tests.extensions.capture.ball_photos import busy, detailed, photograph
+from tests.extensions.capture.ball_photos import busy, detailed, photograph, written
 
 TIMES = (1 / 20, 1 / 60, 1 / 240)
-
-
-def written(path: Path, linear: np.ndarray) -> Path:
-    display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
-    write_png(display, {"encoding": "sRGB"}, path)
-    return path
 
 
 def test_hand_held_photographs_are_aligned() -> None:

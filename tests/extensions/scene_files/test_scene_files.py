@@ -80,13 +80,17 @@ for name in sys.argv[1:]:
 """
 
 
+def with_shape(path: Path, shape: dict[str, Any]) -> Path:
+    """A box and a shape in it."""
+    path.write_text(json.dumps({**random_scene(0), "more": shape}))
+    return path
+
+
 def write_scene(folder: Path, name: str, content: bytes, **more: Any) -> Path:
     """A box and a shape by this file; the file's suffix is its plugin."""
     (folder / name).write_bytes(content)
     shape = {"type": name.rpartition(".")[2], "filename": name, **more}
-    path = folder / f"{name}.json"
-    path.write_text(json.dumps({**random_scene(0), "more": shape}))
-    return path
+    return with_shape(folder / f"{name}.json", shape)
 
 
 def refusals(paths: list[Path]) -> dict[str, str]:
@@ -123,8 +127,7 @@ def test_shapes_within_shapes_are_checked_too(tmp_path: Path) -> None:
         "shapegroup": {"type": "shapegroup", "a": inside},
         "merge": {"type": "merge", "a": inside},
     }.items():
-        path = tmp_path / f"{kind}.json"
-        path.write_text(json.dumps({**random_scene(0), "more": shape}))
+        path = with_shape(tmp_path / f"{kind}.json", shape)
         with pytest.raises(ValueError, match=r"the mesh 'more.*' has a face at vertex 4, expected 0 to 3"):
             read_task(path, samples=8, held=8)
 
@@ -143,9 +146,8 @@ def test_volumes_of_textures_fit_their_files(
 ) -> None:
     (tmp_path / "a.vol").write_bytes(volume(grid, channels))
     texture = {"type": "volume", "volume": {"type": "gridvolume", "filename": "a.vol"}}
-    path = tmp_path / "room.json"
     shape = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": texture}}
-    path.write_text(json.dumps({**random_scene(0), "more": shape}))
+    path = with_shape(tmp_path / "room.json", shape)
     with pytest.raises(ValueError, match=line) as caught:
         read_scene(path)
     assert str(caught.value).startswith(f"{path}: names the file 'a.vol'")
@@ -221,8 +223,7 @@ def test_a_map_with_a_texel_that_is_no_number_is_named(kind: str, value: float, 
     shape: dict[str, Any] = {"type": kind, "filename": "sky.exr"}
     if kind == "bitmap":
         shape = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": shape}}
-    path = tmp_path / "room.json"
-    path.write_text(json.dumps({**random_scene(0), "more": shape}))
+    path = with_shape(tmp_path / "room.json", shape)
     with pytest.raises(ValueError, match=r"'more.*\.data' holds NaN or infinite values|lies in|that Mitsuba") as caught:
         read_task(path, samples=8, held=8)
     assert str(caught.value).startswith(f"{path}: ")
@@ -241,7 +242,6 @@ def png(width: int, height: int) -> bytes:
 def test_pictures_of_scenes_go_by_the_rule_of_photographs(size: tuple[int, int], said: str, tmp_path: Path) -> None:
     (tmp_path / "wall.png").write_bytes(png(*size))
     wall = {"type": "diffuse", "reflectance": {"type": "bitmap", "filename": "wall.png"}}
-    path = tmp_path / "room.json"
-    path.write_text(json.dumps({**random_scene(0), "more": {"type": "sphere", "bsdf": wall}}))
+    path = with_shape(tmp_path / "room.json", {"type": "sphere", "bsdf": wall})
     with pytest.raises(ValueError, match=rf"names the file 'wall\.png', .*: {size[0]}x{size[1]} px.*{said}"):
         read_scene(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from metapp.appearance.geometry import (
     directions_to_rusinkiewicz,
     rusinkiewicz_to_directions,
 )
-from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
 from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
@@ -35,7 +33,7 @@ from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
 from metapp.storage.html import write_page
 from tests import anisotropic
-from tests.browser import Page, browsing
+from tests.browser import Page, assert_alike
 
 APPS = {
     "nbrdf": Brdf(),
@@ -76,20 +74,6 @@ def views(*names: str, task: Task | None = None) -> list[Shown]:
         view = view_of(presentation_of(APPS[name]), theta_of(name), task or Task("lobe", {}))
         shown.append(Shown(name, "", view))
     return shown
-
-
-@pytest.fixture(scope="module")
-def opened() -> Iterator[Any]:
-    with browsing() as browser:
-        yield browser
-
-
-@pytest.fixture
-def browser(opened: Any) -> Iterator[Any]:
-    """Without the pages of earlier tests, which would go on drawing and slow what follows."""
-    yield opened
-    for context in opened.contexts:
-        context.close()
 
 
 def open_page(browser: Any, folder: Path, fits: list[Shown]) -> Page:
@@ -208,8 +192,7 @@ def test_the_screen_shows_an_anisotropic_material_beside_a_wrong_fit(browser: An
     page.set(view="picture", paper="white", show="reference")
     page.settle()
     wanted, found = to_srgb(task.data["render"]), page.screenshot()
-    assert np.abs(found - wanted).mean() <= 3 / 255
-    assert alike(found, wanted) >= 0.95
+    assert_alike(found, wanted, mean=3 / 255, least=0.95)
     page.set(show="fit")
     page.settle()
     assert np.abs(page.screenshot() - wanted).mean() >= 15 / 255
@@ -233,8 +216,7 @@ def test_the_screen_shows_metapps_picture(browser: Any, tmp_path: Path) -> None:
         page.settle()
         shown[name] = page.screenshot()
         wanted = to_srgb(pictures[name])
-        assert np.abs(shown[name] - wanted).mean() <= 2 / 255
-        assert alike(shown[name], wanted) >= 0.97
+        assert_alike(shown[name], wanted)
     page.set(show="wipe", wipe=0.25)
     page.settle()
     wiped = page.screenshot()
@@ -264,8 +246,3 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(browser: Any, tmp_path: Pa
     lit = page.screenshot().mean(-1)
     assert lit[32, 14] < 0.02 < 0.2 < lit[32, 50]
     assert not page.problems
-
-
-def alike(one: np.ndarray, other: np.ndarray) -> float:
-    pair = (torch.from_numpy(np.ascontiguousarray(each)).permute(2, 0, 1)[None] for each in (one, other))
-    return float(ssim(*pair)[0].mean())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
-from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import mirror
 from metapp.appearance.presentation import Picture
 from metapp.apps.illumination.app import SMALL, Illumination, IlluminationSetup
@@ -28,7 +26,7 @@ from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from metapp.storage.html import write_page
-from tests.browser import Page, browsing
+from tests.browser import Page, assert_alike
 
 ROWS = 64
 FIELD = LocalField(ROWS, 2 * ROWS, rows=4, columns=8, code=3, hidden=8, layers=2)
@@ -131,12 +129,6 @@ def test_what_a_gloss_reflects_at_normal_incidence() -> None:
 # In a browser
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as opened:
-        yield opened
-
-
 def open_page(
     browser: Any, folder: Path, protocol: str, reference: Tensor
 ) -> tuple[Page, IlluminationPresentation, Params]:
@@ -151,15 +143,6 @@ def coarse(picture: np.ndarray | Tensor) -> Tensor:
     """Means of 4 x 4 px, of [H, W, C]."""
     pixels = torch.as_tensor(np.ascontiguousarray(picture)).float().permute(2, 0, 1)
     return avg_pool2d(pixels, 4).permute(1, 2, 0)
-
-
-def assert_alike(seen: np.ndarray, wanted: Tensor, where: Tensor | None = None) -> None:
-    """Within the tolerances of all pages; [H, W, 3], where `where` [H, W] says."""
-    picture = torch.from_numpy(np.ascontiguousarray(seen)).float()
-    mask = torch.ones(wanted.shape[:2], dtype=torch.bool) if where is None else where
-    one, other = (torch.where(mask[..., None], each, 0.5).permute(2, 0, 1)[None] for each in (picture, wanted))
-    assert float(ssim(one, other).mean()) >= 0.97
-    assert float((picture - wanted)[mask].abs().mean()) <= 2 / 255
 
 
 @pytest.mark.long

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +16,11 @@ from metapp.extensions.viewer.live import Live
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import View
 from metapp.storage.html import write_page
-from tests.browser import Page, browsing
+from tests.browser import Page
 
 pytestmark = pytest.mark.long
 PICTURES, LIGHT = 0, 1  # groups of the page
 SPHERES = {"metal": 0.9, "albedo": 0.5, "specular": 0.04, "silver": {"roughness": 0.5}, "diffuse": {"roughness": 0.6}}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as browser:
-        yield browser
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from torch.nn.functional import interpolate
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
-from metapp.appearance.metrics import mape, ssim
+from metapp.appearance.metrics import mape
 from metapp.appearance.presentation import Picture
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.presentation import TexturePresentation
@@ -34,7 +34,7 @@ from metapp.networks.presentation import TILED
 from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
 from metapp.storage.html import write_page
-from tests.browser import Page, browsing
+from tests.browser import Page, assert_alike, browsing
 from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
@@ -161,9 +161,7 @@ def pixels_of(picture: Tensor) -> np.ndarray:
 def assert_same_as_file(screen: np.ndarray, picture: Picture, folder: Path) -> None:
     write_pictures({"picture": picture}, folder)
     file = np.asarray(Image.open(folder / "picture.png").convert("RGB")) / 255
-    pair = (torch.from_numpy(each).float().permute(2, 0, 1)[None] for each in (screen, file))
-    assert float(ssim(*pair)[0].mean()) >= 0.97
-    assert np.abs(screen - file).mean() <= 2 / 255
+    assert_alike(screen, file)
 
 
 @pytest.mark.long

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from torch.nn.functional import normalize
 
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
-from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
@@ -32,7 +30,7 @@ from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.storage.html import write_page
-from tests.browser import Page, browsing
+from tests.browser import Page, assert_alike
 from tests.surfaces import rock
 
 SIDE = 16  # of exemplars, and of fields; the maps of the first are four times as large
@@ -87,21 +85,9 @@ def assert_same(maps: Maps, wanted: Maps) -> None:
         torch.testing.assert_close(found, part, atol=2e-3, rtol=0)
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as opened:
-        yield opened
-
-
 def open_page(browser: Any, folder: Path, view: View) -> Page:
     fits = [Shown("meta", "", view)]
     return Page(browser, write_page(html(document("metapp", [Group("rock", "svBRDF", fits)])), folder / "view.html"))
-
-
-def like(found: np.ndarray, wanted: np.ndarray) -> bool:
-    """Whether the screen shows a picture, [H, W, 3]."""
-    pair = (torch.from_numpy(np.ascontiguousarray(each, np.float64)).permute(2, 0, 1)[None] for each in (found, wanted))
-    return float(ssim(*pair)[0].mean()) >= 0.97 and float(np.abs(found - wanted).mean()) <= 2 * STEP
 
 
 def test_a_view_holds_the_maps_that_are_written() -> None:
@@ -189,11 +175,11 @@ def test_the_screen_shows_metapps_pictures(which: Any, browser: Any, tmp_path: P
     for name in ("left", "aside"):
         page.set(pictured=name)
         page.settle()
-        assert like(page.screenshot(), files[f"lit_from_{name}"].pixels.numpy())
+        assert_alike(page.screenshot(), files[f"lit_from_{name}"].pixels.numpy())
     page.set(pictured="photo_1", map="normal")
     if which is nonstationary:
         page.settle()
-        assert like(page.screenshot(), files["normal"].pixels.numpy())
+        assert_alike(page.screenshot(), files["normal"].pixels.numpy())
     assert not page.problems
 
 
@@ -212,17 +198,17 @@ def test_the_screen_shows_rocks_fit_and_reference(browser: Any, tmp_path: Path) 
     page.sized(64, 64)
     page.set(view="picture", pictured="photo_1", show="reference")
     page.settle()
-    assert like(page.screenshot(), expose(photo).movedim(0, -1).numpy())
+    assert_alike(page.screenshot(), expose(photo).movedim(0, -1).numpy())
     page.set(pictured="above")
     page.settle()
     wanted = expose(render(truth, positions(64, 64), *relightings()["above"], falloff=2))
-    assert like(page.screenshot(), wanted.movedim(0, -1).numpy())
+    assert_alike(page.screenshot(), wanted.movedim(0, -1).numpy())
     page.set(show="fit", pictured="photo_1")
     page.sized(32, 32)  # a texel a pixel
     page.settle()
     part = Maps(*(each[:, :32, :32] for each in fit.maps))
     wanted = expose(render(part, positions(32, 32), light, eye, intensity=0.7, falloff=2))
-    assert like(page.screenshot(), wanted.movedim(0, -1).numpy())
+    assert_alike(page.screenshot(), wanted.movedim(0, -1).numpy())
     assert not page.problems
 
 
