@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
+from data_tools.formats.options import fov_rad
 from metapp import door
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or its record.jsonl.")]
@@ -20,10 +21,21 @@ Options = TypeVar("Options")
 Result = TypeVar("Result")
 
 
+Seed = Annotated[int, typer.Option(metavar="S", min=0, max=2**63 - 1, help="Of all random draws.")]
+
+
 def field_of_view(unsaid: str) -> object:
     """The option for a camera's field of view in degrees; its help ends with what 0 means."""
     words = f"Field of view along the photos' shorter side; 0: {unsaid}."
-    return typer.Option(min=0, max=150, metavar="DEGREES", help=words)
+    return typer.Option(min=0, max=150, metavar="DEGREES", help=words, callback=_checked_view)
+
+
+def _checked_view(degrees: float) -> float:
+    try:
+        fov_rad(degrees)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    return degrees
 
 
 def annotated(option: door.Option, *, given: bool = False, panel: str | None = None) -> object:

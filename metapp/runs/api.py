@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -168,24 +169,25 @@ class Fit:
         """Return a picture of PIL, 8 bits of sRGB: the reference left, where there is one, and the fit right."""
         return beside([image for name, image in self._images.items() if name in ("reference", "fit")])
 
-    def save(self, path: str | PathLike[str]) -> Path:
+    def save(self, path: str | bytes | PathLike[str]) -> Path:
         """Write the parameters as safetensors, whole or not at all.
 
         Raises:
             OSError: the file cannot be written.
         """
         content = save({key: value.contiguous() for key, value in self.parameters.items()})
-        write_atomically(Path(path), lambda partial: partial.write_bytes(content))
-        return Path(path)
+        file = Path(os.fsdecode(path))
+        write_atomically(file, lambda partial: partial.write_bytes(content))
+        return file
 
-    def export(self, form: str, path: str | PathLike[str]) -> None:
+    def export(self, form: str, path: str | bytes | PathLike[str]) -> None:
         """Write the fit in another form, such as "merl" of a BRDF or "gltf" of a material; `path` needs no suffix.
 
         Raises:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        export_fit(self.plan.presentation, self.task, self.parameters, Path(path), form, self.settings)
+        export_fit(self.plan.presentation, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
 
 
 class Fits(list[Fit]):

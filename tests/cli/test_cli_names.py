@@ -22,6 +22,14 @@ def test_a_name_in_an_error_line_is_as_it_was_given(metapp: Callable, command: s
     assert name in metapp(*command.split(), name).err
 
 
+@pytest.mark.parametrize("command", ["data synth brdf", "baseline brdf", "meta brdf", "evaluate brdf"])
+def test_a_seed_that_is_too_large_is_refused_in_a_line(metapp: Callable, command: str) -> None:
+    assert (
+        "--seed': Input should be less than or equal to 9223372036854775807"
+        in metapp(*command.split(), "--seed", 9999999999999999999999).err
+    )
+
+
 def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = io.StringIO()
     monkeypatch.setattr(sys, "stderr", drawn)

@@ -11,7 +11,7 @@ import typer
 
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data.convert import Out, Quiet, Split, SplitOption, report
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, Seed, takes
 from metapp.runs.inputs.convert import converted
 from metapp.runs.reporter import progress, say
 
@@ -25,7 +25,7 @@ class Cornell:
 
     folder: Out
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes.")] = 10
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0
+    seed: Seed = 0
     split: SplitOption = Split.AUTO
     samples: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")

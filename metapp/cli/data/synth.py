@@ -11,7 +11,7 @@ import typer
 from metapp import door
 from metapp.cli import completion
 from metapp.cli.data.convert import Quiet, check_folder, report
-from metapp.cli.options import Json, extended
+from metapp.cli.options import Json, Seed, extended
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_offer, split_counts
 from metapp.runs.reporter import progress
@@ -47,7 +47,7 @@ def synth(
             help="Tasks in total, of both splits in its proportion.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0,
+    seed: Seed = 0,
     form: Annotated[
         str,
         typer.Option(

@@ -10,7 +10,7 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
-from metapp.cli.options import Json, extended, takes
+from metapp.cli.options import Json, Seed, extended, takes
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import all_read_options
 
@@ -46,7 +46,7 @@ class Options:
     ] = ""
     data: Annotated[Path | None, typer.Option(help="Data set whose training tasks a method may learn from.")] = None
     out: Annotated[Path, typer.Option(help="Folder for runs.")] = Path("runs")
-    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0
+    seed: Seed = 0
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, Seed, takes
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
 
@@ -36,7 +36,7 @@ class Options:
         float | None,
         typer.Option(min=0, max=89, help="Angle of a fixed detector from the normal, degrees; default: not fixed."),
     ] = None
-    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0
+    seed: Seed = 0
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False
 

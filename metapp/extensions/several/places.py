@@ -11,6 +11,9 @@ from torch import Tensor
 
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 
+LARGEST_CM = 1e5  # a side of a patch
+FARTHEST = 1000.0  # sides that camera and flash are away
+
 
 class Places(NamedTuple):
     """Places for N photos, in half sides of the patch: origin in its centre, x right, y up, z along its normal.
@@ -33,14 +36,22 @@ def read_places(folder: Path, photos: int) -> Places:
         ValueError: a file is missing, malformed or of another count; a place is not above the patch.
     """
     side = _rows(folder / SIZE, 1, 1)[0][0]
-    if side <= 0:
-        raise ValueError(f"{folder / SIZE}: {side:g}, expected the patch's side in cm, above 0; measure it.")
-    return Places(*(_above(folder / name, photos) / (side / 2) for name in (CAMERA, LIGHT)))
+    if not 1 / LARGEST_CM <= side <= LARGEST_CM:
+        expected = f"the patch's side in cm, {1 / LARGEST_CM:g} to {LARGEST_CM:g}"
+        raise ValueError(f"{folder / SIZE}: {side:g}, expected {expected}; measure it.")
+    return Places(*(_above(folder / name, photos, FARTHEST * side) / (side / 2) for name in (CAMERA, LIGHT)))
 
 
-def _above(path: Path, photos: int) -> Tensor:
-    """Places [photos, 3] in cm, all above the patch."""
-    places = torch.tensor(_rows(path, photos, 3))
+def _above(path: Path, photos: int, farthest: float) -> Tensor:
+    """Places [photos, 3] in cm, all above the patch and no further from it than that."""
+    places = torch.tensor(_rows(path, photos, 3), dtype=torch.float64)
+    for number, place in enumerate(places.tolist(), 1):
+        if not max(map(abs, place)) <= farthest:
+            raise ValueError(
+                f"{path}: place {number} is {max(map(abs, place)):g} cm away, expected {farthest:g} at most, "
+                f"{FARTHEST:g} sides of the patch; write cm."
+            )
+    places = places.float()
     for number, height in enumerate(places[:, 2].tolist(), 1):
         if height <= 0:
             raise ValueError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
@@ -173,7 +174,7 @@ def shown_of(
 
 
 @torch.no_grad()
-def view_fit(fit: Fit, path: str | PathLike[str] = "") -> Path:
+def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     """Write an interactive page of a fit, as `metapp view` does.
 
     Args:
@@ -187,4 +188,4 @@ def view_fit(fit: Fit, path: str | PathLike[str] = "") -> Path:
     with threads(threads_of(fit.app)):
         shown = shown_of(fit.plan.presentation, fit.settings["paradigm"], record, fit.parameters, fit.task)
     page = html(document(f"metapp: {title}", [Group(fit.name, title, [shown])]))
-    return write_page(page, Path(path or f"{file_name(fit.name)}.html"))
+    return write_page(page, Path(os.fsdecode(path or f"{file_name(fit.name)}.html")))

@@ -39,6 +39,8 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, photo
     ("options", "line"),
     [
         (["--exposures", "a"], "expected exposure times"),
+        (["--exposures", "1e308"], "expected exposure times"),
+        (["--fov", "1e-300"], "1e-300 degrees, expected 0 or 0.5 to 150"),
         (["--ball", "1,2"], "expected centre and radius"),
         (["--ball", "999,2,5"], "expected one in the picture"),
         (["--exposures", "1/20,1/60", "--ball", "80,75,60"], "expected one for each"),

@@ -134,6 +134,7 @@ def test_options_out_of_range(metapp: Callable, taken: Path) -> None:
         ("--size 63", "greater than or equal to 64"),
         ("--fov 180", "less than or equal to 150"),
         ("--fov nan", "--fov"),
+        ("--fov 1e-300", "expected 0 or 0.5 to 150"),
         ("--ruler 97", "less than or equal to 20"),
         ("--ruler nan", "--ruler"),
     ):

@@ -67,6 +67,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     [
         (("texture",), "'texture': expected brdf"),
         (("brdf", "--samples", 0), "samples"),
+        (("brdf", "--seed", 10**22), "--seed"),
         (("brdf", "--detector", 85, "--out", "a.csv"), "0 of 4096 pairs of directions within the limits"),
         (("brdf", "--after", "gone.csv", "--out", "a.csv"), "gone.csv"),
     ],

@@ -30,7 +30,11 @@ def test_places_are_in_half_sides(folder: Path) -> None:
         (LIGHT, "1,0\n1,0,3\n", "line '1,0', expected 3 finite"),
         (LIGHT, "1,0,nan\n1,0,3\n", "expected 3 finite"),
         (CAMERA, "1,0,5\n1,0,-3\n", "place 2 has z -3 cm"),
-        (SIZE, "0\n", "above 0"),
+        (SIZE, "0\n", "0, expected the patch's side in cm, 1e-05 to 100000"),
+        (SIZE, "1e-38\n", "1e-38, expected the patch's side"),
+        (SIZE, "1e300\n", r"1e\+300, expected the patch's side"),
+        (CAMERA, "1,0,5\n1e300,0,3\n", r"place 2 is 1e\+300 cm away, expected 8000 at most"),
+        (LIGHT, "1,0,1e39\n1,0,3\n", r"place 1 is 1e\+39 cm away"),
         (SIZE, "wide\n", "line 'wide', expected 1 finite"),
     ],
 )

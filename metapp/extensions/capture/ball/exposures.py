@@ -20,6 +20,7 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.apps.illumination.mirror import CLIPPED
 from metapp.extensions.capture.ball.view import Floats
 
+SHORTEST = 1e-6  # s; 1 over it is the longest
 DARK = 0.03  # display value that says little
 
 _KNOTS = 32  # of a camera's curve
@@ -50,7 +51,7 @@ def parsed(text: str) -> list[float]:
     """Exposures such as "1/20,1/60" or "0.05,0.017".
 
     Raises:
-        ValueError: not numbers above 0.
+        ValueError: not numbers from SHORTEST to 1 / SHORTEST.
     """
     values = []
     for part in text.split(","):
@@ -59,7 +60,7 @@ def parsed(text: str) -> list[float]:
             value = float(above) / (float(below) if below else 1)
         except (ValueError, ZeroDivisionError):
             value = math.nan
-        if not 0 < value < math.inf:
+        if not SHORTEST <= value <= 1 / SHORTEST:
             raise ValueError(f"'{part.strip()}' of '{text}', expected exposure times such as 1/20,1/60,1/160")
         values.append(value)
     return values
