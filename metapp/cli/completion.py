@@ -33,7 +33,7 @@ def rules(incomplete: str) -> list[str]:
 
 
 def observations(incomplete: str) -> list[str]:
-    """What fits may see."""
+    """Protocols, the values of --observe."""
     return _that_begin(incomplete, (name for app in _named() for name in protocols_of(app)))
 
 
@@ -71,5 +71,5 @@ def _that_begin(incomplete: str, names: Iterable[str]) -> list[str]:
 
 def _after(mark: str, incomplete: str, names: Iterable[str]) -> list[str]:
     """Words of which several may stand with a mark between them."""
-    before, found, last = incomplete.rpartition(mark)
-    return [before + found + name for name in _that_begin(last, names)]
+    before, mark_before, last = incomplete.rpartition(mark)
+    return [before + mark_before + name for name in _that_begin(last, names)]

@@ -1,4 +1,4 @@
-"""What every command shares: exit codes, standard output and the one place that turns errors into one line."""
+"""Parts that all commands share: exit codes, standard output and the one place that turns errors into one line."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def run(command: Callable[[], object]) -> int:
 
 
 def _remedy(message: str) -> str:
-    """What to do about an application that was forgotten or is no command, or a word that is no choice; else ""."""
+    """A remedy for an application that was forgotten or is no command, or a word that is no choice; else ""."""
     from metapp.apps import app_names
     from metapp.storage.text import meant
 
@@ -132,7 +132,7 @@ def _remedy(message: str) -> str:
 
 
 def what_failed(error: Exception) -> str:
-    """What to say of an error: what it says itself, if it was foreseen.
+    """The message of an error: its own, if it was foreseen.
 
     Raises:
         Exception: the same, where METAPP_TRACEBACK asks for a traceback.

@@ -30,18 +30,18 @@ def command(
     json: Json = False,
 ) -> None:
     """Print what is installed: versions, device, compiler, cache, shipped checkpoints, VGG weights, libLLVM."""
-    found = examine()
+    subjects = examine()
     if json:
-        print_json(found)
+        print_json(subjects)
         return
-    for name, value in found.items():
+    for name, value in subjects.items():
         told, after = (": ", "; ") if name == "checkpoints" else (" ", ", ")  # these are lists
         text = after.join(f"{key}{told}{item}" for key, item in value.items()) if isinstance(value, dict) else value
         out().print(f"{name:<11} {text}", soft_wrap=True)
 
 
 def examine() -> Document:
-    """What `doctor` prints, by subject."""
+    """The lines of `doctor`, by subject."""
     import torch
 
     from metapp.apps import app_names
@@ -74,7 +74,7 @@ def _extensions() -> list[str]:
 
 
 def _compiler() -> str:
-    """What torch.compile needs: whether a compiler takes Python's headers and OpenMP, not the seconds of a real one."""
+    """The compiler for torch.compile, if it takes Python's headers and OpenMP: a probe of much less than a second."""
     name = next(filter(shutil.which, ("g++", "clang++")), "")
     probe = "#include <Python.h>\n#include <omp.h>\nint main() { return omp_get_max_threads() < 1; }\n"
     options = ["-x", "c++", "-fopenmp", "-fsyntax-only", f"-I{sysconfig.get_path('include')}", "-"]

@@ -117,9 +117,9 @@ def check(options: Evaluation) -> Evaluation:
         raise typer.BadParameter(
             f"--which {options.which}: a table of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
         )
-    for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
-        if value not in known:
-            raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
+    for option, value, names in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
+        if value not in names:
+            raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(names)}.{meant(value, names)}")
     return options
 
 
@@ -159,7 +159,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
 
 
 def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:
-    """What the tables must have measured.
+    """The cells that the tables need.
 
     Raises:
         ValueError: a checkpoint is missing that was asked for.
@@ -187,11 +187,11 @@ def _say_missing(subject: Subject, cells: list[Cell], which: str) -> str:
     from metapp.runs.requests.naming import name_of
 
     name = name_of(subject.app)
-    own = {cell.title: cell for cell in cells if cell.title.startswith(f"{name} ")}.values()
-    empty = {cell.title.removeprefix(f"{name} ").partition(": ")[0]: cell for cell in own if not cell.whole}
+    cells_here = {cell.title: cell for cell in cells if cell.title.startswith(f"{name} ")}.values()
+    empty = {cell.title.removeprefix(f"{name} ").partition(": ")[0]: cell for cell in cells_here if not cell.whole}
     if not empty:
         return ""
-    total, missing = sum(len(cell.tasks) for cell in own), sum(len(cell.missing()) for cell in own)
+    total, missing = sum(len(cell.tasks) for cell in cells_here), sum(len(cell.missing()) for cell in cells_here)
     some = ", ".join([*list(empty)[:LISTED], *([f"{len(empty) - LISTED} more"] if len(empty) > LISTED else [])])
     say(f"{name}: {f'{missing:,} of {total:,}' if total else 'all'} records missing: {some}")
     return subject.command(which)

@@ -29,7 +29,7 @@ def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str,
 
 
 def _left_out(line: str) -> bool:
-    """Whether a command is of an extension that is left out."""
+    """True if a command is of an extension that is left out."""
     return any(door.switched_off(door.Command, word) for word in line.split()[:2])
 
 
@@ -57,21 +57,21 @@ def command(
 
     Example: metapp examples brdf --make example-inputs
     """
-    known = {name: application_of(name) for name in app_names() if application_of(name).examples}
-    if app and app not in known:
-        raise typer.BadParameter(f"'{app}': expected one of {', '.join(known)}.{meant(app, known)}")
-    apps, files = [app] if app else list(known), list[Path]()
+    applications = {name: application_of(name) for name in app_names() if application_of(name).examples}
+    if app and app not in applications:
+        raise typer.BadParameter(f"'{app}': expected one of {', '.join(applications)}.{meant(app, applications)}")
+    apps, files = [app] if app else list(applications), list[Path]()
     for name in apps if folder else ():
-        files += door.load(known[name].files)(name, folder) if known[name].files else []
-    found = {name: lines_of(name, folder or FOLDER, None if app else 2) for name in apps}
+        files += door.load(applications[name].files)(name, folder) if applications[name].files else []
+    examples = {name: lines_of(name, folder or FOLDER, None if app else 2) for name in apps}
     if json:
-        shown = [{"app": name, "command": line, "makes": makes} for name in apps for line, makes in found[name]]
-        print_json({"files": [str(file) for file in files], "commands": shown})
+        commands = [{"app": name, "command": line, "makes": makes} for name in apps for line, makes in examples[name]]
+        print_json({"files": [str(file) for file in files], "commands": commands})
         return
     first = [] if folder else [(f"metapp examples {f'{app} ' if app else ''}--make {FOLDER}", "the input files, first")]
-    if needy := [name for name in apps if known[name].needs_vgg]:
+    if needy := [name for name in apps if applications[name].needs_vgg]:
         first.append(("metapp data vgg", f"what fits of {' and '.join(needy)} read, once: 64 to 550 MB"))
-    lines = [*first, *(line for name in apps for line in found[name])]
+    lines = [*first, *(line for name in apps for line in examples[name])]
     out().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), soft_wrap=True)
     if files:
         say(f"made: {', '.join(map(str, files))}")

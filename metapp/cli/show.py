@@ -19,9 +19,14 @@ FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     """Print tables in a format."""
     several = len(tables) > 1
-    found = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}
+    by_table = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}
     if form in ("json", "csv"):
-        rows = [row | ({"table": name} if several else {}) for name in found for _, some in found[name] for row in some]
+        rows = [
+            row | ({"table": name} if several else {})
+            for name in by_table
+            for _, some in by_table[name]
+            for row in some
+        ]
         if form == "csv":
             out().print(csv_of(rows), soft_wrap=True)
         else:
@@ -29,22 +34,22 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
         return
     for table in tables:
         if form == "rich":
-            for subject, rows in found[table.name]:
+            for subject, rows in by_table[table.name]:
                 out().print(rich_table(table, subject, rows))
         else:
-            out().print(text_table(table, found[table.name], form), soft_wrap=True)
+            out().print(text_table(table, by_table[table.name], form), soft_wrap=True)
 
 
 def rich_table(table: Table, subject: Subject, rows: list[Row]) -> RichTable:
     """The table of one application for a terminal."""
-    shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(table.notes(subject, rows))))
+    grid = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(table.notes(subject, rows))))
     columns = fitting(table.columns, rows, out().width)
     for column in columns:
         left = column.left
-        shown.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)
+        grid.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)
     for row in rows:
-        shown.add_row(*(Text(column.text(row)) for column in columns))
-    return shown
+        grid.add_row(*(Text(column.text(row)) for column in columns))
+    return grid
 
 
 def heading(column: Column) -> list[str]:

@@ -13,7 +13,7 @@ from metapp.runs.requests.naming import factor_of
 
 
 def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
-    """What the columns that compare show."""
+    """A note on the columns that compare."""
     kinds = {pair.kind: pair.level for row in rows if (pair := paired_of(row, other))}
     return [
         f"vs {other}: {kind} of mean errors with a 95 % interval (paired bootstrap over tasks); below {level:g} means "
@@ -23,7 +23,7 @@ def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
 
 
 def change(one: Row, other: Row) -> str:
-    """How far a row's error is from another's, in percent of that: "12 % below"; "" where one is not known."""
+    """The difference of a row's error from another's, in percent of that: "12 % below"; "" where one is not known."""
     if one["error"] is None or not other["error"]:
         return ""
     percent = 100 * (one["error"] - other["error"]) / abs(other["error"])
@@ -36,7 +36,7 @@ def compared_text(pair: Paired, other: str) -> str:
 
 
 def verdict(row: Row, other: str = "quickft") -> str:
-    """Whether a row's method or another wins: the one of the lower error, unless chance could be the reason."""
+    """The winner of a row's method and another: the one of the lower error, unless chance could be the reason."""
     pair, one = paired_of(row, other), row["paradigm"]
     if pair is None:
         return ""
@@ -49,7 +49,7 @@ def verdict(row: Row, other: str = "quickft") -> str:
 
 
 def warned(rows: Sequence[Row]) -> list[str]:
-    """How many fits end above their initialisation's loss or look doubtful, and on how many tasks the guard acted."""
+    """Counts of fits that end above their initialisation's loss or look doubtful, and of those that were guarded."""
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
         ("doubtful", "{} of {} fits look doubtful; their records say why, as `warning`"),
@@ -65,24 +65,24 @@ def warned(rows: Sequence[Row]) -> list[str]:
 
 def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
-    known = {
+    means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row.get(f"mean_{key}") is not None]
         for key, title in subject.presentation.measures.items()
     }
-    return [f"{title}: {', '.join(means)}" for title, means in known.items() if means]
+    return [f"{title}: {', '.join(means)}" for title, means in means_by_title.items() if means]
 
 
 def threads_note(rows: Sequence[Row]) -> list[str]:
     """The threads that seconds are of, where records say so."""
-    known = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
-    if len(known) > 1:
+    counts = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
+    if len(counts) > 1:
         text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])
         return [f"threads: {text}; seconds of different threads do not compare"]
-    return [f"threads: {count}" for count in known]
+    return [f"threads: {count}" for count in counts]
 
 
 def overfit_note(subject: Subject) -> list[str]:
-    """What is said where Overfit takes fewer steps than the recipe's."""
+    """A note where Overfit takes fewer steps than the recipe's."""
     if subject.share == 1:
         return []
     steps, recipe = subject.fits["overfit"].steps, subject.plan.job.recipe.overfit_steps
@@ -143,7 +143,7 @@ def key_of(row: Row) -> str:
 
 
 def title_of(table: Table, subject: Subject, rows: list[Row]) -> str:
-    """What a table shows, of what and of how many tasks."""
+    """The title of a table, with its subject and number of tasks."""
     count = max((row["tasks"] for row in rows), default=0)
     title = table.title.format(factor=factor_of(subject.app))
     return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{title}"

@@ -161,7 +161,7 @@ def paper() -> Document:
 
 def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: object) -> Row:
     """A row of which nothing is known yet but the paper's figures; all rows have these keys."""
-    known = paper() if beside_paper else {"error": {}, "seconds": {}}
+    figures = paper() if beside_paper else {"error": {}, "seconds": {}}
     return {
         "app": app,
         "paradigm": paradigm,
@@ -174,8 +174,8 @@ def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: obje
         "threads": None,
         "low": None,
         "high": None,
-        "paper_error": known["error"].get(app, {}).get(paradigm),
-        "paper_seconds": known["seconds"].get(app, {}).get(paradigm),
+        "paper_error": figures["error"].get(app, {}).get(paradigm),
+        "paper_seconds": figures["seconds"].get(app, {}).get(paradigm),
         **entries,
     }
 
@@ -218,8 +218,8 @@ def row_of(
 
 def means_of(subject: Subject, records: Sequence[Record]) -> Row:
     """The means of the further errors that the application states, `mean_<name>`, of records that have them."""
-    found = {key: [record[key] for record in records if key in record] for key in subject.presentation.measures}
-    return {f"mean_{key}": statistics.fmean(values) if values else None for key, values in found.items()}
+    by_measure = {key: [record[key] for record in records if key in record] for key in subject.presentation.measures}
+    return {f"mean_{key}": statistics.fmean(values) if values else None for key, values in by_measure.items()}
 
 
 def values_of(cell: Cell, take: Take | None = None) -> Errors:
@@ -229,12 +229,12 @@ def values_of(cell: Cell, take: Take | None = None) -> Errors:
 
 
 def against(subject: Subject, name: str, *others: str) -> dict[str, list[Cell]]:
-    """What a row of that name is compared with: the fits of other rows, but not with itself."""
+    """The fits of other rows that a row of that name is compared with, but not with itself."""
     return {other: [subject.cell(other)] if other != name else [] for other in others}
 
 
 def remarks(records: Sequence[Record]) -> Row:
-    """How many fits carry warnings of which kind, on how many the guard acted, and the threads, where records say."""
+    """Counts of warnings by kind and of fits on which the guard acted, and the threads, where records say."""
     clauses = [record["warning"].split("; ") for record in records if record.get("warning")]
     threads = sorted({record["threads"] for record in records if record.get("threads")})
     return {

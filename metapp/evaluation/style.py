@@ -1,4 +1,4 @@
-"""How all figures look: colours that the colour-blind tell apart (Okabe & Ito 2008), sizes."""
+"""The style of all figures: colours that the colour-blind tell apart (Okabe & Ito 2008), sizes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a table is about: an application under a protocol on a data set, and the fits behind its rows."""
+"""The subject of a table: an application under a protocol on a data set, and the fits behind its rows."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Subject:
 
     @functools.cached_property
     def fits(self) -> dict[str, Plan]:
-        """How each row of the results is fitted: the paradigms, then meta:<rule> for further rules with a checkpoint.
+        """The plan of each row of the results: the paradigms, then meta:<rule> for further rules with a checkpoint.
 
         Raises:
             ValueError: a checkpoint is missing that a row must have, and that is an error.
@@ -87,7 +87,7 @@ class Subject:
 
     @functools.cached_property
     def presentation(self) -> Presentation[Any]:
-        """What tables and pictures need of the application."""
+        """The presentation that tables and pictures need."""
         return presentation_of(self.app)
 
     @property

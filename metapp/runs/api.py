@@ -93,7 +93,7 @@ class Fit:
 
     @property
     def name(self) -> str:
-        """What tables and files call the task."""
+        """The task's name in tables and files."""
         return self.task.name
 
     def __repr__(self) -> str:
@@ -101,7 +101,7 @@ class Fit:
         return f"<Fit of {self.app.name} {self.name}: {error}, {self.seconds:.4f} s>"
 
     def _repr_html_(self) -> str:
-        """What notebooks show: pictures, error, seconds, and what is doubtful."""
+        """The view in notebooks: pictures, error, seconds, warning."""
         error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
         about = f"{title_of(self.app)}, {self.settings['paradigm']}"
         facts = f"{error}, {self.seconds:.3g} s, {self.steps} steps"
@@ -151,7 +151,7 @@ class Fit:
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
-        """What the options of outputs ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
+        """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
         made = outputs_of(self.app.name, self.plan.options)
         with threads(threads_of(self.app)):
             files = [

@@ -1,4 +1,4 @@
-"""What long work tells whoever waits for it: messages and progress, through the one reporter that is in force.
+"""Reports of long work to whoever waits for it: messages and progress, through the one reporter that is in force.
 
 The command line puts one in force that prints; a program that calls the Python API hears warnings alone.
 """

@@ -1,4 +1,4 @@
-"""What a figure depends on beside its settings: device, threads, versions; and whether results can be written."""
+"""Surroundings that figures depend on beside settings: device, precision, versions; folders to write to."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def find_device(name: str, app: App) -> torch.device:
 
 
 def machine(device: torch.device) -> str:
-    """What arithmetic ran on: the GPU's name, or the processor's architecture and vector instructions."""
+    """The hardware of the arithmetic: the GPU's name, or the processor's architecture and vector instructions."""
     if device.type == "cuda":
         return str(torch.cuda.get_device_name(device))
     return f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
@@ -47,7 +47,7 @@ def versions() -> dict[str, str]:
 
 
 def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
-    """What so many steps compute in other than float32, as records and headers of checkpoints say it, if anything."""
+    """The precision of so many steps as records and headers of checkpoints state it; {} for float32."""
     precision = app.precision(device) if steps and isinstance(app, ReducedPrecision) else ""
     return {"precision": precision} if precision else {}
 

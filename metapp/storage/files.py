@@ -185,7 +185,7 @@ def append_line(path: Path, line: bytes, is_whole: Callable[[bytes], bool]) -> N
 
 
 def _last_line(descriptor: int, size: int) -> bytes:
-    """What follows the last line's end, read from the file's end; nothing where the last line is whole."""
+    """The bytes after the last line's end, read from the file's end; nothing where the last line is whole."""
     tail, at = b"", size
     while at > 0 and b"\n" not in tail:
         step = min(at, 65536)

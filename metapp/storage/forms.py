@@ -10,7 +10,7 @@ NUMBER, OPTIONAL = int | float, int | float | None
 
 
 def holds(value: object, form: object) -> bool:
-    """Whether a JSON document has a form, as `misfits` reads it."""
+    """True if a JSON document has a form, as `misfits` reads it."""
     return next(misfits(value, form), None) is None
 
 
@@ -44,7 +44,7 @@ def misfits(value: object, form: object, place: str = "") -> Iterator[str]:
 
 
 def _is(value: object, form: Any) -> bool:
-    """Whether a value is of a type, finite if a number, or in a range."""
+    """True if a value is of a type, finite if a number, or in a range."""
     if isinstance(form, range):
         return type(value) is int and value in form
     if isinstance(value, bool) or not isinstance(value, form):

@@ -57,7 +57,7 @@ def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
 
 
 def error_of(source: oiio.ImageInput | ModuleType) -> str:
-    """What OpenImageIO, or an open file of its, says went wrong; "" for nothing."""
+    """The error message of OpenImageIO, or of an open file of its; "" for none."""
     try:
         return str(source.geterror())
     except UnicodeDecodeError as error:  # it repeats bytes of the file

@@ -40,7 +40,7 @@ class Entry(NamedTuple):
 
 
 class Manifest(NamedTuple):
-    """What a data set holds.
+    """The content of a data set.
 
     Attributes:
         app: the application its tasks belong to.
@@ -67,8 +67,8 @@ def read_manifest(folder: str | Path) -> Manifest:
     folder = Path(folder)
     path = folder / MANIFEST
     if not folder.is_dir():
-        found = "a file" if folder.exists() else "no such folder"
-        raise ValueError(f"{folder}: {found}, expected the folder of a data set; make one with `metapp data`.")
+        state = "a file" if folder.exists() else "no such folder"
+        raise ValueError(f"{folder}: {state}, expected the folder of a data set; make one with `metapp data`.")
     if not path.is_file():
         raise ValueError(
             f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "

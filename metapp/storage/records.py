@@ -1,4 +1,4 @@
-"""What runs leave on disk: trained checkpoints, one record a task, fitted parameters."""
+"""Files of runs on disk: trained checkpoints, one record a task, fitted parameters."""
 
 from __future__ import annotations
 
@@ -171,8 +171,8 @@ class RunFolder:
         stamp = state and (state.st_ino, state.st_size, state.st_mtime_ns)
         if stamp is None or stamp != self._read[0]:
             form = _RECORD | self._form
-            found = {each["name"]: each for each in read_records(self.file, form) if each["key"] == self.key}
-            self._read = (stamp, found)
+            records = {record["name"]: record for record in read_records(self.file, form) if record["key"] == self.key}
+            self._read = (stamp, records)
         return dict(self._read[1])
 
     def add(self, record: Document, theta: dict[str, Tensor] | None = None) -> None:
@@ -325,5 +325,5 @@ def summary(records: Sequence[Document]) -> dict[str, float | None]:
 
 def guarded(records: Sequence[Document]) -> int | None:
     """On how many tasks the guard of a learned rule acted; None where fits have none."""
-    found = [record["guarded"] for record in records if "guarded" in record]
-    return sum(map(bool, found)) if found else None
+    flags = [record["guarded"] for record in records if "guarded" in record]
+    return sum(map(bool, flags)) if flags else None

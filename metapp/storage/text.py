@@ -12,8 +12,8 @@ from typing import Any
 
 def meant(word: str, names: Iterable[str]) -> str:
     """A question after an error about a word that is no name, where some names begin so or one is like it; else ""."""
-    known = list(names)
-    near = [name for name in known if word and name.startswith(word)] or difflib.get_close_matches(word, known, 1)
+    choices = list(names)
+    near = [name for name in choices if word and name.startswith(word)] or difflib.get_close_matches(word, choices, 1)
     return f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 

@@ -53,7 +53,7 @@ class TrainingCheckpoint:
         return self.before + time.process_time() - self.begin
 
     def load(self) -> Progress:
-        """How far an earlier training of the same settings was; nothing where there is none.
+        """Load the progress of an earlier training of the same settings; empty where there is none.
 
         Raises:
             ValueError: the file is damaged, or of other settings, and was put aside.
@@ -126,7 +126,7 @@ def _read(path: Path) -> tuple[Document, Params]:
 
 
 def _document(progress: Progress) -> tuple[Document, Params]:
-    """How far it is as a JSON document and tensors [...] on the CPU, no two of which share memory."""
+    """Progress as a JSON document and tensors [...] on the CPU, no two of which share memory."""
     document: Document = {"looks": progress.errors}
     outer, best, losses = progress.outer, progress.best, progress.losses
     if outer is None or best is None or progress.rng is None:

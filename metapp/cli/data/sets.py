@@ -53,8 +53,8 @@ def cornell(options: Cornell) -> None:
     count, seed, split = options.count, options.seed, options.split.value
     tasks = transport.cornell_tasks(count, seed, samples=options.samples, held=options.held)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
-    shown = progress("Cornell boxes", count, quiet=options.quiet)
-    with ShardWriter(options.folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, shown as bar:
+    bars = progress("Cornell boxes", count, quiet=options.quiet)
+    with ShardWriter(options.folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, bars as bar:
         for task in tasks:
             writer.add(task, split)
             bar.advance(task.name)
@@ -110,7 +110,7 @@ def join(
 
 
 def holds_of(name: str) -> Mapping[str, Held]:
-    """What tasks of an application must hold.
+    """The tensors that tasks of an application must hold.
 
     Raises:
         ValueError: there is no such application.

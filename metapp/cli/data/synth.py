@@ -61,10 +61,10 @@ def synth(
     **own: object,
 ) -> None:
     """Draw an embedded data set: synthetic tasks, the same on every machine."""
-    known = embedded_apps()
-    if name not in known:
+    apps = embedded_apps()
+    if name not in apps:
         raise typer.BadParameter(
-            f"'{name}' has no embedded data set, expected one of {', '.join(known)}.{meant(name, known)}",
+            f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{meant(name, apps)}",
             param_hint="APP",
         )
     if form == SHARDS:

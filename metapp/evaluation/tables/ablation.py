@@ -73,7 +73,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
 
 
 def same_initialisation(subject: Subject, name: str) -> bool:
-    """Whether a learned rule begins at General's own prediction."""
+    """True if a learned rule begins at General's own prediction."""
     meta, general = (subject.fits[row].checkpoint for row in (name, "general"))
     if meta is None or general is None or not meta.prepared.encoder:
         return False
@@ -102,7 +102,7 @@ def rows(subject: Subject) -> list[Row]:
 
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What is the same by construction, and what adam is."""
+    """Notes on rows that are the same by construction, and on adam."""
     lines = ["adam: QuickFT's, searched on validation tasks for General's initialisation", caption_of(subject.app)]
     lines += [
         f"{subject.fits[name].job.rule} begins at General's own prediction: rows that differ in the initialisation "

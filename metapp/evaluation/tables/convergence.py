@@ -45,8 +45,8 @@ def trace_cell(subject: Subject) -> Cell:
     folder = None
     if all(fit.checkpoint for fit in fits.values()):
         keys = [digest(fit.settings(subject.label)) for fit in fits.values()]
-        known = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
-        settings = known | {"further": FURTHER, "walked": WALKED}
+        subject_settings = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
+        settings = subject_settings | {"further": FURTHER, "walked": WALKED}
         folder = subject.folder("trace", settings, FORM, of_fits=True)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
@@ -146,7 +146,7 @@ def further_errors(
 
 
 def near(error: float | None, wanted: float) -> bool:
-    """Whether an error is at most so much above another as the paper's are in the end."""
+    """True if an error is at most so much above another as the paper's are in the end."""
     return error is not None and error - wanted <= paper()["further_steps"]["within"] * abs(wanted)
 
 
@@ -220,14 +220,14 @@ def steps_needed(record: Record) -> int | None:
 
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What further steps are, how many they are, and in the paper."""
-    known, last = paper()["further_steps"], all_rows[-2]
+    """Notes on further steps and their number, here and in the paper."""
+    further, last = paper()["further_steps"], all_rows[-2]
     lines = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER))} of them; step: the median "
-        f"over tasks of those after which Meta is within {known['within']:.0%} of Overfit",
+        f"over tasks of those after which Meta is within {further['within']:.0%} of Overfit",
     ]
     if last["near"] is not None:
-        lines.append(f"{last['near']} of {last['tasks']} tasks come so near (paper: {known['steps']} further steps)")
+        lines.append(f"{last['near']} of {last['tasks']} tasks come so near (paper: {further['steps']} further steps)")
     return [*lines, *overfit_note(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
 
 

@@ -32,17 +32,17 @@ def cells(subject: Subject) -> list[Cell]:
 
 def image_cell(subject: Subject) -> Cell:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    fits, shown = fits_of(subject), subject.presentation
+    fits, presentation = fits_of(subject), subject.presentation
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
     keys = {name: folder.key for name, folder in folders.items()}
-    settings = {"app": subject.app.name, "measure": shown.image_measure, "fits": keys}
+    settings = {"app": subject.app.name, "measure": presentation.image_measure, "fits": keys}
     folder = subject.folder("image", settings, FORM, of_fits=True) if len(folders) == len(fits) else None
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
         for task in tasks:
             fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
-            yield {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}, None
+            yield {"name": task.name, "error": None, "measures": presentation.image_errors(fitted, task)}, None
 
     cell = subject.make_cell("pictures", folder, measure)
     return cell._replace(stage=1)
@@ -67,8 +67,8 @@ def rows(subject: Subject) -> list[Row]:
 
 def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
-    known, app = paper(), subject.app.name
-    bound, ssim, more_is_better = known["ssim"]["at_least"], key.startswith("SSIM"), key.startswith(("SSIM", "order"))
+    figures, app = paper(), subject.app.name
+    bound, ssim, more_is_better = figures["ssim"]["at_least"], key.startswith("SSIM"), key.startswith(("SSIM", "order"))
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)
@@ -77,23 +77,23 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     row = row_of(subject, name, [cell], {"measure": key or None}, take=take, beside_paper=False)
     values = list(values_of(cell, take).values())
     return row | {
-        "paper_error": known["image"].get(app, {}).get(key, {}).get(name),
+        "paper_error": figures["image"].get(app, {}).get(key, {}).get(name),
         "worst": (min(values) if more_is_better else max(values)) if values else None,
         "share": statistics.fmean(value >= bound for value in values) if ssim and values else None,
         "measured": len(values),
-        "paper_share": known["ssim"]["share"].get(app, {}).get(name) if ssim else None,
+        "paper_share": figures["ssim"]["share"].get(app, {}).get(name) if ssim else None,
     }
 
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What the measures are of."""
+    """Notes on the measures."""
     sources = paper()["sources"]
-    own = [
+    of_references = [
         f"the references themselves are off by {row['error']:.3f} {row['measure']}, which all figures of it contain"
         for row in all_rows
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
-    lines = [", ".join([subject.presentation.image_measure, *own]), *overfit_note(subject)]
+    lines = [", ".join([subject.presentation.image_measure, *of_references]), *overfit_note(subject)]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
         for row in all_rows

@@ -1,4 +1,4 @@
-"""What paradigms cost: bytes of m exemplars, as m grows, and samples of a task that a fit sees."""
+"""The cost of paradigms: bytes of m exemplars, as m grows, and samples of a task that a fit sees."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ def stored(checkpoint: Checkpoint | None) -> int | None:
 
 
 def rows(subject: Subject) -> list[Row]:
-    """What each paradigm must keep: networks of all exemplars, or what makes any of them when it is needed."""
+    """The bytes that each paradigm must keep: networks of all exemplars, or a checkpoint that makes any of them."""
     network = size(subject.app.init(Generator().manual_seed(0), 1))
     exemplars = paper()["storage"]["exemplars"]
     all_rows = []
     for name, fit in subject.fits.items():
         # fits that take long are kept; those that take no time are made again from their checkpoint
-        once, each = (0, network) if name in ("overfit", "finetune") else (stored(fit.checkpoint), 0)
+        once, apiece = (0, network) if name in ("overfit", "finetune") else (stored(fit.checkpoint), 0)
         row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
-        row |= {"network_bytes": network, "once_bytes": once, "each_bytes": each}
-        row["networks"] = None if once is None or each else once / network
+        row |= {"network_bytes": network, "once_bytes": once, "each_bytes": apiece}
+        row["networks"] = None if once is None or apiece else once / network
         for count in dict.fromkeys((*COUNTS, exemplars)):
-            row[f"bytes_{count}"] = None if once is None else once + count * each
+            row[f"bytes_{count}"] = None if once is None else once + count * apiece
         total = row[f"bytes_{exemplars}"]
         row["factor"] = total / (exemplars * network) if total else None
         row["pays_from"] = -(-once // network) if once else None
@@ -44,14 +44,14 @@ def rows(subject: Subject) -> list[Row]:
 
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What a factor is, what else is kept, and the paper's."""
-    known = paper()["storage"]
-    count = known["exemplars"]
+    """Notes on factors, on what else is kept, and on the paper's."""
+    figures = paper()["storage"]
+    count, networks = figures["exemplars"], figures["meta_networks"]
     first = f"one network: {all_rows[0]['network_bytes']:,} bytes; factor: bytes for m = {count} over m networks'"
     return [
         f"{first}; from m = 'pays from' on a checkpoint is smaller than m networks",
         "what is made again from a checkpoint needs the exemplar itself, too, when it is wanted",
-        f"paper: {known['meta_networks']} networks for any m, factor {known['meta_networks']}/m = {known['factor']:g}",
+        f"paper: {networks} networks for any m, factor {networks}/m = {figures['factor']:g}",
     ]
 
 
@@ -85,16 +85,16 @@ def _sample_row(subject: Subject, name: str, fit: Plan) -> Row:
 
 
 def sample_notes(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """What a sample is here, and in the paper."""
+    """Notes on samples, here and in the paper."""
     if all(row["seen"] is None for row in all_rows):
         return ["how much a fit may see of a task is not known, or there are no tasks yet"]
     lines = ["of what fits may see; samples that are drawn twice are sent once, so 'seen' is an upper bound"]
     if all_rows[0]["all"] == 1:
         lines.append("each step sees the whole task: nothing to save")
-    if known := paper()["samples"].get(subject.app.name):
+    if figures := paper()["samples"].get(subject.app.name):
         meta = next(row["seen"] for row in all_rows if row["paradigm"] == "meta")
-        saved = f"{1 - min(meta, known['all']) / known['all']:.1%}"
-        lines.append(f"paper: meta sees {known['seen']:,} of {known['all']:,}; ours, of so many: saved {saved}")
+        saved = f"{1 - min(meta, figures['all']) / figures['all']:.1%}"
+        lines.append(f"paper: meta sees {figures['seen']:,} of {figures['all']:,}; ours, of so many: saved {saved}")
     return lines
 
 

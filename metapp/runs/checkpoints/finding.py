@@ -81,7 +81,7 @@ def checkpoint_name(app: App, name: str) -> str:
 
 
 def has_general(plan: Plan) -> bool:
-    """Whether there is a General for this data.
+    """True if there is a General for this data.
 
     For a data set of the user's own only one trained on its training tasks will do: the shipped one may have seen its
     test tasks.
@@ -233,12 +233,12 @@ def require_tuned(path: Path, prepared: MetaParameters) -> None:
         )
 
 
-def _require(path: Path, part: str, found: Params, expected: Params, *, steps: bool = False) -> None:
+def _require(path: Path, part: str, held: Params, expected: Params, *, steps: bool = False) -> None:
     """Refuse a part of a checkpoint that lacks a tensor or has another; `steps`: the first axis may have any length."""
     remedy = "give a checkpoint of this application, rule and recipe, or train one with --train"
-    for key in sorted(expected | found, key=lambda key: key not in expected):
+    for key in sorted(expected | held, key=lambda key: key not in expected):
         shapes: list[tuple[int | str, ...] | None] = [
-            tuple(of[key].shape) if key in of else None for of in (found, expected)
+            tuple(of[key].shape) if key in of else None for of in (held, expected)
         ]
         if steps and all(shapes):
             shapes = [shape and ("steps", *shape[1:]) for shape in shapes]

@@ -29,20 +29,20 @@ def shipped_names(app: str) -> dict[str, list[str]]:
 
 
 def ships(app: str, recipe: str, protocol: str = "") -> bool:
-    """Whether checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
+    """True if checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
     same = recipe == FULL and full_fits_as_quick(app)
     return recipe == QUICK or same or _recipe_folder(app, recipe, protocol).is_dir()
 
 
 def full_fits_as_quick(app: str) -> bool:
-    """Whether networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
+    """True if networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
     recipes = recipes_of(app)
     result: bool = recipes[FULL].setup == recipes[QUICK].setup
     return result
 
 
 def usual_recipe(app: str) -> str:
-    """What is taken where no recipe is named: "full", the best rule and size, where it ships, else "quick"."""
+    """The recipe where none is named: "full", the best rule and size, where it ships, else "quick"."""
     return FULL if FULL in recipe_offers(app) and ships(app, FULL) else QUICK
 
 

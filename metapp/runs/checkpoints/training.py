@@ -161,7 +161,7 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
 
 
 def _name_of(plan: Plan) -> str:
-    """What is trained: the last of what the paradigm needs."""
+    """The checkpoint to train: the last of those that the paradigm needs."""
     needs = plan.paradigm.needs(plan.job)
     if not needs:
         raise BadOption(f"--train: {plan.paradigm.name} needs no preparation; leave the option out.")
@@ -179,7 +179,7 @@ def _needs_general(plan: Plan, name: str) -> bool:
 
 
 def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> Document:
-    """What the header of a checkpoint says of what it was trained on, beside how."""
+    """The part of a checkpoint's header about the data it was trained on."""
     return (
         {"data": data_label(folder), "recipe": plan.request.recipe, "seed": plan.request.seed}
         | ({} if name == "general" else observe_of(plan.app))
@@ -191,7 +191,7 @@ def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) 
 
 
 def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
-    """What the result of a training depends on, beside what its checkpoint says about itself."""
+    """All that the result of a training depends on, beside what its checkpoint says about itself."""
     return {
         "app": plan.app.name,
         "checkpoint": name,
@@ -205,7 +205,7 @@ def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: M
 
 
 def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Progress:
-    """How far the same training was when it was cut off, and one line about it."""
+    """Load the progress of the same training when it was cut off, and say one line about it."""
     try:
         since = checkpoint.load()
     except ValueError as error:

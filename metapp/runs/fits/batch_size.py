@@ -1,4 +1,4 @@
-"""How many tasks are fitted side by side: as asked for, or what proves to be quick and fits in the memory."""
+"""The number of tasks that are fitted side by side: as asked for, or what proves to be quick and fits in the memory."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class BatchSize:
         grown, self._peak = max(0, peak - self._peak), peak
         if self._settled or count < self.now:
             return
-        each = seconds / count
-        pays, self._best = each < PAYS * self._best, min(each, self._best)
+        seconds_a_task = seconds / count
+        pays, self._best = seconds_a_task < PAYS * self._best, min(seconds_a_task, self._best)
         room = 2 * grown <= SHARE * bytes_left(self._device)
         if pays and room and 2 * self.now <= MOST:
             self.now *= 2
             return
         self._settled = True
-        if each > self._best:  # half as many were quicker
+        if seconds_a_task > self._best:  # half as many were quicker
             self.now = max(1, self.now // 2)
 
     def failed(self) -> None:

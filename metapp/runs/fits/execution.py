@@ -84,7 +84,7 @@ class Run(NamedTuple):
         return [failure for failure in self.failures if failure.named or self.plan.request.resumes]
 
     def document(self) -> Document:
-        """What --json prints."""
+        """The object that --json prints."""
         plan, settings = self.plan, self.folder.settings
         fields = ("name", "error", "seconds", "steps", "counts", "note", "warning")
         document = {
@@ -176,16 +176,16 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
         few = f"none of {len(sources)} inputs, expected some; take {len(sources)} parts at most"
         raise ValueError(f"--shard {request.shard}: {few}.")
     loop = _Loop(fitter, folder)
-    known = loop.known(mine)
-    if not request.resumes and len(known) == len(mine):
-        known, loop.anew = {}, True  # a finished run is run anew, one that was cut off is completed
+    finished = loop.known(mine)
+    if not request.resumes and len(finished) == len(mine):
+        finished, loop.anew = {}, True  # a finished run is run anew, one that was cut off is completed
     if not request.quiet:
-        _announce(plan, folder, len(sources), len(mine), len(known) if request.resumes else 0)
+        _announce(plan, folder, len(sources), len(mine), len(finished) if request.resumes else 0)
     for line in loop.lines:
         say(line)
     begin = time.perf_counter()
-    with progress(plan.paradigm.name, len(mine), done=len(known), quiet=request.quiet) as bar:
-        for done in loop.fit([source for source in mine if source.place not in known]):
+    with progress(plan.paradigm.name, len(mine), done=len(finished), quiet=request.quiet) as bar:
+        for done in loop.fit([source for source in mine if source.place not in finished]):
             if isinstance(done, Failure):
                 bar.advance(f"failed: {Path(done.source).name}")
             else:
@@ -213,7 +213,7 @@ def _first_error(failures: Sequence[Failure], count: int) -> Exception:
 
 
 def is_batched(plan: Plan) -> bool:
-    """Whether inputs are fitted side by side."""
+    """True if inputs are fitted side by side."""
     return plan.request.batch not in ("", "1")
 
 
@@ -225,12 +225,12 @@ def _folder(plan: Plan, label: str) -> RunFolder:
     return RunFolder(path, settings, FIT | SOURCED, plan.origin())
 
 
-def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) -> None:
+def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, finished: int) -> None:
     assert plan.checkpoint is not None
     number, parts = portion_of(plan.request.shard)
     what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} input{'s' * (total != 1)}"
     what += f", part {number} of {parts}: {mine}" if parts > 1 else ""
-    what += f", {known} fitted before" if known else ""
+    what += f", {finished} fitted before" if finished else ""
     say(f"{what}; {plan.steps} steps, from {plan.checkpoint.source}")
 
 

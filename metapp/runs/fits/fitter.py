@@ -49,7 +49,7 @@ class Watching(Protocol):
 
 
 class Result(NamedTuple):
-    """What a fit of a task gives: its record, and its parameters without a task axis."""
+    """The result of a fit of a task: its record, and its parameters without a task axis."""
 
     record: Document
     theta: Params
@@ -122,20 +122,20 @@ class Fitter:
         for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
             errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
-            own = {key: value[i] for key, value in theta.items()}
-            require_finite(task, own, errors)
+            theta_of_task = {key: value[i] for key, value in theta.items()}
+            require_finite(task, theta_of_task, errors)
             # sums depend on the number of threads, in their last digits: the record says it, but its key does not,
             # since that is no reason to fit anew
             record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            record |= app.remarks(task, own) if isinstance(app, Remarked) else {}
+            record |= app.remarks(task, theta_of_task) if isinstance(app, Remarked) else {}
             record |= (
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )
             record |= {"steps": taken} if self._budget is not None else {}
             if self.warns and "note" in record:
                 say(f"{task.name}: {record['note']}")
-            results.append(Result(record | ({"warning": "; ".join(clauses)} if clauses else {}), own))
+            results.append(Result(record | ({"warning": "; ".join(clauses)} if clauses else {}), theta_of_task))
             for clause in clauses if self.warns else ():
                 remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
                 say(f"warning: {task.name}: {clause}{remedy}")
@@ -185,12 +185,12 @@ class Fitter:
         """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
         plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
         clock = Stopwatch(plan.device)
-        known = usual(self._paces) if self._paces and budget != math.inf else None
-        deadline = None if budget is None else Deadline(budget, clock, known)
+        usual_pace = usual(self._paces) if self._paces and budget != math.inf else None
+        deadline = None if budget is None else Deadline(budget, clock, usual_pace)
         stacked = stack(plan.app, tasks, plan.device)
         descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
-        for each in watching:
-            descent = each.follow(descent, tasks[0], count, clock)
+        for watcher in watching:
+            descent = watcher.follow(descent, tasks[0], count, clock)
         fit = last(descent)
         seconds = clock()
         pace = deadline and deadline.pace()
@@ -213,7 +213,7 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
 
 
 def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:
-    """What records say of fits that are doubtful, as some applications see themselves, or worse than they began.
+    """Warnings in records of fits that are doubtful, as some applications see themselves, or worse than they began.
 
     Args:
         plan: what the fits were made by.
@@ -231,7 +231,7 @@ def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[lis
 
 
 def _rises(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:
-    """Which fits are worse on what they see than their initialisation: learned rules can fail."""
+    """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
     job = plan.job
     first = plan.paradigm.initialisation(job, plan.prepared, stacked, rng)
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)

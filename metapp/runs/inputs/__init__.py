@@ -1,1 +1,1 @@
-"""What fits read: files, data sets, objects in memory."""
+"""Inputs of fits: files, data sets, objects in memory."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Converted(NamedTuple):
-    """What was written: names by split, and a line for each file that was skipped."""
+    """The result of a conversion: names by split, and a line for each file that was skipped."""
 
     app: str
     out: str
@@ -27,7 +27,7 @@ class Converted(NamedTuple):
 
 
 def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[str] = ()) -> Converted:
-    """What a data set holds that was written."""
+    """The names in a data set that was written."""
     names = {split: [entry.name for entry in entries if entry.split == split] for split in ("train", "test")}
     return Converted(app, str(out), names["train"], names["test"], list(skipped))
 
@@ -84,7 +84,7 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
 
 def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:
     """All sources, each once, with the folder it was found in (None: it was named), and lines about skipped files."""
-    found: dict[Path, tuple[Path, Path | None]] = {}
+    sources_by_path: dict[Path, tuple[Path, Path | None]] = {}
     skipped: list[str] = []
     for path in paths:
         check_readable(path)
@@ -92,10 +92,10 @@ def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Pat
         skipped += lines
         for source in sources:
             key = source.resolve()
-            if not path.is_dir() or key not in found:
-                found[key] = (source, path if path.is_dir() else None)
+            if not path.is_dir() or key not in sources_by_path:
+                sources_by_path[key] = (source, path if path.is_dir() else None)
     names: dict[str, Path] = {}
-    for source, _ in found.values():
+    for source, _ in sources_by_path.values():
         name = conversion.label(source).name
         other = names.setdefault(name, source)
         if other is not source:
@@ -103,4 +103,4 @@ def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Pat
                 f"{other} and {source}: two tasks named '{name}', expected names that differ; "
                 "rename one, or convert them into two folders."
             )
-    return dict(found.values()), skipped
+    return dict(sources_by_path.values()), skipped

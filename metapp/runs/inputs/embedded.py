@@ -47,7 +47,7 @@ def embedded_module(app: str) -> ModuleType:
 
 
 def split_counts(app: str, count: int | None = None) -> dict[str, int]:
-    """How many tasks of each split an embedded set has.
+    """Count the tasks of each split of an embedded set.
 
     Args:
         app: the application.
@@ -122,12 +122,12 @@ def embedded_data(
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
-    module, known = embedded_module(app), {option.name: option for option in embedded_offer(app).options}
+    module, offered = embedded_module(app), {option.name: option for option in embedded_offer(app).options}
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
     for name, value in options.items():
-        if name not in known:
+        if name not in offered:
             raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
-        if value not in (known[name].default, getattr(module, name.upper(), None)):
+        if value not in (offered[name].default, getattr(module, name.upper(), None)):
             notes[name] = value
     return notes
 
@@ -138,7 +138,7 @@ def _drawn(app: str, notes: Document) -> dict[str, object]:
 
 
 def embedded_exists(app: str) -> bool:
-    """Whether the default embedded set has been made already."""
+    """True if the default embedded set has been made already."""
     return app in embedded_apps() and (_default_folder(app) / "manifest.json").is_file()
 
 
@@ -157,8 +157,8 @@ def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet
     beside = getattr(module, "BESIDE", None)
     drawn = _drawn(app, notes)
     units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
-    shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
-    with ShardWriter(folder, app, units, notes, beside) as writer, shown as bar:
+    bars = progress(f"{app} data", sum(counts.values()), quiet=quiet)
+    with ShardWriter(folder, app, units, notes, beside) as writer, bars as bar:
         for split, count in counts.items():
             for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
                 writer.add(task, split)

@@ -12,7 +12,7 @@ from metapp.storage.records import file_name
 
 
 def in_memory(sources: Sequence[object]) -> bool:
-    """Whether sources are objects in memory, not paths; all text is a path but that of an XML document.
+    """True if sources are objects in memory, not paths; all text is a path but that of an XML document.
 
     Raises:
         ValueError: some are paths, others are not.

@@ -113,7 +113,7 @@ def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
 
 
 def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
-    """What a plan is to fit, its files or its data set's test tasks, and the name of that in run folders.
+    """The sources of a plan, its files or its data set's test tasks, and their name in run folders.
 
     Of files nothing is read yet, and the name says nothing of their content.
 
@@ -198,10 +198,10 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
-    known = inputs_of(app.name)
-    readers = [form for form in known if form.recognises(path)]
+    forms_of_app = inputs_of(app.name)
+    readers = [form for form in forms_of_app if form.recognises(path)]
     if not readers:
-        inputs = ", ".join(form.inputs for form in known)
+        inputs = ", ".join(form.inputs for form in forms_of_app)
         expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
         more = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
         for extension in door.left_out():
@@ -260,7 +260,7 @@ def _digest(*texts: str) -> str:
 
 
 def _stamps() -> Callable[[Path], str]:
-    """What stamps places: a file or folder itself; a name in a folder as that folder, which many share, only once."""
+    """A stamp of places: of a file or folder itself, of a name in a folder that of the folder, taken once."""
     stamp = functools.cache(_stamp)
     return lambda path: stamp(path if path.exists() else path.parent)
 

@@ -1,1 +1,1 @@
-"""What runs leave: files, pictures, records."""
+"""Outputs of runs: files, pictures, records."""

@@ -1,4 +1,4 @@
-"""What a fit makes for its user: pictures and maps, renders of its scene, other formats; of one fit or of a run."""
+"""Files of one fit or of a run, for its user: pictures and maps, renders of its scene, other formats."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
 
 
-def write_fit(shown: Presentation[Any], run: RunFolder, task: Task, theta: Params, forms: Sequence[str]) -> None:
+def write_fit(presentation: Presentation[Any], run: RunFolder, task: Task, theta: Params, forms: Sequence[str]) -> None:
     """Write what a fit makes, <run>/outputs, and in each form of --export, <run>/<form>."""
-    write_files(shown, task, theta, run.path / OUTPUTS)
+    write_files(presentation, task, theta, run.path / OUTPUTS)
     for form in forms:
-        export_fit(shown, task, theta, run.path / form / file_name(task.name), form, run.settings)
+        export_fit(presentation, task, theta, run.path / form / file_name(task.name), form, run.settings)
 
 
-def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Path) -> None:
+def write_files(presentation: Presentation[Any], task: Task, theta: Params, folder: Path) -> None:
     """Write what a fit makes for its user, if anything, <folder>/<task>/<name>.png, 8 bits.
 
     Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    write_pictures(shown.files(theta, task), folder / file_name(task.name))
+    write_pictures(presentation.files(theta, task), folder / file_name(task.name))
 
 
 def write_outputs(
@@ -87,22 +87,24 @@ def _write_picture(file: Path, picture: Picture) -> None:
     write_png(pixels, texts, file)
 
 
-def export_fit(shown: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
+def export_fit(
+    presentation: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Document
+) -> None:
     """Write one fit in a form; where that holds another network, the fit is distilled into it first.
 
     Args:
-        shown: the presentation of the fit's application, at the size of surfaces.
+        presentation: the presentation of the fit's application, at the size of surfaces.
         task: what was fitted.
         theta: parameters, without a task axis.
         path: where to, without suffix; its last part names an asset.
         name: of the form.
         settings: what the fit was made by, as records have it: an asset's provenance.
     """
-    app = shown.app
+    app = presentation.app
     form = exports_of(app.name)[name]
     write = door.load(form.write)
     if form.of_surface:
-        surface = shown.surface(theta, task)
+        surface = presentation.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
         write(surface, path, {"task": task.name, **settings})
         return
@@ -134,7 +136,7 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
 
 
 class Exported(NamedTuple):
-    """What was written: the form, its folder, and the names of the fits."""
+    """The result of an export: the form, its folder, and the names of the fits."""
 
     form: str
     out: str
@@ -172,12 +174,12 @@ def export_run(
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            shown, theta = plan_as(settings, options=options).presentation, read_theta(folder, name)
-            write = functools.partial(export_fit, shown, theta=theta, path=target / file_name(name), name=form)
+            presentation, theta = plan_as(settings, options=options).presentation, read_theta(folder, name)
+            write = functools.partial(export_fit, presentation, theta=theta, path=target / file_name(name), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)
             except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
-                tasks = tasks_as(records, shown.app, inputs, data) if tasks is None else tasks
+                tasks = tasks_as(records, presentation.app, inputs, data) if tasks is None else tasks
                 if name not in tasks:
                     raise ValueError(
                         f"{name}: {form} is made of the fit and its input ({missing}), expected both; "

@@ -1,4 +1,4 @@
-"""What notebooks show of fits: HTML that holds its pictures, on a light and on a dark page."""
+"""The view of fits in notebooks: HTML that holds its pictures, on a light and on a dark page."""
 
 from __future__ import annotations
 
@@ -58,5 +58,5 @@ def table_of(rows: Sequence[tuple[str, float | None, float, str]], app: App | No
     if app is None:
         return element("div", "no fits")
     titles = ("", f"error{factor_of(app)}", "seconds", "warning" if any(warning for *_, warning in rows) else "")
-    shown = [html.row((name, number(error, ".3f"), f"{seconds:.3g}", told)) for name, error, seconds, told in rows]
-    return element("div", escape(f"{title_of(app)}: {len(rows)} fits"), html.table([html.row(titles, "th")], shown))
+    body = [html.row((name, number(error, ".3f"), f"{seconds:.3g}", told)) for name, error, seconds, told in rows]
+    return element("div", escape(f"{title_of(app)}: {len(rows)} fits"), html.table([html.row(titles, "th")], body))

@@ -89,8 +89,8 @@ def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
 
 def _rows(tasks: list[Column]) -> list[str]:
     """The names of all rows in order, the reference on top, also where the first task has none."""
-    found = dict.fromkeys(name.partition(" ")[0] for task in tasks for name in task.pictures)
-    return sorted(found, key=lambda name: name != "reference")
+    names = dict.fromkeys(name.partition(" ")[0] for task in tasks for name in task.pictures)
+    return sorted(names, key=lambda name: name != "reference")
 
 
 def _cell(tasks: list[Column]) -> tuple[int, int]:
@@ -223,10 +223,10 @@ def beside(images: Sequence[Image], height: int = 0) -> Image:
     from PIL import Image
 
     height = height or images[0].height
-    shown = [image.resize((max(1, round(height * image.width / image.height)), height)) for image in images]
-    strip = Image.new("RGB", (sum(image.width for image in shown) + 4 * (len(shown) - 1), height), "white")
+    resized = [image.resize((max(1, round(height * image.width / image.height)), height)) for image in images]
+    strip = Image.new("RGB", (sum(image.width for image in resized) + 4 * (len(resized) - 1), height), "white")
     left = 0
-    for image in shown:
+    for image in resized:
         strip.paste(image, (left, 0))
         left += image.width + 4
     return strip

@@ -57,14 +57,14 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     write_plainly(folder)  # what is made of a run, such as exports, is written there
     records = read_records(folder / "record.jsonl", form)
     if not records:
-        found = "no record.jsonl with fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-        raise ValueError(f"{run}: {found}, expected a run's folder, such as runs/brdf/meta/...")
+        state = "no record.jsonl with fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        raise ValueError(f"{run}: {state}, expected a run's folder, such as runs/brdf/meta/...")
     if not task:
         return Recorded(folder, records)
     names = [record["name"] for record in records]
     if task not in names:
-        known = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
-        raise ValueError(f"{run}: no record of task '{task}', expected one of {known}.{meant(task, names)}")
+        some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
+        raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{meant(task, names)}")
     return Recorded(folder, [records[names.index(task)]])
 
 
@@ -107,7 +107,7 @@ def app_as(settings: Document) -> App:
 
 
 def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
-    """What was fitted in a run, by name: of what is given, else from where its records say, else embedded.
+    """The tasks that were fitted in a run, by name: of what is given, else from where its records say, else embedded.
 
     Returns:
         Without those that are not there, or not as they were fitted.

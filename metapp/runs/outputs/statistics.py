@@ -136,11 +136,11 @@ def paired(
     return Paired(value, *interval_of(values), ahead, len(names), len({groups[name] for name in names}), kind)
 
 
-def apart(found: Paired | None) -> bool | None:
-    """Whether two methods differ by more than chance; None where that is not known, or on too few tasks to tell."""
-    if found is None or found.groups < FEWEST:
+def apart(pair: Paired | None) -> bool | None:
+    """True if two methods differ by more than chance; None where that is not known, or on too few tasks to tell."""
+    if pair is None or pair.groups < FEWEST:
         return None
-    return not found.low <= found.level <= found.high
+    return not pair.low <= pair.level <= pair.high
 
 
 def _values(seeds: Sequence[Errors], names: Sequence[str]) -> list[list[float]]:

@@ -21,8 +21,8 @@ from metapp.storage.text import meant
 def check_name(app: str) -> None:
     """A usage error that lists the applications where there is none of that name."""
     if app not in app_names():
-        known = app_names()
-        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(known)}.{meant(app, known)}")
+        names = app_names()
+        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{meant(app, names)}")
 
 
 def check_types(options: Mapping[str, object]) -> None:
@@ -39,10 +39,10 @@ def check_types(options: Mapping[str, object]) -> None:
 
 def check_protocol(protocol: str, app: str) -> None:
     """A usage error where the application of a name has no such protocol."""
-    known = protocols_of(app)
-    if protocol and protocol not in known:
-        expected = f"expects one of {', '.join(known)}" if known else "has one protocol; leave it out"
-        raise BadOption(f"--observe '{protocol}': {app} {expected}.{meant(protocol, known)}")
+    protocols = protocols_of(app)
+    if protocol and protocol not in protocols:
+        expected = f"expects one of {', '.join(protocols)}" if protocols else "has one protocol; leave it out"
+        raise BadOption(f"--observe '{protocol}': {app} {expected}.{meant(protocol, protocols)}")
 
 
 def check_rule(request: Request, recipe: Recipe) -> str:
@@ -67,9 +67,9 @@ def check_export(name: str, app: str) -> None:
     Raises:
         BadOption: it cannot, or a library for it is missing.
     """
-    known = exports_of(app)
-    if name not in known:
-        expected = f"expects one of {', '.join(known)}" if known else "has none; leave it out"
-        raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, known)}")
-    if missing := known[name].missing():
+    forms = exports_of(app)
+    if name not in forms:
+        expected = f"expects one of {', '.join(forms)}" if forms else "has none; leave it out"
+        raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, forms)}")
+    if missing := forms[name].missing():
         raise BadOption(missing)

@@ -61,7 +61,7 @@ def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
 
 
 def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
-    """Whether all inputs choose a recipe; BadOption where only some do."""
+    """True if all inputs choose a recipe; BadOption where only some do."""
     recognised = [(form, path) for form in inputs_of(request.app) for path in request.inputs if form.recognises(path)]
     choosing = [(form, path) for form, path in recognised if _chooses(choice, form, path)]
     chosen = {path for _, path in choosing}
@@ -76,7 +76,7 @@ def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
 
 
 def _chooses(choice: door.Chosen, form: door.Format, path: Path) -> bool:
-    """Whether an input of a format, or one that a folder holds, chooses the recipe."""
+    """True if an input of a format, or one that a folder holds, chooses the recipe."""
     return form.name in choice.formats and (not choice.tells or getattr(form.files(), choice.tells)(path))
 
 

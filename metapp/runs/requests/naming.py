@@ -1,4 +1,4 @@
-"""How records, messages, tables and pictures call an application under its protocol."""
+"""Names of an application under its protocol, in records, messages, tables and pictures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from metapp.learning.app import App
 
 
 def is_first_protocol(app: App) -> bool:
-    """Whether the application is under its first protocol, or has no other."""
+    """True if the application is under its first protocol, or has no other."""
     return app.protocol in ("", *protocols_of(app.name)[:1])
 
 
@@ -28,7 +28,7 @@ def title_of(app: App) -> str:
 
 
 def caption_of(app: App, measured: bool = True) -> str:
-    """What a table says about its errors, or that there are none, as of photos without a reference."""
+    """The caption of a table about its errors, or that there are none, as of photos without a reference."""
     protocol = {"fits see": app.protocol} if app.protocol else {}
     conditions = "".join(f"; {key}: {value}" for key, value in (protocol | app.conditions()).items())
     error = f"error: {presentation_of(app).measure}{factor_of(app)}" if measured else "no error: there is no reference"
@@ -36,5 +36,5 @@ def caption_of(app: App, measured: bool = True) -> str:
 
 
 def factor_of(app: App) -> str:
-    """What is said of errors that are printed times a factor: " x100"; "" where it is 1."""
+    """The factor that errors are printed with: " x100"; "" where it is 1."""
     return f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""

@@ -44,14 +44,14 @@ def all_shown_options() -> dict[str, door.Option]:
 
 def all_read_options() -> dict[str, door.Option]:
     """The options that say how inputs are read, of formats, of merges and of recipes, by name."""
-    shown, others = all_shown_options(), (door.Output, door.Watcher)
+    of_presentations, others = all_shown_options(), (door.Output, door.Watcher)
     names = {
         option.name: option
         for application in door.offers(door.Application)
         for option, owner in options_of(application.name)
         if not isinstance(owner, others)
     }
-    return {name: option for name, option in names.items() if name not in shown}
+    return {name: option for name, option in names.items() if name not in of_presentations}
 
 
 def options_of(app: str) -> list[Owned]:
@@ -65,7 +65,7 @@ def options_of(app: str) -> list[Owned]:
 
 
 def check_options(request: Request, protocol: str) -> dict[str, object]:
-    """What was given, without what is an option's default.
+    """The options that were given, without those at their default.
 
     Args:
         request: its options are values as the command line or a program gives them.
@@ -74,22 +74,22 @@ def check_options(request: Request, protocol: str) -> dict[str, object]:
     Raises:
         BadOption: the application has no such option, or not of this value, or not together with others.
     """
-    known: dict[str, list[Owned]] = {}
+    by_name: dict[str, list[Owned]] = {}
     for owned in options_of(request.app):
-        known.setdefault(owned.option.name, []).append(owned)
+        by_name.setdefault(owned.option.name, []).append(owned)
     values = {}
     for name, value in request.options.items():
-        option = known[name][0].option if name in known else all_options().get(name)
+        option = by_name[name][0].option if name in by_name else all_options().get(name)
         if option is None:
-            names = sorted({*known, *all_options()})
+            names = sorted({*by_name, *all_options()})
             raise BadOption(f"{name}: no option of a fit, expected one of {', '.join(names)}.{meant(name, names)}")
         value = _typed(option, value)
         if value in (None, option.default) or value == ():
             continue
-        if name not in known:
+        if name not in by_name:
             raise BadOption(f"{option.flag}: {request.app} has no such option, only {_apps_with(name)}; leave it out.")
         _check_use(option, request, protocol)
-        for each, _ in known[name]:
+        for each, _ in by_name[name]:
             converted(each, value)
         values[name] = value
     return values
@@ -153,7 +153,7 @@ def shown_options(app: str, options: Mapping[str, object]) -> dict[str, object]:
 
 
 def merge_of(app: str, options: Mapping[str, object]) -> tuple[door.Merge, object] | None:
-    """What makes one task of all inputs, and by which value; None where inputs are apart."""
+    """The merge that makes one task of all inputs, and its value; None where inputs are apart."""
     for merge in door.offers_of(door.Merge, app):
         if merge.option.name in options:
             return merge, converted(merge.option, options[merge.option.name])
@@ -161,13 +161,13 @@ def merge_of(app: str, options: Mapping[str, object]) -> tuple[door.Merge, objec
 
 
 def outputs_of(app: str, options: Mapping[str, object]) -> list[tuple[door.Output, object]]:
-    """What a run makes beside files of its fits, and by which values."""
+    """The outputs of a run beside files of its fits, and their values."""
     own = [output for output in door.offers_of(door.Output, app) if output.option.name in options]
     return [(output, converted(output.option, options[output.option.name])) for output in own]
 
 
 def watchers_of(options: Mapping[str, object]) -> list[door.Watcher]:
-    """What follows fits while they run."""
+    """The watchers that follow fits while they run."""
     return [watcher for watcher in door.offers(door.Watcher) if watcher.option.name in options]
 
 
@@ -192,7 +192,7 @@ def options_from_record(app: str, recorded: Mapping[str, object]) -> dict[str, o
 
 
 def name_parts(app: str, options: Mapping[str, object]) -> list[str]:
-    """What the name of a run's folder states of options: detail512."""
+    """The parts of a run folder's name that state options: detail512."""
     return [
         f"{option.name}{options[option.name]}"
         for option in application_of(app).options

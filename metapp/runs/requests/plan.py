@@ -44,7 +44,7 @@ class Checkpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """What a request comes to.
+    """A request with all that it names looked up.
 
     Attributes:
         request: as it was made, with recipe and rule by their names; steps None where they are the recipe's.
@@ -137,14 +137,14 @@ class Plan:
         return request.out / self.app.name / self.paradigm.name / name
 
     def origin(self) -> Document:
-        """What `metapp rerun` needs to find what was fitted: absolute paths as far as given, and the machine."""
+        """The origin by which `metapp rerun` finds inputs: absolute paths as far as given, and the machine."""
         request = self.request
-        known: Document = {
+        places: Document = {
             "inputs": [str(path.absolute()) for path in request.inputs],
             "data": request.data and str(request.data.absolute()),
             "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }
-        return {"machine": machine(self.device)} | {key: value for key, value in known.items() if value}
+        return {"machine": machine(self.device)} | {key: value for key, value in places.items() if value}
 
 
 def plan(request: Request) -> Plan:
@@ -154,12 +154,12 @@ def plan(request: Request) -> Plan:
         BadOption: something that the application does not have, or options or inputs that exclude each other.
         ValueError: no such device, paradigm or data set.
     """
-    known = paradigms()
-    if request.paradigm not in known:
+    by_name = paradigms()
+    if request.paradigm not in by_name:
         raise ValueError(
-            f"paradigm '{request.paradigm}': expected one of {', '.join(known)}.{meant(request.paradigm, known)}"
+            f"paradigm '{request.paradigm}': expected one of {', '.join(by_name)}.{meant(request.paradigm, by_name)}"
         )
-    paradigm = known[request.paradigm]
+    paradigm = by_name[request.paradigm]
     check_name(request.app)
     check_protocol(request.observe, request.app)
     recipes = recipes_of(request.app, request.observe)

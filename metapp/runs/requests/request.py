@@ -57,12 +57,12 @@ class Request:
 
     @property
     def resumes(self) -> bool:
-        """Whether a run that is finished stays as it is, and failures are listed: with --batch or --shard."""
+        """True if a run that is finished stays as it is, and failures are listed: with --batch or --shard."""
         return bool(self.batch or self.shard)
 
 
 class Portion(NamedTuple):
-    """What one machine does of a run: every `parts`-th of its tasks from the `number`-th on, both counted from 1."""
+    """The share of one machine in a run: every `parts`-th of its tasks from the `number`-th on, both counted from 1."""
 
     number: int = 1
     parts: int = 1
@@ -78,8 +78,8 @@ def portion_of(text: str) -> Portion:
     Raises:
         BadOption: it is no such text, or there is no such portion.
     """
-    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text or "1/1")
-    portion = Portion(int(found[1]), int(found[2])) if found else Portion(0, 0)
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text or "1/1")
+    portion = Portion(int(match[1]), int(match[2])) if match else Portion(0, 0)
     if not 1 <= portion.number <= portion.parts:
         raise BadOption(f"--shard '{text}': expected I/N, the I-th of N parts, such as 1/4 to 4/4.")
     return portion
@@ -93,8 +93,8 @@ def seconds_of(text: str) -> float | None:
     """
     if not text:
         return None
-    found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?|\.\d{1,9}) ?(ms|s|min|h)", text.strip())
-    seconds = round(float(found[1]) * UNITS[found[2]], 9) if found else 0.0
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?|\.\d{1,9}) ?(ms|s|min|h)", text.strip())
+    seconds = round(float(match[1]) * UNITS[match[2]], 9) if match else 0.0
     if not seconds:
         raise BadOption(f"--budget '{text}': expected a time above 0 with its unit (ms, s, min or h), such as 50ms.")
     return seconds
