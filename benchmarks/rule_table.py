@@ -6,9 +6,10 @@ import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 from benchmarks.rule_study import QUICKFT, Case, Design, Study
-from metapp.evaluation.cell import Cell, distinct
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import paired_note, threads_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paired_of, row_of
 from metapp.evaluation.subject import Subject
@@ -41,8 +42,11 @@ class Studied(Subject):
 def cells(subject: Studied) -> list[Cell]:
     """A training and its fits for each case, one after the other."""
     cases = subject.study.cases()
-    both = distinct([cell for case in cases for cell in (train_cell(subject, case), fit_cell(subject, case))])
-    return [cell._replace(stage=i) for i, cell in enumerate(both)]  # QuickFT's search is the same for all seeds
+    once: dict[Path, Cell] = {}  # QuickFT's search is the same for all seeds
+    for cell in (cell for case in cases for cell in (train_cell(subject, case), fit_cell(subject, case))):
+        assert cell.folder is not None
+        once.setdefault(cell.folder.path, cell)
+    return [cell._replace(stage=i) for i, cell in enumerate(once.values())]
 
 
 def train_cell(subject: Studied, case: Case) -> Cell:
