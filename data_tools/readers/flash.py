@@ -97,11 +97,11 @@ def find_shown(paths: Iterable[str | Path]) -> dict[Path, Label]:
     Raises:
         ValueError: as `find`.
     """
-    found: dict[Path, Label] = {}
+    labels: dict[Path, Label] = {}
     for path in sorted(map(Path, paths), key=lambda path: (not path.is_dir(), len(path.resolve().parts))):
         for photo in find([path])[0]:
-            found.setdefault(photo.resolve(), shown(photo, path if path.is_dir() else None))
-    return found
+            labels.setdefault(photo.resolve(), shown(photo, path if path.is_dir() else None))
+    return labels
 
 
 def split_by_material(photos: Mapping[Path, Label]) -> dict[Path, Label]:

@@ -142,11 +142,11 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     maps: list[Path] = []
     skipped: list[str] = []
     for path in map(Path, paths):
-        found, lines = find_photos([path])
-        others = [file for file in found if path.is_dir() and not is_map(file)]
-        if len(others) == len(found):
+        photos, lines = find_photos([path])
+        others = [file for file in photos if path.is_dir() and not is_map(file)]
+        if len(others) == len(photos):
             raise ValueError(f"{path}: no map in this folder, {_EXPECTED}; name the folder of the maps.")
-        maps += [file for file in found if file not in others]
+        maps += [file for file in photos if file not in others]
         skipped += lines + [f"{file}: not an HDR map, {_EXPECTED}." for file in others]
     return list({file.resolve(): file for file in maps}.values()), skipped
 

@@ -132,7 +132,7 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
     Raises:
         ValueError: a path that does not exist, a folder without a map.
     """
-    found: dict[Path, Material] = {}
+    by_source: dict[Path, Material] = {}
     skipped: list[str] = []
     for path in map(Path, paths):
         files, lines = find_photos([path], expected=(DESCRIPTION,))
@@ -140,17 +140,17 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
             material = material_of(path)
             if material is None:
                 raise ValueError(f"{path}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
-            found.setdefault(material.source.resolve(), material)
+            by_source.setdefault(material.source.resolve(), material)
             continue
         in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
         below = [material for materials, _ in in_folders for material in materials]
         if not below:
             names = ", ".join(file.name for file in files[:3])
             raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED}; rename them.")
-        found.update({material.source.resolve(): material for material in below})
+        by_source.update({material.source.resolve(): material for material in below})
         others = [file for _, files in in_folders for file in files]
         skipped += lines + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
-    return list(found.values()), skipped
+    return list(by_source.values()), skipped
 
 
 def material_of(file: Path) -> Material | None:

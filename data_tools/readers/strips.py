@@ -145,8 +145,8 @@ def conversion(
     left_out = set(parted.left_out)
 
     def find_kept(named: Iterable[Path]) -> tuple[list[Path], list[str]]:
-        found, skipped = find(named)
-        return [source for source in found if source.resolve() not in left_out], skipped
+        strips, skipped = find(named)
+        return [source for source in strips if source.resolve() not in left_out], skipped
 
     def label(source: Path) -> Label:
         place = source.resolve()

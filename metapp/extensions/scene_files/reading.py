@@ -47,15 +47,15 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     Raises:
         ValueError: a path that does not exist, a folder without any scene.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing scene files.")
         scenes = _below(path) if path.is_dir() else [path]
         if not scenes:
             raise ValueError(f"{path}: no scene in this folder, expected .xml or .json files of Mitsuba 3.")
-        found += scenes
-    return list({file.resolve(): file for file in found}.values()), []
+        files += scenes
+    return list({file.resolve(): file for file in files}.values()), []
 
 
 def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Iterable[Path] = ()) -> Task:

@@ -7,6 +7,7 @@ that is not the mesh's. What did load is checked as it lies in memory, whatever 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -20,7 +21,7 @@ from metapp.rendering.types import Mitsuba, Scene
 from metapp.rendering.variant import THREADS, choose_llvm, own_plugins_only
 
 _CPU_SECONDS = 300  # the largest public scenes load in half a minute
-_MEMORY_BYTES = 2**34  # of addresses; damaged counts ask for more
+_MEMORY_BYTES = 2**35  # of addresses; damaged counts ask for more
 _REFUSED = 3  # exit code
 
 
@@ -37,19 +38,21 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-P", "-m", "metapp.extensions.scene_files.trial", variant]  # -P: nothing of this folder
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
-    )
-    said = b""
     try:
-        said, _ = process.communicate(json.dumps(scene).encode(), timeout=2 * _CPU_SECONDS)
+        done = subprocess.run(
+            command,
+            input=json.dumps(scene).encode(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            timeout=2 * _CPU_SECONDS,
+            check=False,
+        )
+        code, problem = done.returncode, done.stdout.decode(errors="replace")
     except subprocess.TimeoutExpired:
-        pass
-    finally:
-        process.kill()
-        code = process.wait()
+        code, problem = -signal.SIGKILL, ""
     if code == _REFUSED:
-        raise ValueError(f"no scene that Mitsuba can load: {one_line(said.decode(errors='replace'))}")
+        raise ValueError(f"no scene that Mitsuba can load: {one_line(problem)}")
     if code < 0:
         raise ValueError(
             f"{_ended(-code)} while Mitsuba loads it, expected a scene that it can load; leave out meshes, pictures "
@@ -69,7 +72,8 @@ def _load(variant: str) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_SECONDS, _CPU_SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if variant.startswith("llvm"):
-        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))  # CUDA reserves more than there is
+        with contextlib.suppress(ValueError, OSError):  # macOS has none; CUDA reserves more than there is
+            resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
         choose_llvm()
     import drjit
     import mitsuba

@@ -99,13 +99,13 @@ def capture(paths: Sequence[Path], settings: Settings, done: Callable[[str], obj
     if given and len(given) != len(paths):
         raise ValueError(f"{len(given)} exposure(s) for {len(paths)} photo(s), expected one for each, in their order.")
     pictures: list[Pixels] = []
-    found: list[Ball | None] = []
+    candidates: list[Ball | None] = []
     for path in paths:
         pixels = read_pixels(path)
         pictures.append(pixels)
-        found.append(_ball(pixels, settings))
+        candidates.append(_ball(pixels, settings))
         done(path.name)
-    first, balls = _agreed(paths, found)
+    first, balls = _agreed(paths, candidates)
     brightness = [float(gray_of(pixels).mean()) for pixels in pictures]
     exposures, told_by = _known(paths, given, brightness)
     order = np.argsort(brightness if exposures is None else exposures).tolist()
@@ -221,6 +221,6 @@ def merge(paths: Sequence[Path], exposures: str, size: int = ROWS, fov_rad: floa
     return task_of(paths[0].stem, capture(paths, Settings(times, fov_rad, rows=size)))
 
 
-def task_of(name: str, found: Capture) -> Task:
+def task_of(name: str, captured: Capture) -> Task:
     """The task of a capture."""
-    return Task(name, {"photos": found.photo[None], "seen": found.seen, "certain": found.certain})
+    return Task(name, {"photos": captured.photo[None], "seen": captured.seen, "certain": captured.certain})

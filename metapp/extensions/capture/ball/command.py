@@ -62,14 +62,14 @@ def ball(options: BallOptions) -> None:
     settings = Settings(_times(options.exposures), math.radians(options.fov), place, options.size)
     folder, name = options.folder, options.folder.resolve().name
     with progress("photos", len(options.paths), quiet=options.quiet) as bar:
-        found = capture(options.paths, settings, bar.advance)
-    write_capture(name, options.paths, found, folder)
+        captured = capture(options.paths, settings, bar.advance)
+    write_capture(name, options.paths, captured, folder)
     if not options.quiet:
-        for line in _summary(options.paths, found):
+        for line in _summary(options.paths, captured):
             say(line)
         say(f"{folder}: {name}.exr and a data set; look at what was found: {folder / FOUND}")
     if options.as_json:
-        print_json(_document(options, found))
+        print_json(_document(options, captured))
 
 
 def _times(text: str) -> tuple[float, ...]:
@@ -96,24 +96,26 @@ def _place(text: str) -> tuple[float, float, float] | None:
     return x, y, radius
 
 
-def _summary(paths: list[Path], found: Capture) -> list[str]:
+def _summary(paths: list[Path], captured: Capture) -> list[str]:
     """A summary: a line a photograph and one of all."""
     lines = []
-    for path, shot, exposure, residual in zip(paths, found.shots, found.exposures, found.light.residuals, strict=True):
+    for path, shot, exposure, residual in zip(
+        paths, captured.shots, captured.exposures, captured.light.residuals, strict=True
+    ):
         circle = shot.whole
         line = f"{path.name}: ball at {circle.x:.1f},{circle.y:.1f}, radius {circle.radius:.1f} px"
         if len(paths) > 1:
             line += f", exposure {exposure:.4g}, {100 * residual:.1f} % from the merged radiance"
         lines.append(line)
-    share = found.certain.mean((1, 2))
-    curve = f"exposures by {found.told_by}; camera's curve: {found.curve}; " if len(paths) > 1 else ""
+    share = captured.certain.mean((1, 2))
+    curve = f"exposures by {captured.told_by}; camera's curve: {captured.curve}; " if len(paths) > 1 else ""
     lines.append(f"{curve}{share[0]:.0%} of the texels seen, {share[1]:.1%} clipped")
-    if found.told_by == "the pixels":
+    if captured.told_by == "the pixels":
         lines.append("warning: exposures are not known, so contrast is that of sRGB's curve; give --exposures.")
     return lines
 
 
-def _document(options: BallOptions, found: Capture) -> dict[str, object]:
+def _document(options: BallOptions, captured: Capture) -> dict[str, object]:
     """The document for scripts."""
     photos = [
         {
@@ -126,15 +128,15 @@ def _document(options: BallOptions, found: Capture) -> dict[str, object]:
             "residual": residual,
         }
         for path, shot, exposure, residual in zip(
-            options.paths, found.shots, found.exposures, found.light.residuals, strict=True
+            options.paths, captured.shots, captured.exposures, captured.light.residuals, strict=True
         )
     ]
     return {
         "out": str(options.folder),
-        "exposures_by": found.told_by,
-        "curve": found.curve,
-        "chosen": str(options.paths[found.chosen]),
-        "seen": float(found.certain[0].mean()),
-        "clipped": float(found.certain[1].mean()),
+        "exposures_by": captured.told_by,
+        "curve": captured.curve,
+        "chosen": str(options.paths[captured.chosen]),
+        "seen": float(captured.certain[0].mean()),
+        "clipped": float(captured.certain[1].mean()),
         "photos": photos,
     }

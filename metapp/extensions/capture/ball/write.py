@@ -29,13 +29,13 @@ UNITS = {
 _SHOWN_PX = 1200  # the longer side of pictures that show what was found
 
 
-def write_capture(name: str, paths: Sequence[Path], found: Capture, folder: Path) -> None:
+def write_capture(name: str, paths: Sequence[Path], captured: Capture, folder: Path) -> None:
     """Write a data set of one task, its map NAME.exr and found/*.png.
 
     Args:
         name: of the task.
         paths: the photographs.
-        found: what they show.
+        captured: what they show.
         folder: made if missing.
 
     Raises:
@@ -45,17 +45,17 @@ def write_capture(name: str, paths: Sequence[Path], found: Capture, folder: Path
     notes = {
         "made_by": "metapp data ball",
         "photos": [path.name for path in paths],
-        "exposures": [float(value) for value in found.exposures],
-        "exposures_by": found.told_by,
-        "curve": found.curve,
+        "exposures": [float(value) for value in captured.exposures],
+        "exposures_by": captured.told_by,
+        "curve": captured.curve,
         "files": [FOUND, f"{name}.exr"],
     }
     with ShardWriter(folder, "illumination", UNITS, notes) as writer:
-        writer.add(task_of(name, found), "test", paths[found.chosen])
+        writer.add(task_of(name, captured), "test", paths[captured.chosen])
         (folder / FOUND).mkdir(exist_ok=True)
-        for path, shot in zip(paths, found.shots, strict=True):
+        for path, shot in zip(paths, captured.shots, strict=True):
             write_png(shown(path, shot), {"encoding": "sRGB"}, folder / FOUND / f"{path.stem}.png")
-        write_exr(torch.cat([found.seen, found.certain[:1]]).permute(1, 2, 0), folder / f"{name}.exr")
+        write_exr(torch.cat([captured.seen, captured.certain[:1]]).permute(1, 2, 0), folder / f"{name}.exr")
 
 
 def shown(path: Path, shot: Shot) -> Tensor:
