@@ -81,7 +81,7 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
             f"{source or name}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more."
         )
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
-    near = functools.partial(_near, KDTree(_points(angles)), reflectance)
+    near = functools.partial(_near, KDTree(_points(angles)), reflectance.log1p())
     render = shade_sphere(reference_scene(azimuths=azimuths), near).float()
     if len(order) <= FEW:
         order = order.repeat(2)
@@ -122,7 +122,12 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
 
 def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
     """The same with one mean value where several are of the same angles."""
-    _, inverse, count = torch.unique((angles * 1e5).round(), dim=0, return_inverse=True, return_counts=True)
+    places = (angles * 1e5).round().long()
+    places -= places.amin(0)
+    key = places[:, 0]
+    for column in places.T[1:]:  # a number for each row, in the order of rows; ten times as fast as unique rows
+        key = torch.unique(key, return_inverse=True)[1] * (column.max() + 1) + column
+    _, inverse, count = torch.unique(key, return_inverse=True, return_counts=True)
 
     def mean(values: Tensor) -> Tensor:
         total = torch.zeros(len(count), values.shape[1], dtype=values.dtype).index_add(0, inverse, values)
@@ -141,10 +146,10 @@ def _points(angles: Tensor) -> Array:
     return torch.stack([*half, theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
 
 
-def _near(tree: KDTree, reflectance: Tensor, angles: Tensor) -> Tensor:
-    """Reflectance [M, 3] beside measurements: the mean of log(1 + f) of the nearest, by inverse distance."""
-    distance, index = tree.query(_points(angles), k=min(NEIGHBOURS, len(reflectance)))
+def _near(tree: KDTree, values: Tensor, angles: Tensor) -> Tensor:
+    """Reflectance [M, 3] beside measurements of log(1 + f) [N, 3]: the mean of the nearest, by inverse distance."""
+    distance, index = tree.query(_points(angles), k=min(NEIGHBOURS, len(values)))
     weights = torch.from_numpy(1 / (distance + 1e-3))[..., None]
-    total: Tensor = (reflectance.log1p()[index] * weights).sum(1)
+    total: Tensor = (values[index] * weights).sum(1)
     result: Tensor = torch.expm1(total / weights.sum(1)).to(angles.dtype)
     return result

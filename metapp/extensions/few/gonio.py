@@ -162,8 +162,14 @@ def _rows(path: Path) -> _Rows:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
-    cells = [_cells(path, at, line, len(names)) for at, line in lines[1:]]
-    return _Rows(names, np.array(cells).reshape(len(cells), len(names)), [at for at, _ in lines[1:]])
+    try:  # ten times as fast, but of what is wrong it does not say the line
+        numbers = np.loadtxt([line for _, line in lines[1:]], delimiter=",", ndmin=2)
+    except ValueError:
+        numbers = np.empty((0, 0))
+    if numbers.shape != (len(lines) - 1, len(names)):
+        cells = [_cells(path, at, line, len(names)) for at, line in lines[1:]]
+        numbers = np.array(cells).reshape(len(cells), len(names))
+    return _Rows(names, numbers, [at for at, _ in lines[1:]])
 
 
 def _cells(path: Path, at: int, line: str, count: int) -> list[float]:
