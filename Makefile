@@ -11,16 +11,16 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow mutants lint types docs lock bench bench-size bench-growth bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 26
 
-setup: $(VENV)/.ready  ## make the virtual environment and install metapp, pinned by constraints.txt
+setup: $(VENV)/.ready  ## make the virtual environment and install metapp: packages by their SHA-256, docs/downloads.md
 
-$(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
+$(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh $(wildcard locks/*)
 	bash tools/setup.sh "$(PYTHON)" "$(VENV)"
 	@touch $@
 
@@ -64,11 +64,12 @@ docs: $(VENV)/.docs  ## the pages of docs/ as a site: site/index.html
 	@echo "docs: site/index.html"
 
 # what the pages need alone: mkdocstrings reads the sources here, so the environment keeps the metapp that it has
-$(VENV)/.docs: setup.cfg constraints.txt
-	[ -x $(VENV)/bin/python ] || "$(PYTHON)" -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt $$($(VENV)/bin/python -c \
-	  'import configparser as c; s = c.ConfigParser(); s.read("setup.cfg"); print(*s["options.extras_require"]["docs"].split())')
+$(VENV)/.docs: locks/docs.txt tools/setup.sh
+	bash tools/setup.sh "$(PYTHON)" "$(VENV)" docs
 	@touch $@
+
+lock:  ## write locks/ anew, the SHA-256 of all packages, from setup.cfg and constraints.txt
+	bash tools/lock.sh "$(PYTHON)"
 
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m benchmarks.bench_learning

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Make the virtual environment: setup.sh PYTHON VENV. Works on a bare Debian 12 with python3.
+# Make the virtual environment: setup.sh PYTHON VENV; with docs after them, only install what builds the pages into it.
+# Works on a bare Debian 12 with python3. HASHES=off installs by constraints.txt, for indexes with builds of their own.
 set -euo pipefail
-python=$1 venv=$2
+python=$1 venv=$2 hashes=${HASHES:-on}
 
 if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
   echo "setup: $python is missing or older than 3.11; install Python 3.11 or name one: make setup PYTHON=..." >&2
@@ -17,17 +18,59 @@ if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
   fi
 fi
 "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade pip
-if ! "$venv/bin/python" -c 'import torch' 2>/dev/null; then
-  pip_torch=("$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt torch)
-  # without an NVIDIA driver the CPU build saves gigabytes; where its index is out of reach, the default one serves
-  cpu_index=${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}
-  if command -v nvidia-smi >/dev/null ||
-    ! "${pip_torch[@]}" --retries 0 --timeout 15 --index-url "$cpu_index" 2>/dev/null; then
-    "${pip_torch[@]}"
+pip=("$venv/bin/python" -m pip --quiet --disable-pip-version-check)
+errors=$(mktemp)
+trap 'rm -f "$errors"' EXIT
+
+stop() {
+  cat "$errors" >&2
+  echo "setup: $1" >&2
+  exit 1
+}
+required() {
+  "$venv/bin/python" -c 'import configparser as c, sys; s = c.ConfigParser(); s.read("setup.cfg")
+print(*s[sys.argv[1]][sys.argv[2]].split())' "$@"
+}
+# Install the wheels that a lock file names, each by its SHA-256: get NAME [OPTION ...]. Nothing is built from source, since
+# what a build downloads has no hash.
+get() {
+  local name=$1 what=(--require-hashes --no-deps --only-binary :all: -r "locks/$1.txt")
+  shift
+  if [ "$hashes" = off ]; then
+    # shellcheck disable=SC2046
+    case $name in
+      packages) what=(pip setuptools $(required options install_requires) $(required options.extras_require dev)) ;;
+      docs) what=($(required options.extras_require docs)) ;;
+      *) what=(torch) ;;
+    esac
+    what+=(-c constraints.txt)
   fi
+  "${pip[@]}" install "${what[@]}" "$@" 2>"$errors" && return
+  if grep -q 'DO NOT MATCH THE HASHES' "$errors"; then
+    stop "the file above has none of its hashes in locks/$name.txt; if your index has builds of its own: $unhashed"
+  fi
+  return 1
+}
+get_or_stop() { get "$@" || stop "pip could not install locks/$1.txt, see above; by versions alone: $unhashed"; }
+unhashed="HASHES=off make ${3:-setup}"
+
+if [ "${3:-}" = docs ]; then
+  get_or_stop docs
+  exit
 fi
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+has_torch() {
+  "$venv/bin/python" -c 'import sys, torch; sys.exit(torch.__version__.partition("+")[0] != sys.argv[1])' \
+    "$(sed -n 's/^torch==//p' constraints.txt)" 2>/dev/null
+}
+# Without an NVIDIA driver the CPU build saves gigabytes. Where its index is out of reach, the default one may have it.
+get_cpu_torch() {
+  ! command -v nvidia-smi >/dev/null || return
+  get torch-cpu --retries 0 --timeout 15 --index-url "${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}" ||
+    get torch-cpu
+}
+has_torch || get_cpu_torch || get_or_stop torch
+get_or_stop packages
+"${pip[@]}" install --no-index --no-deps --no-build-isolation -e . 2>"$errors" || stop "metapp itself cannot be installed, see above"
 
 # Mitsuba's wheels need libatomic to be imported and libLLVM to render, which a bare Debian has not
 renders() { "$venv/bin/python" -c 'import metapp.rendering.variant as m; m.load_mitsuba()' 2>/dev/null; }
