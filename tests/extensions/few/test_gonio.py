@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -212,12 +211,3 @@ def test_repeated_measurements_are_averaged_whatever_their_number_and_order() ->
         expected, inverse = torch.unique((angles[rows, :columns] * 1e5).round(), dim=0, return_inverse=True)
         torch.testing.assert_close((distinct * 1e5).round(), expected)
         torch.testing.assert_close(means[7], values[inverse == 7].mean(0))
-
-
-@pytest.mark.long
-def test_a_million_rows_are_read_in_seconds(tmp_path: Path) -> None:
-    rows = np.random.default_rng(1).integers(1, 85, (1_000_000, 4))
-    np.savetxt(tmp_path / "a.csv", np.c_[rows, rows[:, :3] / 100], "%.2f", ",", header=HEAD, comments="")
-    begun = time.process_time()
-    assert len(gonio.read_pairs(tmp_path / "a.csv").wi) == 1_000_000
-    assert time.process_time() - begun < 30
