@@ -227,3 +227,29 @@ def test_the_core_and_extensions_are_within_their_budgets() -> None:
     assert folders.keys() == EXTENSIONS.keys()
     for name, folder in folders.items():
         assert lines_of(list(folder.rglob("*.py"))) <= EXTENSIONS[name], name
+
+
+# what reads a file by other means than metapp.storage.plain: parts of the package, of the system, or checked before
+OPENS = {"metapp.storage.plain", "metapp.cli.streams", "metapp.storage.image_limits", "metapp.storage.files"}
+
+
+def test_files_are_opened_where_pipes_are_refused() -> None:
+    """A FIFO among a user's files would be waited for without end."""
+    for name in FILES:
+        if name in OPENS or ".synthetic" in name:
+            continue
+        for called, node in calls(name):
+            reads = called.rpartition(".")[2] in ("read_bytes", "read_text") and called.count(".") > 0
+            opens = called in ("open", "os.open") or (called.endswith(".open") and "b" in mode_of(node))
+            assert not reads or allowed(called), f"{name}: {called}"
+            assert not opens or "w" in mode_of(node) or name == "metapp.extensions.native.compiler", f"{name}: {called}"
+
+
+def mode_of(call: ast.Call) -> str:
+    """The mode of `path.open(mode)`."""
+    first = call.args[0] if call.args else None
+    return str(first.value) if isinstance(first, ast.Constant) else ""
+
+
+def allowed(called: str) -> bool:
+    return called.startswith(("(resources.files", "Path('/proc", "(group /", "source.")) 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
+from metapp.storage.plain import check_readable, open_regular
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio
@@ -90,6 +91,7 @@ def open_image(path: Path) -> oiio.ImageInput:
 
     if path.suffix.lower() in _RAW:
         raise ValueError(to_export(path))
+    check_readable(path)
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
     try:
@@ -228,9 +230,9 @@ def turn_upright(values: Array, orientation: int) -> Array:
 def is_heif(path: Path) -> bool:
     """True if a file begins as HEIF pictures do, whatever its name."""
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             start = stream.read(12)
-    except OSError:
+    except (OSError, ValueError):
         return False
     return start[4:8] == b"ftyp" and start[8:12] in _BRANDS
 

@@ -34,6 +34,7 @@ from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
 from metapp.door import Conversion, Label
 from metapp.learning.task import Task
+from metapp.storage.plain import read_bytes
 from metapp.storage.shards import split_auto
 
 __all__ = [
@@ -288,7 +289,7 @@ def split_materials(materials: Sequence[Material]) -> dict[Path, Label]:
     groups: dict[str, str] = {}
     for material in materials:
         files = next((material.files[role] for role in _NORMALS if role in material.files), (material.source,))
-        digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
+        digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
         labels[material.source.resolve()] = Label(task_name(material.title), group)
     splits = split_auto(groups.values())

@@ -25,6 +25,7 @@ from data_tools.readers.listing import files_below
 from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_valid, tabulate
 from metapp.learning.task import Params, Task
 from metapp.storage.files import suffixed, write_atomically
+from metapp.storage.plain import open_regular
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -145,7 +146,7 @@ def _problem(path: Path) -> str:
         found = "a folder" if path.is_dir() else "no such file"
         return f"{path}: {found}, expected a MERL file; check the path."
     size = path.stat().st_size
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         header = np.frombuffer(stream.read(12).ljust(12, b"\0"), dtype="<i4")
     matches = bool((header == _HEADER).all())
     if size != FILE_BYTES:

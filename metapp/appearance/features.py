@@ -16,6 +16,7 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.precision import in_bfloat16
 from metapp.storage.cache import cache_folder
+from metapp.storage.plain import open_regular
 from metapp.storage.tensors import opened_tensors
 
 # channels of the convolutions of each block of VGG-16 (Simonyan & Zisserman 2015); blocks are parted by max pooling
@@ -109,7 +110,7 @@ def _origin(path: Path, changed: int) -> str:  # `changed`, its time, is a key o
     except SafetensorError:
         raise _damaged(path) from None
     if digest[:8] not in KNOWN:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which names the source
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     return "ImageNet" if digest[:8] in KNOWN else f"unknown weights {digest[:8]}"

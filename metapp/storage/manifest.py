@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from metapp.storage import Document
+from metapp.storage.plain import read_bytes
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -75,7 +76,7 @@ def read_manifest(folder: str | Path) -> Manifest:
             "interrupted: convert again with `metapp data`."
         )
     try:
-        raw = json.loads(path.read_bytes())
+        raw = json.loads(read_bytes(path))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not readable as JSON ({error}); convert the data again.") from None
     return _from_json(raw, path)

@@ -23,7 +23,7 @@ from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.forms import NUMBER, OPTIONAL, holds
-from metapp.storage.plain import check_plain
+from metapp.storage.plain import check_plain, read_bytes
 from metapp.storage.tensors import opened_tensors, read_tensors
 from metapp.storage.text import as_text
 
@@ -117,7 +117,7 @@ class _Misnamed(Exception):
 
 def digest(document: object) -> str:
     """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
-    raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
+    raw = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
 
 
@@ -200,7 +200,7 @@ class RunFolder:
         size = self.file.stat().st_size
         if size < max(SMALL_BYTES, 2 * self._live_bytes):
             return
-        lines = self.file.read_bytes().split(b"\n")
+        lines = read_bytes(self.file).split(b"\n")
         tasks = [self._task_of(line) for line in lines]
         last = {task: number for number, task in enumerate(tasks)}
         kept = [line for number, line in enumerate(lines) if tasks[number] is None or last[tasks[number]] == number]
@@ -256,7 +256,7 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
     """
     records: dict[str, Document] = {}
     bad = []
-    lines = path.read_bytes().split(b"\n") if path.is_file() else []
+    lines = read_bytes(path).split(b"\n") if path.exists() else []
     for number, line in enumerate(lines, 1):
         record = as_text(_parsed(line))
         if holds(record, {"name": str, **(form or {})}):

@@ -21,6 +21,7 @@ from safetensors.torch import save
 from metapp.learning.task import Held, Task, problems_of
 from metapp.storage.files import PARTIAL, locked, naming, partial_path, write_atomically
 from metapp.storage.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
+from metapp.storage.plain import open_regular
 from metapp.storage.tensors import read_tensors
 
 __all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]
@@ -258,7 +259,7 @@ def check_shard(folder: str | Path, holds: Mapping[str, Held] | None = None) -> 
         except ValueError as error:
             problems.append(str(error))
             continue
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         if digest != entry.sha256:
             problems.append(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import write_atomically
+from metapp.storage.plain import open_regular
 
 
 @contextlib.contextmanager
@@ -24,15 +24,12 @@ def opened_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
 
     Raises:
         OSError: it cannot be opened.
+        ValueError: it is no file.
         SafetensorError: it is damaged.
     """
-    try:
-        os.fspath(path).encode()
-    except UnicodeEncodeError:
-        with open(path, "rb") as file, safe_open(f"/dev/fd/{file.fileno()}", "pt", device=device) as stored:
-            yield stored
-    else:
-        with safe_open(path, "pt", device=device) as stored:
+    with open_regular(path) as file:
+        place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"  # it takes no bytes that are not UTF-8
+        with safe_open(place, "pt", device=device) as stored:
             yield stored
 
 

@@ -21,6 +21,7 @@ from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.pictures import write_plane
 from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import suffixed, write_atomically
+from metapp.storage.plain import read_bytes
 from metapp.storage.records import finite
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC
@@ -158,5 +159,5 @@ def _encoded(surface: Surface) -> dict[str, bytes]:
         for key in PICTURES:
             file = Path(folder) / f"{key}.png"
             write_plane(planes[key], file, BITS)
-            pictures[key] = file.read_bytes()
+            pictures[key] = read_bytes(file)
     return pictures

@@ -9,6 +9,7 @@ Columns stand in any order; others are passed over.
 from __future__ import annotations
 
 import functools
+import io
 import itertools
 import math
 import re
@@ -28,6 +29,7 @@ from metapp.appearance.geometry import directions_to_four_angles
 from metapp.extensions.few.spectra import spectra_to_rgb
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
+from metapp.storage.plain import open_regular, read_text
 
 Array = NDArray[np.float64]
 
@@ -58,7 +60,7 @@ def has_few_task(task: Task) -> bool:
 
 
 def _few_lines(file: Path) -> bool:
-    with file.open(encoding="utf-8-sig", errors="replace") as lines:
+    with io.TextIOWrapper(open_regular(file), "utf-8-sig", "replace") as lines:
         rows = (line for line in lines if line.strip() and line.lstrip()[0] != "#")
         return sum(1 for _ in itertools.islice(rows, FEW + 2)) <= FEW + 1  # with the line of names
 
@@ -152,7 +154,7 @@ def _rows(path: Path) -> _Rows:
     if path.stat().st_size > LONGEST:
         raise ValueError(f"{path}: {path.stat().st_size:,} bytes, expected at most {LONGEST:,}; take fewer rows.")
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(f"{path}: no text in UTF-8, expected a table of numbers as CSV; save it as CSV.") from None
     lines = [(at, line) for at, line in enumerate(text.split("\n"), 1) if line.strip() and line.lstrip()[0] != "#"]

@@ -22,7 +22,7 @@ from torch import Tensor
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.forms import holds
-from metapp.storage.plain import check_readable
+from metapp.storage.plain import check_readable, read_bytes
 
 SCHEMA = 1
 BITS = (2, 16)  # of a whole number, at least and at most
@@ -129,7 +129,7 @@ class PackFile:
             raise ValueError(f"{path}: no such file, expected one that metapp pack wrote.")
         if path.stat().st_size > LARGEST + LARGEST_HEADER:
             raise ValueError(_DAMAGED.format(path))
-        self._path, self._content = path, path.read_bytes()
+        self._path, self._content = path, read_bytes(path)
         self._decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MEMORY)
         length = int.from_bytes(self._take(4), "little")
         head = _header(path, self._take(min(length, LARGEST_HEADER)))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metapp.storage.files import write_atomically
+from metapp.storage.plain import read_bytes
 
 MAGIC = b"tensor_file\0"
 VERSION = (1, 0)
@@ -29,7 +30,7 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
     Raises:
         ValueError: it is none, is of another version, or is damaged.
     """
-    content = Path(path).read_bytes()
+    content = read_bytes(path)
     if content[:12] != MAGIC:
         raise ValueError(f"{path}: no tensor file, expected one that begins with tensor_file; not an RGL measurement.")
     try:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+from metapp.storage.plain import read_text
 
 LARGEST_CM = 1e5  # a side of a patch
 FARTHEST = 1000.0  # sides that camera and flash are away
@@ -63,7 +64,7 @@ def _above(path: Path, photos: int, farthest: float) -> Tensor:
 def _rows(path: Path, count: int, width: int) -> list[list[float]]:
     """So many lines of so many finite numbers, parted by commas; blank lines do not count."""
     try:
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        lines = [line for line in read_text(path).splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as text, expected {count} line(s) in cm; write it.") from error
     if len(lines) != count:

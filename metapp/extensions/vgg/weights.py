@@ -22,6 +22,7 @@ from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.files import write_atomically
+from metapp.storage.plain import open_regular, read_bytes
 from metapp.storage.tensors import opened_tensors, read_tensors
 
 TORCHVISION = "vgg16-397923af.pth"
@@ -172,7 +173,7 @@ def read_file(path: Path) -> Read:
         if path.suffix in (".pth", ".pt"):
             return read_pth(path, TORCHVISION_SHA256)
         if path.name.endswith(".tar.gz"):
-            return read_archive(path.read_bytes(), str(path))
+            return read_archive(read_bytes(path), str(path))
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}, expected a readable file; name another one.") from None
     raise ValueError(f"{path}: of an unknown form, expected {FORMS}; name one with --weights.")
@@ -188,13 +189,13 @@ def read_safetensors(path: Path) -> Read:
         weights = read_tensors(path)
     except SafetensorError as error:
         raise ValueError(f"{path}: {error}, expected a whole .safetensors file; copy it again.") from None
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return _named_in_order(weights), Origin(str(path), _sha256(file))
 
 
 def read_pth(path: Path, expected: str) -> Read:
     """Weights of a state dict of torchvision whose SHA-256 begins with the expected digits."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         digest = _sha256(file)
         if not digest.startswith(expected):
             raise _mismatch(str(path), digest, expected)
