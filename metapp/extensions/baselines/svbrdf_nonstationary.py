@@ -25,6 +25,7 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
+from metapp.storage.plain import read_bytes
 
 GAMMA = 2.2  # colours in files, as the eye spaces them
 ROUGHNESS, F0 = 0.5, 0.04  # of what a photo says nothing of: the middle, and that of most dielectrics
@@ -42,7 +43,7 @@ def jpeg(picture: np.ndarray, quality: int) -> bytes:
         done = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(picture, np.float32))
         if not (output.close() and done):
             raise OSError(f"a picture as JPEG: {output.geterror()}")
-        return path.read_bytes()
+        return read_bytes(path)
 
 
 def decoded(file: bytes) -> np.ndarray:

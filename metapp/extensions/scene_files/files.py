@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 
 from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
+from metapp.storage.plain import open_regular
 
 _VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
 _BOX_BYTES = 24
@@ -49,7 +50,7 @@ def _check_picture(path: Path) -> None:
 
 def _check_volume(path: Path) -> None:
     """A grid of 32-bit floats; Mitsuba ends the process at one without samples."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         header = file.read(_VOLUME.size).ljust(_VOLUME.size, b"\0")
         size = file.seek(0, 2)
     _, _, *grid, channels = _VOLUME.unpack(header)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from metapp.extensions.scene_files.files import check_file
 from metapp.rendering.scenes.plugins import snake_case
 from metapp.rendering.scenes.rules import Files
+from metapp.storage.plain import open_regular
 
 TEXT_BYTES = 2**24  # of a scene file or an include
 _DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
@@ -108,16 +108,12 @@ def read_text(path: Path) -> str:
         ValueError: no regular file, too large, not readable, no UTF-8.
     """
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_BINARY", 0))
+        with open_regular(path) as file:
+            content = file.read(TEXT_BYTES + 1)
+    except (IsADirectoryError, ValueError):
+        raise ValueError("no regular file, expected a scene of Mitsuba 3.") from None
     except OSError as error:
         raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
-    try:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise ValueError("no regular file, expected a scene of Mitsuba 3.")
-        with os.fdopen(handle, "rb", closefd=False) as file:
-            content = file.read(TEXT_BYTES + 1)
-    finally:
-        os.close(handle)
     if len(content) > TEXT_BYTES:
         raise ValueError(f"more than {TEXT_BYTES:,} bytes, expected a scene of Mitsuba 3; put meshes in files.")
     try:
