@@ -4,9 +4,9 @@
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
 [ -d "$data/nbrdf/merl" ] || { echo "checkpoints: $data/nbrdf/merl is missing; name it: make checkpoints-brdf DATA=..." >&2; exit 1; }
-"$metapp" data synth brdf --out "$runs/data/synthetic"
-"$metapp" data nbrdf "$data/nbrdf/merl" --out "$runs/data/nbrdf-merl"
-"$metapp" data join "$runs/data/synthetic" "$runs/data/nbrdf-merl" --out "$runs/data/joint"
+"$metapp" data synth brdf --out "$runs/data/synthetic" --overwrite
+"$metapp" data nbrdf "$data/nbrdf/merl" --out "$runs/data/nbrdf-merl" --overwrite
+"$metapp" data join "$runs/data/synthetic" "$runs/data/nbrdf-merl" --out "$runs/data/joint" --overwrite
 common=(brdf --recipe quick --data "$runs/data/joint" --out "$runs")
 "$metapp" general "${common[@]}" --train --train-steps 30000
 "$metapp" quickft "${common[@]}" --train
@@ -23,8 +23,8 @@ for network in "$data"/nbrdf/rgl/*; do
   number=$((number + 1))
   [ $((number % 5)) = 0 ] || networks+=("$network")
 done
-"$metapp" data nbrdf "${networks[@]}" --split train --out "$runs/data/nbrdf-rgl"
-"$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three"
+"$metapp" data nbrdf "${networks[@]}" --split train --out "$runs/data/nbrdf-rgl" --overwrite
+"$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three" --overwrite
 "$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/three" --out "$runs" --train --train-steps 13000 \
   --checkpoint metapp/checkpoints/brdf/ridge.safetensors
 ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "${3:-metapp/checkpoints/brdf}/$2"; }
@@ -32,6 +32,6 @@ ship "three-*-quick-seed0" ""
 # few samples, and anisotropic materials, have recipes of their own
 "$metapp" meta brdf --recipe few --data "$runs/data/joint" --out "$runs" --train --train-steps 12000
 ship "joint-*-few-seed0" few metapp/extensions/few/checkpoints
-"$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic"
+"$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic" --overwrite
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
 ship "anisotropic-*-anisotropic-seed0" anisotropic

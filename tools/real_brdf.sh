@@ -7,7 +7,7 @@ metapp=$1 data=$2 runs=$3
 shift 3
 [ -d "$data/nbrdf/merl" ] || { echo "real: $data/nbrdf/merl is missing; name the folder: make real DATA=..." >&2; exit 1; }
 folder=$runs/data/nbrdf-merl
-"$metapp" data nbrdf "$data/nbrdf/merl" --out "$folder"
+"$metapp" data nbrdf "$data/nbrdf/merl" --out "$folder" --overwrite
 for seed in "$@"; do
   common=(brdf --recipe quick --data "$folder" --out "$runs" --seed "$seed")
   "$metapp" general "${common[@]}" --train --quiet

@@ -8,8 +8,8 @@ shift 3
 for folder in texture flash_stationary; do
   [ -d "$data/$folder" ] || { echo "real: $data/$folder is missing; name it: make real-photos DATA=..." >&2; exit 1; }
 done
-"$metapp" data images "$data/texture" --out "$runs/data/photos"
-"$metapp" data flash "$data/flash_stationary" --out "$runs/data/flash"
+"$metapp" data images "$data/texture" --out "$runs/data/photos" --overwrite
+"$metapp" data flash "$data/flash_stationary" --out "$runs/data/flash" --overwrite
 for seed in "$@"; do
   for pair in texture:photos svbrdf_stationary:flash; do
     common=("${pair%:*}" --recipe quick --data "$runs/data/${pair#*:}" --out "$runs" --seed "$seed")

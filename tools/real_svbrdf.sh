@@ -7,8 +7,8 @@ metapp=$1 data=$2 runs=$3
 for folder in svbrdf_strips svbrdf_maps flash_nonstationary; do
   [ -d "$data/$folder" ] || { echo "real: $data/$folder is missing; name it: make real-svbrdf DATA=..." >&2; exit 1; }
 done
-"$metapp" data strips "$data/svbrdf_strips" --split test --out "$runs/data/strips"
-"$metapp" data maps "$data/svbrdf_maps" --split test --out "$runs/data/maps"
+"$metapp" data strips "$data/svbrdf_strips" --split test --out "$runs/data/strips" --overwrite
+"$metapp" data maps "$data/svbrdf_maps" --split test --out "$runs/data/maps" --overwrite
 for each in strips maps; do
   "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$each" --out "$runs" --table
 done

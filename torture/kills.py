@@ -29,12 +29,17 @@ CASES: dict[str, Case] = {
     "fit": lambda data, out: ["meta", "brdf", "--data", data, "--out", out],
     "overfit": lambda data, out: ["overfit", "brdf", "--steps", "200", "--data", data, "--out", out],
     "export": lambda data, out: ["meta", "brdf", "--export", "nbrdf", "--data", data, "--out", out],
-    "synth": lambda data, out: ["data", "synth", "brdf", "--count", _TASKS, "--out", out],
-    "convert": lambda data, out: ["data", "nbrdf", data.parent / "networks", "--samples", "4096", "--out", out],
+    "synth": lambda data, out: ["data", "synth", "brdf", "--count", _TASKS, *_into(out)],
+    "convert": lambda data, out: ["data", "nbrdf", data.parent / "networks", "--samples", "4096", *_into(out)],
     "general": lambda data, out: [*_train("general", data, out), "--train-steps", "60"],
     "meta": lambda data, out: [*_train("meta", data, out), "--rule", "meta-sgd", "--train-steps", "12"],
     "evaluate": lambda data, out: ["evaluate", "brdf", "--which", "quickft", "--data", data, "--out", out],
 }
+
+
+def _into(out: Path) -> list[Any]:
+    """A kill may come when all is written already."""
+    return ["--overwrite", "--out", out]
 
 
 def _train(paradigm: str, data: Path, out: Path) -> list[Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import inspect
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from pathlib import Path
@@ -21,7 +22,14 @@ Options = TypeVar("Options")
 Result = TypeVar("Result")
 
 
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Seed = Annotated[int, typer.Option(metavar="S", min=0, max=2**63 - 1, help="Of all random draws.")]
+
+
+def check_new(path: Path | None, overwrite: bool) -> None:
+    """Refuse to write a file that is there, unless it may be replaced."""
+    if path and not overwrite and os.path.lexists(path):
+        raise typer.BadParameter(f"{path}: is there already, expected a new file; add --overwrite to replace it.")
 
 
 def field_of_view(unsaid: str) -> object:

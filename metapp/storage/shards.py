@@ -66,9 +66,11 @@ class ShardWriter:
         units: Mapping[str, str],
         notes: Mapping[str, object] | None = None,
         beside: tuple[str, str] | None = None,
+        *,
+        overwrite: bool = False,
     ) -> None:
         self.folder = Path(folder)
-        self._beside = beside
+        self._beside, self._overwrite = beside, overwrite
         self._manifest = Manifest(app, (), dict(units), dict(notes or {}))
         # A note that JSON cannot hold should be refused now, not after an hour of converting.
         try:
@@ -93,6 +95,11 @@ class ShardWriter:
                 raise ValueError(
                     f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
                     f"'{self._manifest.app}'; choose another folder."
+                )
+            if before is not None and not self._overwrite:
+                raise ValueError(
+                    f"{self.folder}: holds a data set of {len(before.tasks)} tasks, expected a new folder; add "
+                    "--overwrite to replace it."
                 )
             self._remove_partial()  # of a writer that was killed
             self._lock = stack.pop_all()

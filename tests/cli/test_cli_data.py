@@ -58,7 +58,8 @@ def test_networks_become_a_data_set_split_by_the_rule(metapp: Callable) -> None:
     assert list(result.document) == ["app", "out", "train", "test", "skipped"]
     assert result.document == {"app": "brdf", "out": "new/out", "train": train, "test": ["tin"], "skipped": []}
     assert "5 train + 1 test tasks" in result.err
-    assert metapp("data", "nbrdf", "in", "--out", "new/out", "--split", "test", "--quiet", *FEW) == (0, "", "")
+    again = ("--split", "test", "--overwrite", "--quiet", *FEW)
+    assert metapp("data", "nbrdf", "in", "--out", "new/out", *again) == (0, "", "")
     assert {task.split for task in read_manifest(Path("new/out")).tasks} == {"test"}
 
 
@@ -136,7 +137,7 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable) -> None:
         assert made.code == 0
 
     def join(*sets: str) -> Result:
-        return metapp("data", "join", *sets, "--out", "joint", "--json")
+        return metapp("data", "join", *sets, "--out", "joint", "--overwrite", "--json")
 
     document = join("train", "test").done
     assert (document["train"], document["test"]) == (["tin"], ["ink"])

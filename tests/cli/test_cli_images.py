@@ -73,7 +73,7 @@ def test_photographs_become_texture_tasks(metapp: Callable) -> None:
     assert set(splits()) == {*train, *test}
     assert read_manifest(OUT).notes == {"made_by": "metapp data images", "size": 256, "split": "auto"}
     assert {task.data["image"].shape for task in read_shard(OUT)} == {(3, 256, 256)}
-    result = metapp("data", "images", IN / "bark.png", "--out", OUT, "--split", "test", "--size", "64")
+    result = metapp("data", "images", IN / "bark.png", "--out", OUT, "--split", "test", "--size", "64", "--overwrite")
     assert result == (0, "", "texture: 0 train + 1 test tasks in out\n")
     assert shapes_of("test", "texture") == {"image": (3, 64, 64)}
     assert metapp("data", "images", IN / "bark.png", "--out", "quiet", "--quiet") == (0, "", "")
@@ -106,7 +106,7 @@ def test_flash_photographs_are_split_by_material(metapp: Callable) -> None:
     assert read_manifest(OUT).notes == {"made_by": "metapp data flash", "size": 32, "split": "auto"}
     assert {task.data["image"].shape for task in read_shard(OUT)} == {(3, 32, 32)}
     for split in ("train", "test"):
-        metapp("data", "flash", IN, "--out", OUT, "--split", split)
+        metapp("data", "flash", IN, "--out", OUT, "--split", split, "--overwrite")
         assert set(splits().values()) == {split}
 
 
@@ -139,7 +139,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
         strip(IN / f"{name};a;0.png")
     for letter, colour in {"N": (128, 128, 255), "D": (90, 80, 70), "R": (99, 99, 99), "S": (60, 60, 60)}.items():
         write(Path("of") / f"1_{letter}.png", np.full((36, 36, 3), colour, np.uint8))
-    convert = ("data", "strips", IN, "--out", OUT, "--split", "test", "--size", "36")
+    convert = ("data", "strips", IN, "--out", OUT, "--split", "test", "--size", "36", "--overwrite")
     done = metapp(*convert, "--predicted", "of")
     assert "in/2;a;0.png: of/2_N.png: no such file" in done.err
     assert list(splits()) == ["1_a_0"]  # what is not predicted is left out

@@ -17,8 +17,10 @@ def make_task(name: str, value: float = 1.0) -> Task:
     return Task(name, {"angles": torch.full((4, 3), value), "reflectance": torch.arange(12.0).reshape(4, 3)})
 
 
-def make_shard(folder: Path, names: tuple[str, ...] = ("gold", "silver"), app: str = "brdf") -> Path:
-    with ShardWriter(folder, app, UNITS, {"seed": 7}) as writer:
+def make_shard(
+    folder: Path, names: tuple[str, ...] = ("gold", "silver"), app: str = "brdf", overwrite: bool = False
+) -> Path:
+    with ShardWriter(folder, app, UNITS, {"seed": 7}, overwrite=overwrite) as writer:
         for index, name in enumerate(names):
             writer.add(make_task(name, index), "test" if index else "train", f"/somewhere/{name}.binary")
     return folder
@@ -58,7 +60,7 @@ def test_texts_are_files_beside(tmp_path: Path) -> None:
         return Task(content, {"text": torch.tensor(list(f"[{content!r}]   ".encode()), dtype=torch.uint8)})
 
     def make(*names: str) -> None:
-        with ShardWriter(tmp_path, "brdf", {"text": "UTF-8"}, beside=("text", ".json")) as writer:
+        with ShardWriter(tmp_path, "brdf", {"text": "UTF-8"}, beside=("text", ".json"), overwrite=True) as writer:
             for name in names:
                 writer.add(text(name), "train")
 
@@ -121,7 +123,7 @@ def test_refused_splits_notes_and_empty_sets(tmp_path: Path) -> None:
 def test_interrupted_writer_leaves_what_was_there(tmp_path: Path) -> None:
     folder = make_shard(tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(KeyboardInterrupt), ShardWriter(folder, "brdf", UNITS) as writer:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), ShardWriter(folder, "brdf", UNITS, overwrite=True) as writer:  # noqa: PT012
         writer.add(make_task("gold", 9), "train")
         assert len(list(folder.iterdir())) == 4
         raise KeyboardInterrupt
@@ -140,7 +142,7 @@ def test_failure_while_publishing_leaves_no_manifest(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(os, "replace", fail_second)
     with pytest.raises(OSError, match="disk full"):
-        make_shard(folder)
+        make_shard(folder, overwrite=True)
     assert not (folder / "manifest.json").exists()
     assert not list(folder.glob(".partial*"))
 
@@ -148,7 +150,10 @@ def test_failure_while_publishing_leaves_no_manifest(tmp_path: Path, monkeypatch
 def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
     folder = make_shard(tmp_path, ("gold", "silver"))
     (folder / ".partial-1-of-a-killed-writer").write_bytes(b"")
-    make_shard(folder, ("gold", "tin"))
+    with pytest.raises(ValueError, match="holds a data set of 2 tasks, expected a new folder; add --overwrite"):
+        make_shard(folder, ("gold", "tin"))
+    assert check_shard(folder) != []  # what is not its own
+    make_shard(folder, ("gold", "tin"), overwrite=True)
     assert [task.name for task in read_shard(folder)] == ["gold", "tin"]
     assert check_shard(folder) == []
     with pytest.raises(ValueError, match=r"holds tasks of 'brdf', expected an empty folder or tasks of 'texture'"):

@@ -11,7 +11,7 @@ import typer
 
 from metapp import door
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, extended
+from metapp.cli.options import Json, Overwrite, extended
 from metapp.runs.inputs.convert import Converted, convert
 from metapp.runs.reporter import say
 
@@ -46,6 +46,7 @@ def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
         paths: list[Path],
         folder: Out,
         split: Split = Split.AUTO,
+        overwrite: Overwrite = False,
         quiet: Quiet = False,
         as_json: Json = False,
         **own: object,
@@ -53,7 +54,7 @@ def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
         conversion = form.conversion(paths, split.value, own)
         for line in conversion.remarks:
             say(f"warning: {line}")
-        report(convert(conversion, paths, folder, split.value, quiet), quiet, as_json)
+        report(convert(conversion, paths, folder, split.value, overwrite=overwrite, quiet=quiet), quiet, as_json)
 
     command.__name__, command.__doc__ = form.name, about.help
     command.__annotations__ |= {

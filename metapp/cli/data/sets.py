@@ -11,7 +11,7 @@ import typer
 
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data.convert import Out, Quiet, Split, SplitOption, report
-from metapp.cli.options import Json, Seed, takes
+from metapp.cli.options import Json, Overwrite, Seed, takes
 from metapp.runs.inputs.convert import converted
 from metapp.runs.reporter import progress, say
 
@@ -31,6 +31,7 @@ class Cornell:
         int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
     ] = 32_768
     held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192
+    overwrite: Overwrite = False
     quiet: Quiet = False
     as_json: Json = False
 
@@ -54,7 +55,10 @@ def cornell(options: Cornell) -> None:
     tasks = transport.cornell_tasks(count, seed, samples=options.samples, held=options.held)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
     bars = progress("Cornell boxes", count, quiet=options.quiet)
-    with ShardWriter(options.folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, bars as bar:
+    new = ShardWriter(
+        options.folder, "transport", transport.UNITS, notes, transport.BESIDE, overwrite=options.overwrite
+    )
+    with new as writer, bars as bar:
         for task in tasks:
             writer.add(task, split)
             bar.advance(task.name)
@@ -65,6 +69,7 @@ def cornell(options: Cornell) -> None:
 def join(
     folders: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Data sets of one application.")],
     folder: Out,
+    overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -101,7 +106,8 @@ def join(
         (entry, tasks[entry.name]) for tasks, manifest in zip(sets, manifests, strict=True) for entry in manifest.tasks
     ]
     notes = {"made_by": "metapp data join", "of": [source.name for source in folders]}
-    with ShardWriter(folder, name, units, notes) as writer, progress(name, len(pairs), quiet=quiet) as bar:
+    new = ShardWriter(folder, name, units, notes, overwrite=overwrite)
+    with new as writer, progress(name, len(pairs), quiet=quiet) as bar:
         for entry, task in pairs:
             writer.add(shared(task)._replace(group=entry.group), entry.split, entry.source)
             bar.advance(entry.name)

@@ -11,7 +11,7 @@ import typer
 from metapp import door
 from metapp.cli import completion
 from metapp.cli.data.convert import Quiet, check_folder, report
-from metapp.cli.options import Json, Seed, extended
+from metapp.cli.options import Json, Overwrite, Seed, check_new, extended
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_offer, split_counts
 from metapp.runs.reporter import progress
@@ -56,6 +56,7 @@ def synth(
             help=f"shards, what metapp reads, or {', '.join(_FORMS)}: files in DIR/train and DIR/test.",
         ),
     ] = SHARDS,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
     **own: object,
@@ -70,18 +71,18 @@ def synth(
     if form == SHARDS:
         from metapp.storage.manifest import read_manifest
 
-        made = embedded_data(name, seed, count, folder, quiet, own)
+        made = embedded_data(name, seed, count, folder, quiet, own, overwrite=overwrite)
         done = converted(name, made, read_manifest(made).tasks)
     else:
         if own:
             flag = f"--{next(iter(own))}".replace("_", "-")
             raise typer.BadParameter(f"{form}: has no {flag}, expected shards with it.", param_hint="--as")
-        done = _write_files(name, form, folder, split_counts(name, count), seed, quiet)
+        done = _write_files(name, form, folder, split_counts(name, count), seed, overwrite=overwrite, quiet=quiet)
     report(done, quiet, as_json)
 
 
 def _write_files(
-    name: str, form: str, folder: Path | None, counts: dict[str, int], seed: int, quiet: bool
+    name: str, form: str, folder: Path | None, counts: dict[str, int], seed: int, *, overwrite: bool, quiet: bool
 ) -> Converted:
     """Write an embedded set in another form than shards."""
     from metapp.storage.shards import only_writer
@@ -92,6 +93,8 @@ def _write_files(
         raise typer.BadParameter(f"'{form}': expected {expected} for {name}.", param_hint="--as")
     if folder is None:
         raise typer.BadParameter(f"missing, expected a folder for the {form} files.", param_hint="--out")
+    for split in counts:
+        check_new(folder / split, overwrite)
     write, size = forms[form]
     needed = sum(counts.values()) * size
     free = shutil.disk_usage(next(part for part in (folder, *folder.absolute().parents) if part.exists())).free

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Seed, takes
+from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
 
@@ -37,6 +37,7 @@ class Options:
         typer.Option(min=0, max=89, help="Angle of a fixed detector from the normal, degrees; default: not fixed."),
     ] = None
     seed: Seed = 0
+    overwrite: Overwrite = False
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False
 
@@ -63,8 +64,7 @@ def plan(options: Options) -> None:
     if options.app != "brdf":
         whole = f"expected brdf; of other applications a fit takes whole pictures.{meant(options.app, ['brdf'])}"
         raise typer.BadParameter(f"'{options.app}': {whole}")
-    if out.exists():
-        raise typer.BadParameter(f"--out {out}: is there already, and may be filled in; name another file.")
+    check_new(out, options.overwrite)
     detector = None if options.detector is None else math.radians(options.detector)
     limits = Limits(math.radians(options.grazing), math.radians(options.apart), detector)
     planned = plan_brdf(options.samples, limits, options.after, options.seed)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, RunPath
+from metapp.cli.options import FittedData, Json, Overwrite, RunPath, check_new, takes
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
@@ -17,34 +18,50 @@ if TYPE_CHECKING:
 MadeBy = Annotated[Path | None, typer.Option(help="Checkpoint of the fits; default: the shipped one.")]
 
 
-def pack_command(
-    run: RunPath,
+@dataclass(frozen=True)
+class PackOptions:
+    """Of `metapp pack`."""
+
+    run: RunPath
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved."),
-    ] = None,
-    data: FittedData = None,
+    ] = None
+    data: FittedData = None
     out_file: Annotated[
         Path | None, typer.Option("--out", dir_okay=False, help="File to write; default: fits.pack in RUN.")
-    ] = None,
+    ] = None
     bits: Annotated[
         int | None,
         typer.Option(
             min=2, max=16, help="Bits per number; default: the fewest that raise the mean error by 1 % at most."
         ),
-    ] = None,
-    checkpoint: MadeBy = None,
-    json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no message.")] = False,
-) -> None:
+    ] = None
+    checkpoint: MadeBy = None
+    overwrite: Overwrite = False
+    json: Json = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no message.")] = False
+
+
+@takes(PackOptions)
+def pack_command(options: PackOptions) -> None:
     """Write the fits of a run as one small file: their quantised difference from the checkpoint.
 
     Example: metapp pack RUN --out materials.pack
     """
     from metapp.extensions.packs.pack import pack
 
-    done = pack(run, out_file, bits, inputs or [], data=data, checkpoint=checkpoint, quiet=quiet)
-    _tell(done, done.file, json=json, quiet=quiet)
+    check_new(options.out_file, options.overwrite)
+    done = pack(
+        options.run,
+        options.out_file,
+        options.bits,
+        options.inputs or [],
+        data=options.data,
+        checkpoint=options.checkpoint,
+        quiet=options.quiet,
+    )
+    _tell(done, done.file, json=options.json, quiet=options.quiet)
 
 
 def unpack_command(
@@ -54,6 +71,7 @@ def unpack_command(
         typer.Option("--out", file_okay=False, help="Run folder to write; default: FILE without its suffix."),
     ] = None,
     checkpoint: MadeBy = None,
+    overwrite: Overwrite = False,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No message.")] = False,
 ) -> None:
@@ -63,7 +81,7 @@ def unpack_command(
     """
     from metapp.extensions.packs.pack import unpack
 
-    done = unpack(file, out_folder, checkpoint)
+    done = unpack(file, out_folder, checkpoint, overwrite=overwrite)
     _tell(done, done.out, json=json, quiet=quiet)
 
 

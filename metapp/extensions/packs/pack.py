@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bisect
 import math
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -128,7 +129,7 @@ def pack(
     return Packed(str(file), str(folder), names, chosen, size, _size_of(plan.prepared), _mean(before), _mean(after))
 
 
-def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
+def unpack(file: Path, out: Path | None, checkpoint: Path | None, *, overwrite: bool = False) -> Packed:
     """Make a run's folder of a pack.
 
     Args:
@@ -151,6 +152,10 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
     _require_finite(file, plan.app, steps, base)
     folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})
     write_plainly(folder.path)
+    if os.path.lexists(folder.file):
+        if not overwrite:
+            raise ValueError(f"{folder.file}: is there already, expected a new folder; add --overwrite to replace it.")
+        folder.file.unlink()
     for i, record in enumerate(records):
         folder.add(record, restored(steps, base, i))
     before, after = ([record[key] for record in records] for key in ("before", "error"))

@@ -12,7 +12,7 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, takes
+from metapp.cli.options import FittedData, Json, Overwrite, check_new, takes
 from metapp.runs.reporter import number, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
@@ -36,6 +36,7 @@ class Options:
     out: Annotated[
         Path | None, typer.Option(dir_okay=False, help="Output file; default: view.html in the first RUN.")
     ] = None
+    overwrite: Overwrite = False
     open_page: OpenPage = True
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
@@ -51,6 +52,7 @@ def view(options: Options) -> None:
     """
     from metapp.extensions.viewer.viewing import Wanted, view_page
 
+    check_new(options.out, options.overwrite)
     wanted = Wanted(options.runs, options.inputs or [], options.data, options.task, options.most)
     page = view_page(wanted, options.out, quiet=options.quiet)
     if options.open_page:

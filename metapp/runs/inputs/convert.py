@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,6 +10,7 @@ from data_tools.formats import AUTO
 from metapp.door import Conversion
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import named
+from metapp.storage.manifest import SPLITS
 from metapp.storage.plain import check_readable
 
 if TYPE_CHECKING:
@@ -32,7 +33,15 @@ def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[s
     return Converted(app, str(out), names["train"], names["test"], list(skipped))
 
 
-def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str, quiet: bool = False) -> Converted:
+def convert(
+    conversion: Conversion,
+    paths: Iterable[Path],
+    out: Path,
+    split: str,
+    *,
+    overwrite: bool = False,
+    quiet: bool = False,
+) -> Converted:
     """Write the tasks of files and folders to `out`, all or nothing.
 
     A file that was named must be good; one that was found in a folder may be bad: it is skipped with a warning.
@@ -42,6 +51,7 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
         paths: files, and folders to search.
         out: folder of the data set.
         split: "train", "test" or "auto".
+        overwrite: whether a data set that is there is replaced.
         quiet: no progress.
 
     Raises:
@@ -50,9 +60,11 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
     from metapp.storage.shards import ShardWriter
 
     sources, skipped = _find(conversion, paths)
+    folders = splits_by_folder(sources) if split == AUTO else {}
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path] = set()
-    with ShardWriter(out, conversion.app, conversion.units, {**conversion.notes, "split": split}) as writer:
+    notes = {**conversion.notes, "split": split}
+    with ShardWriter(out, conversion.app, conversion.units, notes, overwrite=overwrite) as writer:
         with progress(f"{conversion.noun}s", len(sources), quiet=quiet) as bar:
             for source, searched in sources.items():
                 label = conversion.label(source)
@@ -64,7 +76,7 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
                         raise named(error, source) from None
                     bad.setdefault(searched, []).append(str(named(error, source)))
                 else:
-                    part = label.split if label.split and split == AUTO else split
+                    part = (label.split or folders.get(source, AUTO)) if split == AUTO else split
                     writer.add(task._replace(name=label.name, group=label.group), part, source)
                     usable |= {searched} if searched else set()
                 bar.advance(label.name)
@@ -80,6 +92,23 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
             )
         entries = writer.entries()
     return converted(conversion.app, out, entries, skipped)
+
+
+def splits_by_folder(sources: Mapping[Path, Path | None]) -> dict[Path, str]:
+    """The splits of sources that were found in folders train/ and test/, which is said; none where there are not both.
+
+    Args:
+        sources: each with the folder that was searched for it; None where it was named.
+    """
+    splits: dict[Path, str] = {}
+    for source, searched in sources.items():
+        parts = source.relative_to(searched).parts[:-1] if searched else ()
+        if split := next((part for part in parts if part in SPLITS), ""):
+            splits[source] = split
+    if set(splits.values()) != set(SPLITS):
+        return {}
+    say("train/ and test/ keep their tasks apart; --split puts them together.")
+    return splits
 
 
 def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:

@@ -73,6 +73,8 @@ def embedded_data(
     out: Path | None = None,
     quiet: bool = False,
     options: Mapping[str, object] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> Path:
     """The folder of an application's embedded data set, made now if it is not there yet.
 
@@ -84,6 +86,7 @@ def embedded_data(
             is taken as it is.
         quiet: no progress.
         options: of the set, by name.
+        overwrite: whether a data set that is in `out` is replaced.
 
     Raises:
         ValueError: an application without embedded set, or without one of the options; a count below 1, a negative
@@ -92,7 +95,7 @@ def embedded_data(
     counts = split_counts(app, count)
     notes = _notes(app, seed, sum(counts.values()), options or {})
     if out is not None:
-        _make(app, out, counts, notes, quiet)
+        _make(app, out, counts, notes, overwrite=overwrite, quiet=quiet)
         return out
     ways = "".join(f"-{name}" if notes[name] is True else f"-{name}{notes[name]}" for name in _drawn(app, notes))
     folder = cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{seed}-v{_version(app)}"
@@ -110,7 +113,7 @@ def embedded_data(
     work = folder.with_name(f".partial-{os.getpid()}-{folder.name}")
     _remove_stale(folder.parent)
     try:
-        _make(app, work, counts, notes, quiet)
+        _make(app, work, counts, notes, quiet=quiet)
         with locked(folder.parent):
             if not _is_finished(folder, app, notes):
                 shutil.rmtree(folder, ignore_errors=True)  # half a set, or a damaged one
@@ -150,7 +153,9 @@ def _default_folder(app: str) -> Path:
     return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{_version(app)}"
 
 
-def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet: bool) -> None:
+def _make(
+    app: str, folder: Path, counts: dict[str, int], notes: Document, *, overwrite: bool = False, quiet: bool
+) -> None:
     from metapp.storage.shards import ShardWriter
 
     module = embedded_module(app)
@@ -158,7 +163,7 @@ def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet
     drawn = _drawn(app, notes)
     units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
     bars = progress(f"{app} data", sum(counts.values()), quiet=quiet)
-    with ShardWriter(folder, app, units, notes, beside) as writer, bars as bar:
+    with ShardWriter(folder, app, units, notes, beside, overwrite=overwrite) as writer, bars as bar:
         for split, count in counts.items():
             for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
                 writer.add(task, split)

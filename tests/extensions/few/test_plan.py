@@ -44,7 +44,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     assert "line 4: r nan" in metapp("meta", "brdf", file).error
     fill_in(file)
     again = metapp("plan", "brdf", "--samples", 12, "--out", file)
-    assert "is there already, and may be filled in" in again.misuse
+    assert "is there already, expected a new file; add --overwrite" in again.misuse
     fitted = metapp("meta", "brdf", file, "--json")
     assert "recipe few, since every input has 1,000 samples or fewer" in fitted.err
     assert "all 12 samples are fitted, none is held out" in fitted.err

@@ -151,7 +151,8 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
     Path("a.pack").write_bytes(b"hello")
     for words in (("unpack", "a.pack"), ("unpack", "b.pack"), ("pack", ".")):
         assert "expected" in metapp(*words).refusal
-    metapp("pack", fitted("meta", "--rule", "meta-curvature"), "--out", "a.pack", "--bits", "8", "--quiet")
+    run = fitted("meta", "--rule", "meta-curvature")
+    metapp("pack", run, "--out", "a.pack", "--bits", "8", "--quiet", "--overwrite")
     whole = PackFile(Path("a.pack")).read()
     first = next(iter(whole.tensors))
     huge = whole.tensors[first]._replace(step=1e300)

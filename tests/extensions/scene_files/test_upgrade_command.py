@@ -52,8 +52,8 @@ def test_a_public_scene_is_checked_upgraded_and_fitted(cornell: Path, metapp: Ca
     assert cornell.read_text() == CORNELL
 
     again = metapp("data", "upgrade", cornell)
-    assert again.code == 1
-    assert "cornell-v3.xml: there already, expected a new file; remove it, or name another one: --out FILE" in again.err
+    assert again.code == 2
+    assert "cornell-v3.xml: is there already, expected a new file; add --overwrite to replace it." in again.err
     fine = metapp("data", "upgrade", target, "--dry-run")
     assert (fine.code, fine.out) == (0, "")
     assert "Mitsuba 3 loads it" in fine.err
@@ -89,5 +89,5 @@ def test_misuse_is_named(cornell: Path, metapp: Callable) -> None:
         assert found.code == 1
         assert problem in found.err
     same = metapp("data", "upgrade", cornell, "--out", cornell)
-    assert (same.code, cornell.read_text()) == (1, CORNELL)
-    assert "there already" in same.err
+    assert (same.code, cornell.read_text()) == (2, CORNELL)
+    assert "is there already" in same.err

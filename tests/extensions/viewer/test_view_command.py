@@ -94,12 +94,12 @@ def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Call
     assert referenced(Path("p.html")) == ["m1"]
     # as it was moved, its files have the names and times that they had
     Path("elsewhere").rename("m0")
-    metapp("view", run, "--no-open", "--out", "p.html", "--input", "m0")
+    metapp("view", run, "--no-open", "--overwrite", "--out", "p.html", "--input", "m0")
     assert referenced(Path("p.html")) == ["m0"]
     Path("m0").rename("mine/m0")
     for file in Path("mine/m1").iterdir():
         file.touch()
-    metapp("view", run, "--no-open", "--out", "p.html")
+    metapp("view", run, "--no-open", "--overwrite", "--out", "p.html")
     assert referenced(Path("p.html")) == ["m0"]
 
 

@@ -11,8 +11,9 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import Out, Quiet
-from metapp.cli.options import Json, field_of_view, takes
+from metapp.cli.options import Json, Overwrite, check_new, field_of_view, takes
 from metapp.runs.reporter import progress, say
+from metapp.storage.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from metapp.extensions.capture.ball.capture import Capture
@@ -38,6 +39,7 @@ class BallOptions:
         str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
     ] = ""
     size: Annotated[int, typer.Option(min=32, max=1024, metavar="ROWS", help="Of the map.")] = 128
+    overwrite: Overwrite = False
     quiet: Quiet = False
     as_json: Json = False
 
@@ -61,9 +63,10 @@ def ball(options: BallOptions) -> None:
     place = _place(options.ball)
     settings = Settings(_times(options.exposures), math.radians(options.fov), place, options.size)
     folder, name = options.folder, options.folder.resolve().name
+    check_new(folder / MANIFEST, options.overwrite)
     with progress("photos", len(options.paths), quiet=options.quiet) as bar:
         captured = capture(options.paths, settings, bar.advance)
-    write_capture(name, options.paths, captured, folder)
+    write_capture(name, options.paths, captured, folder, overwrite=options.overwrite)
     if not options.quiet:
         for line in _summary(options.paths, captured):
             say(line)

@@ -29,7 +29,9 @@ UNITS = {
 _SHOWN_PX = 1200  # the longer side of pictures that show what was found
 
 
-def write_capture(name: str, paths: Sequence[Path], captured: Capture, folder: Path) -> None:
+def write_capture(
+    name: str, paths: Sequence[Path], captured: Capture, folder: Path, *, overwrite: bool = False
+) -> None:
     """Write a data set of one task, its map NAME.exr and found/*.png.
 
     Args:
@@ -37,6 +39,7 @@ def write_capture(name: str, paths: Sequence[Path], captured: Capture, folder: P
         paths: the photographs.
         captured: what they show.
         folder: made if missing.
+        overwrite: whether a data set that is there is replaced.
 
     Raises:
         ValueError: the folder holds another application's data set.
@@ -50,7 +53,7 @@ def write_capture(name: str, paths: Sequence[Path], captured: Capture, folder: P
         "curve": captured.curve,
         "files": [FOUND, f"{name}.exr"],
     }
-    with ShardWriter(folder, "illumination", UNITS, notes) as writer:
+    with ShardWriter(folder, "illumination", UNITS, notes, overwrite=overwrite) as writer:
         writer.add(task_of(name, captured), "test", paths[captured.chosen])
         (folder / FOUND).mkdir(exist_ok=True)
         for path, shot in zip(paths, captured.shots, strict=True):

@@ -12,7 +12,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import Out, Quiet
-from metapp.cli.options import Json, field_of_view, takes
+from metapp.cli.options import Json, Overwrite, check_new, field_of_view, takes
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ def markers(
         int, typer.Option(min=4, max=13, metavar="CM", help="Side of the square opening, whole centimetres.")
     ] = 10,
     paper: Annotated[Paper, typer.Option("--page", help="The paper.")] = Paper.A4,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -47,6 +48,7 @@ def markers(
     from metapp.storage.files import suffixed
 
     path = suffixed(path, ".pdf")
+    check_new(path, overwrite)
     write_sheet(path, opening, paper.value)
     if not quiet:
         say(f"{path}: a sheet with an opening of {opening} x {opening} cm; print it at 100 % and measure its ruler")

@@ -10,7 +10,7 @@ import typer
 
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data.convert import Quiet
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, Overwrite, check_new, takes
 from metapp.runs.reporter import say
 
 
@@ -21,7 +21,7 @@ class Options:
     path: Annotated[Path, typer.Argument(metavar="FILE", help="A scene in XML.")]
     target: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="OUT.xml", show_default="FILE-v3.xml", help="File to write; a new one."),
+        typer.Option("--out", "-o", metavar="OUT.xml", show_default="FILE-v3.xml", help="File to write."),
     ] = None
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Write nothing: check FILE, and list what would be repaired.")
@@ -30,6 +30,7 @@ class Options:
         list[Path] | None,
         typer.Option("--scene-root", metavar="DIR", help="A further folder that files of the scene may come from."),
     ] = None
+    overwrite: Overwrite = False
     quiet: Quiet = False
     as_json: Json = False
 
@@ -53,8 +54,9 @@ def upgrade(options: Options) -> None:
     from metapp.extensions.scene_files.upgrade.upgrade import lines, upgraded, verdict, write
 
     path, roots = options.path, options.roots or []
-    result = upgraded(path, roots)
     target = None if options.dry_run else options.target or path.with_name(f"{path.stem}-v3.xml")
+    check_new(target, options.overwrite)
+    result = upgraded(path, roots)
     if target:
         write(result.root, target)
     for line in () if options.quiet else lines(result.repairs):

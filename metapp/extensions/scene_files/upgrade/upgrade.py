@@ -79,13 +79,7 @@ def document(root: SceneElement, folder: Path) -> str:
 
 
 def write(root: SceneElement, path: Path) -> None:
-    """Write a document to a new file, whose folder is made if missing.
-
-    Raises:
-        ValueError: the file is there.
-    """
-    if path.exists():
-        raise ValueError(f"{path}: there already, expected a new file; remove it, or name another one: --out FILE")
+    """Write a document to a file, whose folder is made if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     text = document(root, path.parent)
     write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))

@@ -1,0 +1,106 @@
+"""What is there stays, unless --overwrite is given: files and data sets that a user names."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import Result
+from tests.small_spheres import run_small
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+
+@pytest.fixture(scope="module")
+def runs(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run, its pack, and the network that it is a fit of."""
+    folder = tmp_path_factory.mktemp("overwrite")
+    network = shutil.copytree(neural_fits(1) / "m0", folder / "m0")
+    run_small("meta", "brdf", network, "--rule", "meta-curvature", "--steps", "1", "--out", folder / "runs", "--quiet")
+    (run,) = (folder / "runs" / "brdf" / "meta").iterdir()
+    run.rename(folder / "run")
+    run_small("pack", folder / "run", "--bits", "8", "--quiet")
+    return folder
+
+
+FILES = {
+    "view": "view {run} --no-open --quiet --out",
+    "pack": "pack {run} --bits 8 --quiet --out",
+    "compare": "compare {run} {run} --quiet --out",
+    "plan": "plan brdf --samples 2 --quiet --out",
+}
+
+
+@pytest.mark.parametrize("command", FILES.values(), ids=FILES)
+def test_a_file_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path, command: str) -> None:
+    out = Path("out.pdf")
+    out.write_text("mine")
+    words = command.format(run=runs / "run").split()
+    refused = metapp(*words, out)
+    assert "out.pdf: is there already, expected a new file; add --overwrite to replace it" in refused.misuse
+    assert out.read_text() == "mine"
+    assert metapp(*words, out, "--overwrite").code == 0
+    assert out.read_bytes() != b"mine"
+
+
+def test_a_marker_sheet_is_replaced_by_overwrite_alone(metapp: Callable[..., Result]) -> None:
+    pytest.importorskip("cv2")
+    Path("out.pdf").write_text("mine")
+    assert "is there already" in metapp("data", "markers", "out.pdf").misuse
+    assert metapp("data", "markers", "out.pdf", "--overwrite").code == 0
+    assert Path("out.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_an_unpacked_run_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path) -> None:
+    Path("run").mkdir()
+    Path("run/record.jsonl").write_text("mine")
+    unpack = ("unpack", runs / "run" / "fits.pack", "--out", "run")
+    assert "record.jsonl: is there already, expected a new folder; add --overwrite" in metapp(*unpack).error
+    assert Path("run/record.jsonl").read_text() == "mine"
+    assert metapp(*unpack, "--overwrite").code == 0
+    assert json.loads(Path("run/record.jsonl").read_text())["name"] == "m0"
+
+
+SETS = {
+    "nbrdf": "data nbrdf {network} --samples 512 --split test",
+    "synth": "data synth texture --count 2 --size 64",
+    "join": "data join {set}",
+}
+
+
+@pytest.mark.parametrize("command", SETS.values(), ids=SETS)
+def test_a_data_set_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path, command: str) -> None:
+    if "{set}" in command:
+        run_small("data", "nbrdf", runs / "m0", "--out", "other", "--samples", "512", "--split", "test")
+    words = [*command.format(network=runs / "m0", set="other").split(), "--quiet", "--out", "set"]
+    assert metapp(*words).code == 0
+    Path("set/manifest.json").write_text(Path("set/manifest.json").read_text() + " ")
+    before = {path.name: path.read_bytes() for path in Path("set").iterdir()}
+    refused = metapp(*words)
+    assert "set: holds a data set of " in refused.error
+    assert "expected a new folder; add --overwrite to replace it" in refused.error
+    assert {path.name: path.read_bytes() for path in Path("set").iterdir()} == before
+    assert metapp(*words, "--overwrite").code == 0
+    assert not Path("set/manifest.json").read_text().endswith(" ")
+
+
+def test_files_of_an_embedded_set_are_replaced_by_overwrite_alone(metapp: Callable[..., Result]) -> None:
+    Path("materials/test").mkdir(parents=True)
+    words = ("data", "synth", "brdf", "--count", 2, "--as", "merl", "--out", "materials")
+    assert "materials/test: is there already" in metapp(*words).misuse
+
+
+@pytest.mark.parametrize(("split", "expected"), [("auto", ("one", "two")), ("test", ("", "one two"))])
+def test_folders_train_and_test_stay_apart(
+    metapp: Callable[..., Result], runs: Path, split: str, expected: tuple[str, str]
+) -> None:
+    """Held-out materials must not be trained on, whatever `auto` would make of their names."""
+    for folder, name in (("train", "one"), ("test", "two")):
+        shutil.copytree(runs / "m0", Path("sets") / folder / name)
+    done = metapp("data", "nbrdf", "sets", "--samples", 512, "--split", split, "--out", "set", "--json")
+    assert tuple(" ".join(sorted(done.document[part])) for part in ("train", "test")) == expected
+    assert ("train/ and test/ keep their tasks apart" in done.err) == (split == "auto")
