@@ -8,8 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 
 from data_tools.formats import exports_of
+from metapp.storage.images import write_png
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -88,3 +90,11 @@ def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, r
     lines[0]["settings"]["recipe"] = "other"
     (run / "record.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     assert "a fit of other settings than are known" in metapp("export", run, "merl").error
+
+
+def test_a_size_that_is_none_is_the_users_mistake(metapp: Callable, tmp_path: Path) -> None:
+    photo = tmp_path / "sand.png"
+    write_png(torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(1)), {"encoding": "sRGB"}, photo)
+    run = metapp("general", "texture", photo, "--recipe", "quick", "--json", "--quiet").document["out"]
+    refused = metapp("export", run, "exr", "--size", "300x200")
+    assert "--size 300x200: texture expects multiples of 8" in refused.misuse

@@ -77,6 +77,7 @@ def plan_as(settings: Document, options: Mapping[str, object] | None = None, **m
         more: further options, as of `Request`.
 
     Raises:
+        BadOption: one of `options`.
         ValueError: settings that are not known here.
     """
     request = Request(
@@ -94,6 +95,8 @@ def plan_as(settings: Document, options: Mapping[str, object] | None = None, **m
     try:
         return plan(request)
     except BadOption as error:
+        if options:
+            raise
         raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
 
 
