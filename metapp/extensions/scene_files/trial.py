@@ -53,17 +53,19 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
         code, problem = -signal.SIGKILL, ""
     if code == _REFUSED:
         raise ValueError(f"no scene that Mitsuba can load: {one_line(problem)}")
-    if code < 0:
+    if code:
         raise ValueError(
-            f"{_ended(-code)} while Mitsuba loads it, expected a scene that it can load; leave out meshes, pictures "
+            f"{_ended(code)} while Mitsuba loads it, expected a scene that it can load; leave out meshes, pictures "
             "and other files one by one to find which is damaged."
         )
 
 
-def _ended(number: int) -> str:
-    if number in (signal.SIGXCPU, signal.SIGKILL):
+def _ended(code: int) -> str:
+    if code > 0:
+        return f"an error (exit code {code})"
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
         return f"no end within {_CPU_SECONDS} s, or no memory left,"
-    return f"the process died ({signal.Signals(number).name})"
+    return f"the process died ({signal.Signals(-code).name})"
 
 
 def _load(variant: str) -> None:
