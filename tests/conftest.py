@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import os
+import shutil
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -127,9 +128,9 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture
 def compiled(cache: Path, _compiled_once: Path) -> None:
-    """The same for processes that a test starts."""
-    _compiled_once.mkdir(exist_ok=True)
-    (cache / _compiled_once.name).symlink_to(_compiled_once)
+    """The same for processes that a test starts; as links of files, since a linked folder may be somebody else's."""
+    _compiled_once.mkdir(mode=0o700, exist_ok=True)
+    shutil.copytree(_compiled_once, cache / _compiled_once.name, copy_function=os.link)
 
 
 USER_WEIGHTS, USER_MATRIX = weights_path(), matrix_path()  # before any test moves the cache
