@@ -16,7 +16,7 @@ from metapp.extensions.viewer.live import Live
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import View
 from metapp.storage.html import write_page
-from tests.browser import Page
+from tests.browser import Page, assert_alike
 
 pytestmark = pytest.mark.long
 PICTURES, LIGHT = 0, 1  # groups of the page
@@ -127,6 +127,27 @@ def test_what_cannot_be_drawn_makes_room_for_the_reason(page: Page) -> None:
     page.page.evaluate(f"metapp.open({LIGHT})")
     assert kinds(page) == ("light", 1)
     assert page.page.locator(".problem").is_hidden()
+
+
+def test_a_view_comes_back_after_the_browser_stopped_webgl(page: Page) -> None:
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    page.set(exposure=1.5)
+    page.settle()
+    before = page.screenshot()
+    page.page.evaluate("window.ended = metapp.viewer.renderer.getContext().getExtension('WEBGL_lose_context')")
+    page.page.evaluate("ended.loseContext()")
+    page.page.wait_for_selector(".problem:not([hidden])")
+    assert "The view comes back when WebGL does" in page.page.inner_text(".problem")
+    page.set(exposure=1)
+    page.set(exposure=1.5)
+    page.page.wait_for_timeout(200)
+    page.page.evaluate("ended.restoreContext()")
+    page.page.wait_for_selector(".problem", state="hidden")
+    page.settle()
+    assert kinds(page) == ("light", 1)
+    assert page.page.evaluate("metapp.settings.exposure") == 1.5
+    assert_alike(page.screenshot(), before)
+    assert not page.problems
 
 
 def test_another_light_map_is_read_or_refused(page: Page) -> None:

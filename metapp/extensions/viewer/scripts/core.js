@@ -111,7 +111,7 @@ class Controls {
 //
 // Its own: `controls()`, `open()` before the first frame, `draw()` -> whether the picture still improves, `resize()`, `update(group)`
 // where a fit goes on, `close()`, `png()` -> canvas that holds what is seen. Once it is open the page gives it `set(name, value)`,
-// which its controls follow, and `lost()`, to be called where it cannot draw any more.
+// which its controls follow; from the start `lost()` and `restored()`, to be called where it cannot draw for now, and can again.
 class Viewer {
   constructor(stage, group, redraw) {
     this.element = make("div", { className: "view" }); this.fits = group.fits; this.redraw = redraw;
@@ -123,7 +123,7 @@ class Viewer {
   draw() { return false; }
   resize() {}
   changed() {}
-  close() { this.lost = null; this.element.remove(); }
+  close() { this.lost = this.restored = null; this.element.remove(); }
   async update(group) { this.fits = group.fits; }
 
   // The column of a place in the element, and the place in it: {column, x, y}, px, and its width and height.

@@ -8,10 +8,14 @@ let viewer = null, controls = null, dirty = false, busy = false, drawn = 0, open
 
 function say(text) { page.footer.textContent = text; }
 
+function tell(problem) {
+  page.problem.hidden = !problem;
+  page.problem.textContent = problem;
+}
+
 function fail(error) {
   closeView();
-  page.problem.hidden = false;
-  page.problem.textContent = `This view cannot be drawn: ${error.message}`;
+  tell(`This view cannot be drawn: ${error.message}`);
   console.error(error);
 }
 
@@ -20,13 +24,15 @@ function closeView() { viewer?.close(); viewer = null; }
 async function openGroup(index) {
   const group = DATA.groups[index], turn = ++opened, before = viewer?.kind === group.kind ? { ...controls.settings } : {};
   closeView();
-  page.problem.hidden = true;
+  tell("");
   page.header.querySelector("h1").textContent = group.title;
   document.title = `${group.title}: ${DATA.title}`;
   captions(group);
   page.nav.querySelectorAll("button").forEach((each, i) => each.setAttribute("aria-current", i === index));
   page.nav.querySelector('[aria-current="true"]')?.scrollIntoView({ block: "nearest" });
   const next = new VIEWERS[group.kind](page.stage, group, () => { dirty = true; });
+  next.lost = () => tell("The browser stopped WebGL, as drawing took too long or the page was left. The view comes back when WebGL does; if it stays away, load the page anew.");
+  next.restored = () => openGroup(index);  // whatever the GPU held is gone
   try {
     await next.open();
     if (turn !== opened) return next.close();  // another one was asked for meanwhile
@@ -34,7 +40,6 @@ async function openGroup(index) {
     next.settings = made.settings;
     next.set = (name, value) => made.set(name, value);
     next.kind = group.kind;
-    next.lost = () => fail(new Error("the browser stopped WebGL, as drawing took too long or the page was left; load it anew."));
     [viewer, controls] = [next, made];
     resize();
     for (const { name, options } of made.controls) {  // as they were, where that is possible here
@@ -55,7 +60,7 @@ function captions(group) {
 function resize() { viewer?.resize(); dirty = true; }
 
 function frame() {
-  if (viewer && (dirty || busy)) {
+  if (viewer && page.problem.hidden && (dirty || busy)) {
     dirty = false;
     try { busy = viewer.draw(); drawn += 1; } catch (error) { busy = false; fail(error); }
   }
@@ -148,7 +153,7 @@ function drawText(g, element, x, y) {
 }
 
 document.getElementById("save").addEventListener("click", async () => {
-  if (viewer) make("a", { href: await labelled(), download: `${document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_")}.png` }).click();
+  if (viewer && page.problem.hidden) make("a", { href: await labelled(), download: `${document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_")}.png` }).click();
 });
 addEventListener("resize", resize);
 list();

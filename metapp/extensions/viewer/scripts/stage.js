@@ -32,6 +32,7 @@ class ShapeViewer extends Viewer {
     this.renderer = this._renderer();
     if (!this.renderer.extensions.has("EXT_color_buffer_float")) throw new Error("WebGL 2 lacks EXT_color_buffer_float here");
     this.renderer.domElement.addEventListener("webglcontextlost", () => this.lost?.());
+    this.renderer.domElement.addEventListener("webglcontextrestored", () => this.restored?.());
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.renderer.autoClear = false;
     this.renderer.debug.onShaderError = (gl, program, vertex, fragment) => { throw new Error(gl.getShaderInfoLog(fragment) || gl.getShaderInfoLog(vertex)); };
