@@ -10,9 +10,10 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from metapp.rendering import types as mt
-from metapp.rendering.variant import choose_llvm
+from metapp.rendering.variant import choose_kernels, choose_llvm
 
-with suppress(ValueError):  # none is there: variants of GPUs need none
+with suppress(ValueError):  # there is no libLLVM: variants of GPUs need none
+    choose_kernels()
     choose_llvm()
 
 import drjit

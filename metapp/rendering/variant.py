@@ -11,9 +11,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from metapp.rendering.types import Mitsuba
+from metapp.storage.cache import code_folder
 
 OLDEST = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
 VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
+KERNELS = "DRJIT_CACHE_DIR"
 THREADS = 2  # at least: Mitsuba hands parts of EXR files to other threads and waits for ever where there is none
 REMEDY = f"apt-get install libllvm19 libatomic1, or point {VARIABLE} at such a library"
 # Debian and Ubuntu, Fedora, others, macOS
@@ -37,6 +39,7 @@ def load_mitsuba() -> Mitsuba:
     on_gpu = torch.cuda.is_available()
     if not on_gpu:
         choose_llvm()
+    choose_kernels()
     try:
         import drjit
         import mitsuba
@@ -72,6 +75,13 @@ def choose_llvm() -> Path:
     _preload(library)
     os.environ[VARIABLE] = str(library)
     return library
+
+
+def choose_kernels() -> None:
+    """Have Dr.Jit, when it is imported, keep compiled kernels where nobody else can have put any."""
+    with suppress(OSError, RuntimeError):  # no such folder can be made, or there is no home: then there are none
+        folder = os.environ.get(KERNELS) or Path.home() / ".drjit"
+        os.environ[KERNELS] = str(code_folder(Path(folder), KERNELS))
 
 
 def find_llvm() -> Path:

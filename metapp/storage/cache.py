@@ -1,8 +1,15 @@
-"""The cache folder: files that can be had again, by a download or by computing."""
+"""The cache folder: files that can be had again, by a download or by computing; code is kept where it is one's own."""
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import functools
 import os
+import shutil
+import stat
+import tempfile
+import warnings
 from pathlib import Path
 
 
@@ -11,3 +18,61 @@ def cache_folder() -> Path:
     import platformdirs
 
     return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
+
+
+def code_folder(folder: Path, variable: str) -> Path:
+    """A folder for compiled code, made if missing, where nobody but its user, and root, can have written.
+
+    Args:
+        folder: where to keep it.
+        variable: of the environment, that names it.
+
+    Returns:
+        `folder`, or, with a warning, one of this process, removed at its end, where others can write to `folder`.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    problem = _shared(folder)
+    if problem:
+        warnings.warn(
+            f"{folder}: {problem}, expected a folder that its user alone can write to; code is compiled for this run "
+            f"alone. Remove it, or let {variable} name another place.",
+            stacklevel=2,
+        )
+        return _folder_of_process()
+    state = folder.stat()
+    if state.st_uid == os.getuid() and state.st_mode & 0o077:
+        folder.chmod(0o700)
+    return folder
+
+
+def _shared(folder: Path) -> str:
+    """The reason why others can have written to a folder, or can put another in its place; else ""."""
+    state = folder.lstat()
+    if not stat.S_ISDIR(state.st_mode):
+        return "a link or file"
+    if state.st_uid not in (os.getuid(), 0):
+        return "another user's"
+    if _others_write(state) and any(folder.iterdir()):
+        return "others could write to it"
+    for parent in map(Path.stat, folder.absolute().parents):
+        if parent.st_uid not in (os.getuid(), 0) or (_others_write(parent) and not parent.st_mode & stat.S_ISVTX):
+            return "in a folder of others"
+    return ""
+
+
+def _others_write(state: os.stat_result) -> bool:
+    """Test for a folder that others than its user, the group of its user alone, and root can write to."""
+    by_group = state.st_mode & stat.S_IWGRP and state.st_gid not in (0, os.getuid())
+    return bool(by_group or state.st_mode & stat.S_IWOTH)
+
+
+@functools.cache
+def _folder_of_process() -> Path:
+    folder = tempfile.mkdtemp(prefix="metapp-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from metapp.rendering import variant as mitsuba_variant
-from metapp.rendering.variant import OLDEST, VARIABLE, find_llvm, llvm_version
+from metapp.rendering.variant import KERNELS, OLDEST, VARIABLE, choose_kernels, find_llvm, llvm_version
 from tests.needs_mitsuba import needs_mitsuba
 
 SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").glob(f"{place[1:]}/libLLVM[-.]*"))
@@ -109,3 +110,17 @@ def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Pat
     lines = "import sys, numpy, torch\nfrom metapp.rendering.variant import load_mitsuba\ntorch.set_num_threads(1)\n"
     lines += "mi = load_mitsuba()\nmi.Bitmap(numpy.ones((64, 32, 3), 'float32')).write(sys.argv[1])\n"
     assert printed(lines + "print(mi.Bitmap(sys.argv[1]).size())", str(tmp_path / "a.exr")) == "[32, 64]"
+
+
+def test_kernels_of_others_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / ".drjit"
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv(KERNELS, "")
+    choose_kernels()
+    assert os.environ[KERNELS] == str(folder)
+    (folder / "kernel.bin").touch()
+    folder.chmod(0o777)
+    with pytest.warns(UserWarning, match=rf"\.drjit: others could write to it, .* {KERNELS} name another place\.$"):
+        choose_kernels()
+    assert not any(Path(os.environ[KERNELS]).glob("*.bin"))
+    assert stat.S_IMODE(Path(os.environ[KERNELS]).stat().st_mode) == 0o700

@@ -6,20 +6,16 @@ code, so it is loaded only where nobody but the user, and root, can have written
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import functools
 import hashlib
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metapp.runs.reporter import say
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache import cache_folder, code_folder
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
@@ -33,20 +29,12 @@ FLAGS = (
 SECONDS = 60  # until a compiler is given up
 
 
-class _NotOwn(Exception):
-    """A folder that others can write to."""
-
-
 @functools.cache
 def load(source: Path, *names: str) -> CDLL | None:
     """The functions of a C source, these names; None where it can neither be found compiled nor be compiled."""
     file = f"{source.stem}-{_key(source)}.so"
     try:
-        try:
-            return _loaded(source, _own(cache_folder() / "native") / file, names)
-        except _NotOwn as reason:
-            say(f"warning: {reason}; C sources are compiled for this run alone.")
-            return _loaded(source, _own(_temporary_folder()) / file, names)
+        return _loaded(source, code_folder(cache_folder() / "native", "METAPP_CACHE") / file, names)
     except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
         return None
 
@@ -62,36 +50,6 @@ def _loaded(source: Path, path: Path, names: Sequence[str]) -> CDLL:
     if not _is_whole(path, names):
         _compile(source, path)
     return ctypes.CDLL(str(path))
-
-
-def _own(folder: Path) -> Path:
-    """A folder, made if missing, that only its user can write to.
-
-    Raises:
-        _NotOwn: it is another user's or a link, or others can put another one in its place.
-        OSError: it cannot be made.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with contextlib.suppress(FileExistsError):
-        folder.mkdir(mode=0o700)
-    state = folder.lstat()
-    if not stat.S_ISDIR(state.st_mode) or state.st_uid not in (os.getuid(), 0):
-        raise _NotOwn(f"{folder}: a link or another user's, expected a folder of one's own")
-    if any(
-        parent.stat().st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH for parent in folder.absolute().parents
-    ):
-        raise _NotOwn(f"{folder}: in a folder that all can write to, expected one of one's own")
-    if state.st_uid == os.getuid() and state.st_mode & 0o077:
-        folder.chmod(0o700)
-    return folder
-
-
-@functools.cache
-def _temporary_folder() -> Path:
-    """A folder of this process, removed at its end."""
-    folder = tempfile.mkdtemp(prefix="metapp-native-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
 
 
 def compiler() -> str | None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -24,6 +26,9 @@ from metapp.learning.adjoint import (
     steps_by_torch,
 )
 from metapp.learning.task import Batch, Params
+from metapp.storage.cache import cache_folder, code_folder
+
+COMPILED = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,9 @@ def can_compile() -> bool:
     if not any(shutil.which(name) for name in ("g++", "clang++")):
         return False
     try:
+        # torch's default is a folder of /tmp that anybody can make first
+        folder = os.environ.get(COMPILED) or cache_folder() / "torch"
+        os.environ[COMPILED] = str(code_folder(Path(folder), COMPILED))
         torch.compile(lambda x: x.sin() + 1)(torch.ones(8))
     except Exception:  # whatever a compiler that lacks a part raises
         return False
