@@ -13,6 +13,7 @@ import io
 import itertools
 import math
 import re
+from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +30,7 @@ from metapp.appearance.geometry import directions_to_four_angles
 from metapp.extensions.few.spectra import spectra_to_rgb
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
-from metapp.storage.plain import open_regular, read_text
+from metapp.storage.plain import open_regular
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ class _Rows(NamedTuple):
 
     names: list[str]
     numbers: Array
-    lines: list[int]
+    lines: Array
 
     def column(self, name: str) -> Array:
         """The numbers of a column [N]."""
@@ -151,27 +152,59 @@ def _degrees(*vectors: Tensor) -> Iterator[str]:
 
 def _rows(path: Path) -> _Rows:
     """All rows of a file that are no comments."""
-    if path.stat().st_size > LONGEST:
-        raise ValueError(f"{path}: {path.stat().st_size:,} bytes, expected at most {LONGEST:,}; take fewer rows.")
+    size = path.stat().st_size
+    if size > LONGEST:
+        raise ValueError(
+            f"{path}: {size:,} bytes, expected at most {LONGEST:,}, some 6 million rows; keep one row in "
+            f"{math.ceil(size / LONGEST)}."
+        )
     try:
-        text = read_text(path, "utf-8-sig")
+        head = next(_lines(path), None)
+        if head is None:
+            raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
+        names = [name.strip().lower() for name in head[1].split(",")]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
+        return _Rows(names, *_numbers(path, len(names)))
     except UnicodeDecodeError:
         raise ValueError(f"{path}: no text in UTF-8, expected a table of numbers as CSV; save it as CSV.") from None
-    lines = [(at, line) for at, line in enumerate(text.split("\n"), 1) if line.strip() and line.lstrip()[0] != "#"]
-    if not lines:
-        raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
-    names = [name.strip().lower() for name in lines[0][1].split(",")]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
+
+
+def _numbers(path: Path, columns: int) -> tuple[Array, Array]:
+    """The numbers [N, C] below the column names, and their lines [N]; of a row at a time no more is in memory."""
     try:  # ten times as fast, but of what is wrong it does not say the line
-        numbers = np.loadtxt([line for _, line in lines[1:]], delimiter=",", ndmin=2)
+        lines = array("q")
+        numbers = np.loadtxt(_noted(path, lines), delimiter=",", ndmin=2)
+    except UnicodeDecodeError:
+        raise
     except ValueError:
         numbers = np.empty((0, 0))
-    if numbers.shape != (len(lines) - 1, len(names)):
-        cells = [_cells(path, at, line, len(names)) for at, line in lines[1:]]
-        numbers = np.array(cells).reshape(len(cells), len(names))
-    return _Rows(names, numbers, [at for at, _ in lines[1:]])
+    if numbers.shape != (len(lines), columns):
+        lines, cells = array("q"), array("d")
+        for line in _noted(path, lines):
+            cells.extend(_cells(path, lines[-1], line, columns))
+        numbers = np.array(cells).reshape(-1, columns)
+    return numbers, np.array(lines)
+
+
+def _noted(path: Path, lines: array[int]) -> Iterator[str]:
+    """Yield the rows, and note the line of each."""
+    for at, line in itertools.islice(_lines(path), 1, None):
+        lines.append(at)
+        yield line
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """The lines of a file that are neither empty nor comments, with their numbers.
+
+    Raises:
+        UnicodeDecodeError: it is no text.
+    """
+    with io.TextIOWrapper(open_regular(path), "utf-8-sig") as file:
+        for at, line in enumerate(file, 1):
+            if line.strip() and line.lstrip()[0] != "#":
+                yield at, line
 
 
 def _cells(path: Path, at: int, line: str, count: int) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -159,6 +160,24 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
     np.testing.assert_allclose(values @ spectra_to_rgb(nanometres), expected, atol=2e-3)
 
 
+def test_lines_are_told_beside_cells_that_are_empty(tmp_path: Path) -> None:
+    """Numbers that nobody asks for may be missing."""
+    file, rows = tmp_path / "a.csv", [f"{ROW}," for _ in range(9)]
+    file.write_text("\n".join([f"{HEAD},note", *rows]))
+    assert len(gonio.read_pairs(file).wi) == 9
+    file.write_text("\n".join([f"{HEAD},note", f"{ROW},1", *rows, "# c", f"{ROW},".replace("0.2", "-1")]))
+    with pytest.raises(ValueError, match=r"line 13: g -1, expected 0 to"):
+        gonio.read_pairs(file)
+
+
+def test_a_file_that_is_too_large_says_how_many_rows_to_keep(tmp_path: Path) -> None:
+    file = tmp_path / "large.csv"
+    file.touch()
+    os.truncate(file, 5 * gonio.LONGEST // 2)
+    with pytest.raises(ValueError, match=r"large\.csv: 671,088,640 bytes, .* 6 million rows; keep one row in 3\.$"):
+        gonio.read_pairs(file)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -177,6 +196,7 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
         (HEAD[:-6] + ",500nm,600nm\n" + ROW[:-4], "2 wavelengths from 500 to 600 nm, expected 4"),
         (HEAD + "\n" + "\n".join([ROW] * 200), "1 pairs of directions, expected 4 or more"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
+        (f"{HEAD}\n".encode() + 9999 * f"{ROW}\n".encode() + b"\xff", "no text in UTF-8"),
     ],
 )
 def test_what_is_no_such_table_is_refused_in_one_line(tmp_path: Path, text: str | bytes, words: str) -> None:
