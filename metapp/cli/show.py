@@ -8,6 +8,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.cli.console import out, print_json
+from metapp.cli.streams import escaped
 from metapp.evaluation.notes import csv_of, text_table, title_of
 from metapp.evaluation.rows import Column, Row, Table
 from metapp.evaluation.subject import Subject
@@ -48,7 +49,7 @@ def rich_table(table: Table, subject: Subject, rows: list[Row]) -> RichTable:
         left = column.left
         grid.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)
     for row in rows:
-        grid.add_row(*(Text(column.text(row)) for column in columns))
+        grid.add_row(*(Text(escaped(column.text(row))) for column in columns))
     return grid
 
 

@@ -33,9 +33,14 @@ def open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def escaped(text: str) -> str:
+    """A text with control characters, also those of the direction of writing, as Python writes them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def one_line(message: str) -> str:
     """A message without control characters, its long paths cut, then its middle: the ends hold subject and remedy."""
-    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+    text = escaped(message)
     if len(text) > LONGEST:
         text = re.sub(r"[^\s(]{60,}", lambda word: f"...{word[0][-45:]}", text)  # long paths: their ends tell most
     half = (LONGEST - 5) // 2

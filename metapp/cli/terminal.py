@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from metapp.cli.streams import leave, one_line
+from metapp.cli.streams import escaped, leave, one_line
 from metapp.runs.reporter import Bar, Reporter
 
 
@@ -65,6 +65,7 @@ class Terminal(Reporter):
             self._warned.add(message)
         if message.startswith(("error: ", "warning: ", "problem: ")):
             message = one_line(message)
+        message = "\n".join(map(escaped, message.split("\n")))
         try:
             self._console.print(message, soft_wrap=True)
         except OSError:

@@ -260,6 +260,8 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
     for number, line in enumerate(lines, 1):
         record = as_text(_parsed(line))
         if holds(record, {"name": str, **(form or {})}):
+            # as fits name tasks: in a run of somebody else a name could turn the order of the text beside it
+            record["name"] = "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])
             records.pop(record["name"], None)
             records[record["name"]] = record
         elif line.strip() and (record is not None or number < len(lines)):

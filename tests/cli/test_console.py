@@ -13,3 +13,8 @@ def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[st
     lines = capsys.readouterr().err.splitlines()
     assert lines.count("warning: a.png: it clips") == lines.count("warning: b.png: it clips") == 2
     assert lines.count("a line") == 8
+
+
+def test_paths_in_messages_turn_no_text(capsys: pytest.CaptureFixture[str]) -> None:
+    Terminal().say("picture: a\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a")
+    assert capsys.readouterr().err == "picture: a\\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a\n"

@@ -389,3 +389,10 @@ def test_names_are_made_safe_and_short(tmp_path: Path, name: str) -> None:
     (text,) = run.finished()
     assert text == as_text(name)
     assert torch.equal(run.theta(text)["w"], THETA["w"])
+
+
+def test_names_in_records_of_others_turn_no_text(tmp_path: Path) -> None:
+    names = ["a\u202egnp.b", "z\u200bw", "\u0639\u0631\u0628\u064a", "e\u0301tude"]
+    (tmp_path / "record.jsonl").write_text("".join(f"{json.dumps({'name': name})}\n" for name in names))
+    read = [record["name"] for record in read_records(tmp_path / "record.jsonl")]
+    assert read == ["a_gnp.b", "z_w", *names[2:]]
