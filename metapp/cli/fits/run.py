@@ -12,7 +12,7 @@ import typer
 from data_tools.formats import exports_of
 from metapp import door
 from metapp.cli.console import Exit, out, print_json, what_failed
-from metapp.cli.streams import one_line
+from metapp.cli.streams import escaped, one_line
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
 
@@ -131,5 +131,5 @@ def table_of(
         cells.append(number(record.get("seconds"), ".4f"))
         cells += [f"{record['steps']}"] if steps else []
         cells += [f"{sum(1 for _ in (made / file_name(record['name'])).glob('*'))}"] if made and not measured else []
-        table.add_row(Text(record["name"]), *cells)
+        table.add_row(Text(escaped(record["name"])), *cells)
     return table

@@ -10,6 +10,7 @@ import typer
 
 from metapp.cli.console import out, print_json
 from metapp.cli.options import FittedData, Json, Overwrite, RunPath, check_new, takes
+from metapp.cli.streams import escaped
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
@@ -93,5 +94,5 @@ def _table(compared: Comparison) -> Table:
         both = None not in errors and b["error"] > 0 and overall is not None and overall.kind == "ratio"
         ratio = f"{a['error'] / b['error']:.3f}" if both else "-"
         seconds = (number(each.get("seconds"), ".4f") for each in (a, b))
-        table.add_row(Text(a["name"]), *(number(each, ".3f") for each in errors), ratio, *seconds)
+        table.add_row(Text(escaped(a["name"])), *(number(each, ".3f") for each in errors), ratio, *seconds)
     return table

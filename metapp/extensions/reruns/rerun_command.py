@@ -9,6 +9,7 @@ import typer
 
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.options import FittedData, Json
+from metapp.cli.streams import escaped
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
 
@@ -84,5 +85,5 @@ def _table(rows: list[Repeated]) -> Table:
         errors = [number(each, ".6g") for each in (row.recorded, row.found)]
         seconds = [number(each, ".4f") for each in row.seconds or (None, None)]
         agrees = "yes" if row.agrees else "no"
-        table.add_row(Text(row.name), *errors, f"{row.difference:.1e}", f"{row.tolerance:g}", agrees, *seconds)
+        table.add_row(Text(escaped(row.name)), *errors, f"{row.difference:.1e}", f"{row.tolerance:g}", agrees, *seconds)
     return table
