@@ -75,7 +75,9 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
 
     angles = directions_to_four_angles(pairs.wi, pairs.wo)
     azimuths = depends_on_azimuth(angles, pairs.reflectance)
-    angles, reflectance = _distinct(angles if azimuths else angles[:, :3], pairs.reflectance)
+    angles, reflectance = angles if azimuths else angles[:, :3], pairs.reflectance
+    if len(angles):
+        angles, reflectance = _distinct(angles, reflectance)
     if len(angles) < LEAST:
         raise ValueError(
             f"{source or name}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more."

@@ -286,7 +286,9 @@ def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0
 
 
 def array_of(name: str, source: object) -> Array:
-    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array; halves as float32.
+    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array.
+
+    Halves become float32, long doubles float64, and numbers in another byte order those of the machine.
 
     Raises:
         ValueError: no numbers, masked ones, too many, or a tensor that is not dense.
@@ -303,6 +305,9 @@ def array_of(name: str, source: object) -> Array:
     if values.dtype.kind not in "uif":
         kind = f"an array of {values.dtype}" if values.ndim else _kind_of(source)
         raise ValueError(f"{name}: {kind}, expected an array of numbers.")
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
+    if values.dtype == np.longdouble:
+        return values.astype(np.float64)
     return values.astype(np.float32) if values.dtype == np.float16 else values
 
 

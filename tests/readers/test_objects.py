@@ -39,11 +39,13 @@ def read(from_object: Callable, source: object, observe: str = "", **how: object
         torch.from_numpy(RGB),
         Image.fromarray(RGB),
         RGB.astype(np.uint16) * 257,
+        (RGB.astype(np.uint16) * 257).astype(">u2"),
         RGB / 255,
+        RGB / np.longdouble(255),
         torch.from_numpy(RGB / 255).float().requires_grad_(),
         np.ascontiguousarray(RGB[::-1])[::-1],
     ],
-    ids=["uint8", "tensor", "PIL", "uint16", "float64", "float32 tensor", "strided"],
+    ids=["uint8", "tensor", "PIL", "uint16", "big-endian", "float64", "long double", "float32 tensor", "strided"],
 )
 def test_a_picture_is_read_as_its_file_is(source: object, tmp_path: Path) -> None:
     file = write(tmp_path / "file.png", RGB)

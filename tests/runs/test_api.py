@@ -142,6 +142,7 @@ def test_a_bsdf_of_mitsuba_is_fitted() -> None:
     [
         (3, "object: int, expected a path, a function"),
         ((1, 2), "2 arrays, expected 3"),
+        ((np.zeros((0, 3)),) * 3, "object: 0 pairs of directions, expected 4 or more"),
         ((np.zeros((9, 3)), np.ones((9, 3)), np.ones((9, 3))), "wi of length 0, expected unit vectors"),
         ((*directions(3), np.ones((3, 3))), "3 pairs of directions, expected 4"),
         ((*directions(80), -np.ones((80, 3))), "reflectance that is negative"),
