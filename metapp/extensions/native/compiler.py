@@ -81,7 +81,7 @@ def _is_whole(path: Path, names: Sequence[str]) -> bool:
         digest, content = _own_bytes(_digest_path(path)), _own_bytes(path)
     except OSError:
         return False
-    same = digest == hashlib.sha256(content).hexdigest().encode()
+    same = digest == _digest(path, content)
     return same and all(b"\0%s\0" % name.encode() in content for name in names)
 
 
@@ -96,6 +96,11 @@ def _own_bytes(path: Path) -> bytes:
         if not stat.S_ISREG(state.st_mode) or state.st_uid not in (os.getuid(), 0) or state.st_mode & 0o022:
             raise PermissionError(f"{path}: not one's own.")
         return file.read()
+
+
+def _digest(path: Path, content: bytes) -> bytes:
+    """A digest of a library under its name: another one that is renamed to it does not match."""
+    return hashlib.sha256(path.name.encode() + content).hexdigest().encode()
 
 
 def _digest_path(path: Path) -> Path:
@@ -123,10 +128,10 @@ def _compile(source: Path, path: Path) -> None:
             raise OSError(f"{command}: does not compile {source.name}") from error
 
     write_atomically(path, write)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = _digest(path, path.read_bytes())
 
     def write_digest(partial: Path) -> None:
-        partial.write_text(digest, "ascii")
+        partial.write_bytes(digest)
         partial.chmod(0o600)
 
     write_atomically(_digest_path(path), write_digest)

@@ -73,7 +73,10 @@ UNSAFE = [
     *("a folder of another user", "a linked folder", "a folder that all could write to"),
     *("a place for all", "a place of another user", "a place for a group"),
 ]
-REPLACED = ["a library of another user", "a digest of another user", "a library that all can write", "a linked library"]
+REPLACED = [
+    *("one's own library of another source", "a library of another user", "a digest of another user"),
+    *("a library that all can write", "a linked library"),
+]
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
@@ -123,7 +126,7 @@ def spoil(attack: str, native: Path, library: Path, digest: Path) -> None:
         os.chown(digest, 12345, 12345)
     elif attack == "a library that all can write":
         library.chmod(0o777)
-    else:
+    elif attack == "a linked library":
         library.rename(library.with_suffix(".bak"))
         library.symlink_to(library.with_suffix(".bak"))
 
