@@ -1,6 +1,6 @@
 """`python -m torture [--seed N] [--minutes M] [--quick] [PART ...]`: the runner; exit code 1 with any finding.
 
-A part is readers, kills, disk or many, or one of its cases: readers:merl, kills:fit, disk:full, many:lines.
+A part is readers, kills, disk, many or servers, or one of its cases: readers:merl, kills:fit, disk:full, many:lines.
 """
 
 from __future__ import annotations
@@ -12,18 +12,16 @@ import resource
 import sys
 import time
 
-from torture import disk, kills, many, readers
+from torture import disk, kills, many, readers, servers
 from torture.report import Report
 
-PARTS = {"readers": readers.run, "kills": kills.run, "disk": disk.run, "many": many.run}
+PARTS = {"readers": readers.run, "kills": kills.run, "disk": disk.run, "many": many.run, "servers": servers.run}
 
 
 def main() -> int:
     """Run the parts that were asked for and print the report."""
     parser = argparse.ArgumentParser(prog="python -m torture", description="Attempts to break metapp.")
-    parser.add_argument(
-        "parts", nargs="*", metavar="PART", help="readers, kills, disk, many, or PART:CASE; default: all"
-    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}, or PART:CASE; default: all")
     parser.add_argument("--seed", type=int, help="of all draws; default: a new one, which is printed")
     parser.add_argument("--quick", action="store_true", help="a few minutes instead of about thirty")
     parser.add_argument("--minutes", type=float, help="no new kill point after so many")

@@ -17,7 +17,6 @@ from pathlib import Path
 from torture.report import Report
 from torture.targets import TARGETS
 
-INPUTS, QUICK_INPUTS = 10_000, 250
 _CHUNK = 2500  # inputs of one process
 _STALL_SECONDS = 150.0  # without a word: not even its CPU time ends it
 _MOST_DEATHS = 10  # of one chunk; then its rest is left out, with a finding each
@@ -36,12 +35,11 @@ def run(report: Report, seed: str, quick: bool, only: list[str], index: int | No
     unknown = set(only) - set(TARGETS)
     if unknown:
         raise SystemExit(f"readers {', '.join(sorted(unknown))}: expected some of {', '.join(TARGETS)}.")
-    number = QUICK_INPUTS if quick else INPUTS
     chunks = [
-        (name, first, min(_CHUNK, number - first))
-        for name in TARGETS
+        (name, first, min(_CHUNK, target.inputs[quick] - first))
+        for name, target in TARGETS.items()
         if not only or name in only
-        for first in range(0, number, _CHUNK)
+        for first in range(0, target.inputs[quick], _CHUNK)
     ]
     if index is not None:
         chunks = [(name, index, 1) for name in only]

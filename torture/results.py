@@ -1,4 +1,4 @@
-"""What metapp itself leaves, mutated: packs of fits, records that are fitted again, compiled libraries in the cache."""
+"""What metapp itself leaves, mutated: packs of fits and records that are fitted again."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ import contextlib
 import functools
 import json
 import lzma
-import os
 import random
-import signal
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from torture import seeds
+from torture.child import BadResult
 from torture.mutate import mutate_bytes, mutate_json
 from torture.seeds import Files
 
 RECORDS, PACK = "record.jsonl", "fits.pack"
 FITS = (("general", ""), ("meta", "meta-curvature"))
-SOURCE = "int seven(void) { return 7; }\n"
 
 
 @functools.cache
@@ -115,51 +113,8 @@ def read_pack(folder: Path, file: Path) -> None:
     from metapp.extensions.packs.pack import unpack
     from metapp.runs.outputs.recorded import read_run
     from metapp.storage.records import read_theta
-    from torture.targets import BadResult
 
     run = Path(unpack(file, folder / "out", None).out)
     for record in read_run(run).records:
         if not all(bool(value.isfinite().all()) for value in read_theta(run, record["name"]).values()):
             raise BadResult("parameters that are not finite")
-
-
-@functools.cache
-def _source() -> Path:
-    source = Path(tempfile.mkdtemp(prefix="torture-source-")) / "seven.c"
-    source.write_text(SOURCE)
-    return source
-
-
-@functools.cache
-def libraries() -> list[Files]:
-    """A compiled library with its digest."""
-    with tempfile.TemporaryDirectory() as cache:
-        _load_elsewhere(Path(cache))
-        return [{path.name: path.read_bytes() for path in (Path(cache) / "native").iterdir()}]
-
-
-def read_library(folder: Path, file: Path) -> None:
-    """As an engine does, in a process of its own: whatever is in the cache, the function is there and is right."""
-    native = folder / "native"
-    native.mkdir()
-    for path in [path for path in folder.iterdir() if path != native]:
-        path.rename(native / path.name)
-    _load_elsewhere(folder)
-
-
-def _load_elsewhere(cache: Path) -> None:
-    from metapp.extensions.native.compiler import load
-    from torture.targets import BadResult
-
-    source = _source()
-    if (child := os.fork()) == 0:
-        code = 9
-        with contextlib.suppress(BaseException):
-            os.environ["METAPP_CACHE"] = str(cache)
-            functions = load.__wrapped__(source, "seven")
-            code = 8 if functions is None else functions.seven() - 7
-        os._exit(code)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if code:
-        ends = {8: "no library", 9: "an error"}
-        raise BadResult(signal.Signals(-code).name if code < 0 else ends.get(code, f"a function that gives {code + 7}"))

@@ -10,12 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from torture import results, scene_data, seeds
+from torture import arrays, caches, links, results, scene_data, seeds
+from torture.child import BadResult
 from torture.mutate import mutate_bytes, mutate_json, mutate_xml
 
-
-class BadResult(Exception):
-    """A reader returned what it must not return."""
+FEW_ROWS = 8  # of tables of a goniometer
 
 
 class Target(NamedTuple):
@@ -25,11 +24,13 @@ class Target(NamedTuple):
         seeds: valid inputs.
         read: takes the input's folder and the mutated file; ValueError is a refusal.
         write: instead of mutating a seed's file; returns the file.
+        inputs: so many, and with --quick.
     """
 
     seeds: Callable[[], list[seeds.Files]]
     read: Callable[[Path, Path], None]
     write: Callable[[random.Random, Path], Path] | None = None
+    inputs: tuple[int, int] = (10_000, 250)
 
 
 def mutated(rng: random.Random, target: Target, folder: Path, valid: list[seeds.Files]) -> Path:
@@ -136,8 +137,33 @@ def _read_gonio(folder: Path, file: Path) -> None:
     wi, wo, reflectance = gonio.read_pairs(file)
     if not wi.shape == wo.shape == reflectance.shape or not bool((wi + wo + reflectance).isfinite().all()):
         raise BadResult(f"wi {tuple(wi.shape)}, reflectance {tuple(reflectance.shape)}, or not finite")
-    if sum(file.read_bytes()) % 20 == 0:  # its picture costs more than all else
+    if len(wi) <= FEW_ROWS or sum(file.read_bytes()) % 20 == 0:  # its picture costs more than all else
         finite(gonio.read_task(file), reflectance=None)
+
+
+def _write_gonio(rng: random.Random, folder: Path) -> Path:
+    """A mutated table, or one of few rows."""
+    if rng.random() < 0.95:
+        return mutated(rng, Target(seeds.goniometer_files, _read_gonio), folder, seeds.goniometer_files())
+    (folder / "few.csv").write_text(few_rows(rng))
+    return folder / "few.csv"
+
+
+def few_rows(rng: random.Random) -> str:
+    """A table of FEW_ROWS at most: angles that are extreme or repeated, in several units, and values of any size."""
+    unit = rng.choice(("deg", "deg", "deg", "rad", "", "grad", "cos"))
+    columns = rng.choice(
+        (["r", "g", "b"], ["r", "g", "b"], ["550nm"], ["400nm", "700nm"], ["1nm", "99999nm"], ["r", "r", "b"])
+    )
+    names = [f"{name}_{unit}".strip("_") for name in ("theta_i", "phi_i", "theta_o", "phi_o")]
+    most = 90 if unit == "deg" else math.pi / 2
+    extreme = (0, -0.0, most, most - 1e-9, most + 1e-9, -most, 1e-30, 4 * most, 40 * most, 1e6, float("nan"))
+    rows: list[list[float]] = []
+    for _ in range(rng.randint(1, FEW_ROWS)):
+        angles = [rng.choice(extreme) if rng.random() < 0.1 else rng.uniform(0, most * (1 + i % 2)) for i in range(4)]
+        values = [rng.choice((0, 1e-30, 1e4, 1e30, -1, 0.5)) if rng.random() < 0.1 else rng.random() for _ in columns]
+        rows.append(rng.choice(rows) if rows and rng.random() < 0.3 else angles + values)
+    return "\n".join(rng.choice((",", ", ")).join(map(str, row)) for row in ([*names, *columns], *rows)) + "\n"
 
 
 def _read_with(module: str, key: str | None, side: int, folder: Path, file: Path) -> None:
@@ -255,7 +281,7 @@ TARGETS: dict[str, Target] = {
     "merl": Target(lambda: [], _read_merl, _merl_file),
     "nbrdf": Target(seeds.networks, _read_nbrdf),
     "rgl": Target(seeds.rgl_files, _read_rgl),
-    "gonio": Target(seeds.goniometer_files, _read_gonio),
+    "gonio": Target(seeds.goniometer_files, _read_gonio, _write_gonio),
     "images": Target(seeds.photographs, functools.partial(_read_with, "photos", "image", 32)),
     "flash": Target(seeds.flash_photos, functools.partial(_read_with, "flash", "image", 32)),
     "strips": Target(seeds.strips, functools.partial(_read_with, "strips", "photo", 32)),
@@ -272,5 +298,7 @@ TARGETS: dict[str, Target] = {
     "record": Target(seeds.records, _read_records),
     "rerun": Target(results.runs, results.read_run, results.write_run),
     "pack": Target(results.packs, results.read_pack, results.write_pack),
-    "library": Target(results.libraries, results.read_library),
+    "caches": Target(caches.cases, caches.read, caches.write, (1000, 40)),
+    "links": Target(links.cases, links.read, links.write, (240, 8)),
+    "arrays": Target(arrays.cases, arrays.read, arrays.write, (2000, 40)),
 }
