@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 
 from torture.report import Report
@@ -76,7 +77,7 @@ def _process(report: Report, seed: str, name: str, first: int, count: int) -> tu
     lines: queue.Queue[bytes] = queue.Queue()
     errors = bytearray()
     threads = [
-        threading.Thread(target=lambda: [lines.put(line) for line in (*iter(process.stdout.readline, b""), b"")]),
+        threading.Thread(target=lambda: [lines.put(line) for line in chain(process.stdout, [b""])]),
         threading.Thread(target=lambda: [errors.extend(line) for line in process.stderr]),
     ]
     for thread in threads:
