@@ -1,5 +1,6 @@
 """Places of camera and flash beside several photos of one material."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,14 @@ def test_malformed_files_are_refused_in_one_line(folder: Path, name: str, text: 
         read_places(folder, 2)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [CAMERA, LIGHT, SIZE])
+def test_a_pipe_is_not_waited_for(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with pytest.raises(ValueError, match=f"{name}: a pipe or device, expected a file"):
+        read_places(folder, 2)
 
 
 @pytest.mark.parametrize("name", [CAMERA, LIGHT, SIZE])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -46,3 +47,4 @@ def test_a_fit_writes_its_page(networks: Path, tmp_path: Path) -> None:
     assert page == Path(f"{file_name(fit.name)}.html")
     assert "VIEWERS.brdf" in page.read_text(encoding="utf-8")
     assert fit.view(tmp_path / "a b.html").is_file()
+    assert fit.view(os.fsencode(tmp_path) + b"/\xff.html").is_file()
