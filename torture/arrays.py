@@ -140,7 +140,8 @@ def strange(rng: random.Random, values: Any) -> Any:
             lambda: np.asfortranarray(values), lambda: values.T, lambda: np.ascontiguousarray(values.T).T,
             lambda: np.broadcast_to(values[:1], values.shape) if values.ndim else values,
             lambda: np.ma.masked_array(values, rng.choice((False, True))), lambda: values.view(np.ndarray).tolist(),
-            lambda: np.broadcast_to(values[..., :1], (*values.shape[:-1], 10**9)) if values.ndim else values,
+            lambda: np.broadcast_to(values[..., :1], (*values.shape[:-1], 10**9)) if values.size and values.ndim
+            else values,
             lambda: np.broadcast_to(np.float32(0.5), (60000, 60000, 3)),
         ))()  # fmt: skip
         values = values.view() if isinstance(values, np.ndarray) else values
@@ -163,8 +164,8 @@ def _tensor(rng: random.Random, values: Any) -> Any:
     return rng.choice((
         lambda: tensor, tensor.half, tensor.bfloat16, lambda: tensor.float().requires_grad_(),
         lambda: tensor.to(torch.float8_e5m2), lambda: tensor.float().to_sparse(), lambda: tensor.to("meta"),
-        lambda: tensor.float().mT, lambda: torch.quantize_per_tensor(tensor.float(), 1 / 255, 0, torch.quint8),
-        lambda: tensor[None],
+        lambda: tensor.float().transpose(0, -1),
+        lambda: torch.quantize_per_tensor(tensor.float(), 1 / 255, 0, torch.quint8), lambda: tensor[None],
         lambda: torch.complex(tensor.float(), tensor.float()).conj().imag, lambda: tensor.expand(10**6, *tensor.shape),
         lambda: torch.nested.nested_tensor([tensor.float()]), lambda: torch.nn.Parameter(tensor.float()),
     ))()  # fmt: skip
