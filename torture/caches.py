@@ -6,10 +6,9 @@ import functools
 import os
 import random
 import shutil
-import tempfile
 from pathlib import Path
 
-from torture.child import BadResult, in_child, remove
+from torture.child import BadResult, in_child, place_of_process, remove
 from torture.mutate import mutate_bytes
 from torture.seeds import Files
 
@@ -27,7 +26,7 @@ def cases() -> list[Files]:
 @functools.cache
 def _libraries() -> dict[str, Path]:
     """Folders of sources and caches: of ours, of another function, and of another source with the same function."""
-    place, folders = Path(tempfile.mkdtemp(prefix="torture-libraries-")), {}
+    place, folders = place_of_process(), {}
     for name, function, value in (("ours", "seven", RIGHT), ("eight", "eight", 8), ("others", "seven", WRONG)):
         folders[name] = place / name
         folders[name].mkdir()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import faulthandler
 import os
 import shutil
 import signal
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,3 +51,10 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def place_of_process() -> Path:
+    """A new folder that is removed when this process ends."""
+    place = Path(tempfile.mkdtemp(prefix="torture-process-"))
+    atexit.register(shutil.rmtree, place, ignore_errors=True)
+    return place

@@ -11,13 +11,12 @@ import random
 import shutil
 import socket
 import sys
-import tempfile
 from pathlib import Path
 
 import pytest
 
 from torture import commands
-from torture.child import BadResult, in_child, remove
+from torture.child import BadResult, in_child, place_of_process, remove
 from torture.report import Report
 from torture.seeds import Files
 
@@ -51,7 +50,7 @@ def _words() -> dict[str, str]:
     from tests.small_spheres import shrink_spheres
 
     shrink_spheres(pytest.MonkeyPatch())  # for the whole process
-    place = Path(tempfile.mkdtemp(prefix="torture-links-"))
+    place = place_of_process()
     words = {"data": f"{place}/data", "pack": f"{place}/a.pack", "place": str(place)}
     with contextlib.chdir(place):
         app(f"data synth brdf --count 6 --out {place}/data -q".split(), standalone_mode=False)
