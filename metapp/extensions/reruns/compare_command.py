@@ -65,7 +65,6 @@ def command(options: Options) -> None:
 def _table(compared: Comparison) -> Table:
     """One line a task, and the means."""
     from rich.table import Table
-    from rich.text import Text
 
     from metapp.runs.outputs.statistics import FEWEST
     from metapp.runs.requests.naming import caption_of, title_of
@@ -94,5 +93,5 @@ def _table(compared: Comparison) -> Table:
         both = None not in errors and b["error"] > 0 and overall is not None and overall.kind == "ratio"
         ratio = f"{a['error'] / b['error']:.3f}" if both else "-"
         seconds = (number(each.get("seconds"), ".4f") for each in (a, b))
-        table.add_row(Text(escaped(a["name"])), *(number(each, ".3f") for each in errors), ratio, *seconds)
+        table.add_row(escaped(a["name"]), *(number(each, ".3f") for each in errors), ratio, *seconds)
     return table

@@ -75,7 +75,6 @@ def _say_conditions(rows: list[Repeated]) -> None:
 def _table(rows: list[Repeated]) -> Table:
     """One line a task: errors, their difference and how much of it is rounding, seconds."""
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(caption="difference: relative, of errors; of parameters where there is no reference")
     table.add_column("task")
@@ -85,5 +84,5 @@ def _table(rows: list[Repeated]) -> Table:
         errors = [number(each, ".6g") for each in (row.recorded, row.found)]
         seconds = [number(each, ".4f") for each in row.seconds or (None, None)]
         agrees = "yes" if row.agrees else "no"
-        table.add_row(Text(escaped(row.name)), *errors, f"{row.difference:.1e}", f"{row.tolerance:g}", agrees, *seconds)
+        table.add_row(escaped(row.name), *errors, f"{row.difference:.1e}", f"{row.tolerance:g}", agrees, *seconds)
     return table
