@@ -114,11 +114,12 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
         assert scene == scene_of(task.data["scene"])
     # fewer take the place of all, scenes included
     for count in ("2", "1"):
-        assert metapp("data", "cornell", "--count", count, "--seed", "7", *FEW, "-o", "b", "-q").code == 0
+        again = ("--count", count, "--seed", "7", *FEW, "-o", "b", "-q", "--overwrite")
+        assert metapp("data", "cornell", *again).code == 0
     files = {"manifest.json", "cornell-7-000.json", "cornell-7-000.safetensors"}
     assert {path.name for path in Path("b").iterdir()} == files
-    (again,) = read_shard(Path("b"))
-    assert all(torch.equal(again.data[key], tasks[0].data[key]) for key in again.data)
+    (box,) = read_shard(Path("b"))
+    assert all(torch.equal(box.data[key], tasks[0].data[key]) for key in box.data)
 
 
 @needs_mitsuba
