@@ -9,11 +9,14 @@ import filecmp
 import glob
 import os
 import shutil
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from metapp.storage.plain import check_plain, open_own
+
+if TYPE_CHECKING:
+    import xml.etree.ElementTree as ET
 
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
 
@@ -52,8 +55,10 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
 
 def write_xml(path: Path, root: ET.Element) -> None:
     """Write an XML document, indented, whole or not at all."""
-    ET.indent(root)
-    content: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    from xml.etree.ElementTree import indent, tostring  # here: every command imports this module
+
+    indent(root)
+    content: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
     write_atomically(path, lambda target: target.write_bytes(content + b"\n"))
 
 

@@ -10,7 +10,6 @@ from data_tools.formats import AUTO
 from metapp.door import Conversion
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import named
-from metapp.storage.manifest import SPLITS
 from metapp.storage.plain import check_readable
 
 if TYPE_CHECKING:
@@ -100,6 +99,8 @@ def splits_by_folder(sources: Mapping[Path, Path | None]) -> dict[Path, str]:
     Args:
         sources: each with the folder that was searched for it; None where it was named.
     """
+    from metapp.storage.manifest import SPLITS
+
     splits: dict[Path, str] = {}
     for source, searched in sources.items():
         parts = source.relative_to(searched).parts[:-1] if searched else ()

@@ -13,7 +13,6 @@ from metapp.cli.console import print_json
 from metapp.cli.data.convert import Out, Quiet
 from metapp.cli.options import Json, Overwrite, check_new, field_of_view, takes
 from metapp.runs.reporter import progress, say
-from metapp.storage.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from metapp.extensions.capture.ball.capture import Capture
@@ -59,6 +58,7 @@ def ball(options: BallOptions) -> None:
     """
     from metapp.extensions.capture.ball.capture import Settings, capture
     from metapp.extensions.capture.ball.write import FOUND, write_capture
+    from metapp.storage.manifest import MANIFEST
 
     place = _place(options.ball)
     settings = Settings(_times(options.exposures), math.radians(options.fov), place, options.size)
