@@ -26,7 +26,6 @@ from benchmarks.bench_samples import Errors, Way, errors_of, figure, ratios
 from benchmarks.measured import as_measured
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosine
-from metapp.appearance.noise import factors
 from metapp.apps.brdf.app import Brdf
 from metapp.cli.console import run
 from metapp.evaluation.style import COLOURS, MUTED, STYLE
@@ -35,6 +34,7 @@ from metapp.extensions.baselines.brdf import Space, _space
 from metapp.extensions.baselines.components import EPSILON
 from metapp.extensions.baselines.fits import training_of
 from metapp.extensions.few.design import Limits, places_of
+from metapp.extensions.few.noise import factors
 from metapp.extensions.few.planning import plan_brdf
 from metapp.learning.task import Task
 from metapp.runs.inputs.sources import data_folder, tasks_of_data

@@ -92,9 +92,7 @@ def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
 @pytest.mark.long
 def test_colour_leaves_no_mocks_behind() -> None:
     # in a process of its own: once a library that looks for SciPy is imported, it looks no more
-    lines = (
-        "from data_tools.readers.colours import colour_science\ncolour_science()\nimport torchmetrics.functional.image"
-    )
+    lines = "from metapp.appearance.colorimetry import colour_science as c\nc()\nimport torchmetrics.functional.image"
     done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")  # nor what colour-science says of what it lacks
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 
+import numpy as np
 from torch import Tensor
 
+from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.metrics import ssim
 from metapp.appearance.presentation import Fitted, Presentation, Visible
@@ -21,7 +23,10 @@ class BrdfPresentation(Presentation[Brdf]):
 
     title = "BRDF"
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
-    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
+    image_measure = (
+        "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches: SSIM, and "
+        "the CIE 2000 colour difference (D65), of which about 1 is just noticeable"
+    )
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The sphere, on black with coverage."""
@@ -30,7 +35,7 @@ class BrdfPresentation(Presentation[Brdf]):
         return {"reference": task.data["render"], "fit": fit}
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """SSIM of the sphere under the environment map, mean over the pixels that it touches.
+        """SSIM of the sphere under the environment map, mean over the pixels that it touches, and colour differences.
 
         Empty where a data set was made before it had such pictures.
         """
@@ -40,7 +45,10 @@ class BrdfPresentation(Presentation[Brdf]):
         reference = _display(task.data["environment"])
         for name, fit in fits.items():
             picture = _display(shade_sphere(scene, functools.partial(network_of(fit.theta).evaluate, fit.theta)))
-            measured[name] = {"SSIM": float(ssim(picture, reference)[0][:, scene.mask].mean())}
+            pixels = (each[0][:, scene.mask].T.double().numpy() for each in (picture, reference))
+            median, high = np.quantile(colour_difference(*pixels), (0.5, 0.95))
+            similarity = float(ssim(picture, reference)[0][:, scene.mask].mean())
+            measured[name] = {"SSIM": similarity, "CIE 2000, median": float(median), "CIE 2000, 95 %": float(high)}
         return measured
 
     def visible(self, task: Task) -> Visible:

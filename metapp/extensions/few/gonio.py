@@ -26,8 +26,8 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
 from data_tools.readers.measured_pairs import FEW, LARGEST, Pairs, depends_on_azimuth, task_of_pairs
+from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.extensions.few.spectra import spectra_to_rgb
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
 from metapp.storage.plain import open_regular

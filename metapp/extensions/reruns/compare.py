@@ -6,10 +6,13 @@ import statistics
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from metapp.appearance.colorimetry import colour_difference
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.runs.outputs.pictures import COMPARED, column_of, write_compared
+from metapp.runs.outputs.pictures import COMPARED, Column, column_of, write_compared
 from metapp.runs.outputs.recorded import SETTINGS, app_as, read_run, tasks_as
 from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
@@ -20,6 +23,7 @@ from metapp.storage.forms import OPTIONAL
 from metapp.storage.records import summary
 
 FORM = {"error": OPTIONAL, "settings": SETTINGS}  # of records of fits, and of methods without a network
+SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
 TOLD = (
     "paradigm",
     "rule",
@@ -149,14 +153,15 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     return Comparison((one, other), tasks, ratio_of_errors, measures, _notes(settings, by_name, names))
 
 
-def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
+def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
     """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of both runs below it.
 
     Returns:
-        The file; None where it is not known what was fitted, or one run is of a method that keeps no picture.
+        The file; None where it is not known what was fitted, or one run is of a method that keeps no picture. And the
+        comparison, of spheres with the colour differences of what was drawn.
     """
     if not compared.tasks or not all((side.folder / "params").is_dir() for side in compared.sides):
-        return None
+        return None, compared
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
     drawn, app = compared.tasks[:COMPARED], compared.sides[0].app
     columns = []
@@ -165,7 +170,29 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
             pairs = zip(compared.sides, records, strict=True)
             columns.append(column_of(task, [(side.label, side.app, side.folder, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
-    return write_compared(app, columns, file)
+    if app.name in SPHERES:
+        compared = compared._replace(measures=compared.measures | _colour_differences(columns, compared))
+    return write_compared(app, columns, file), compared
+
+
+def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str, Measured]:
+    """Of both fits' spheres from the reference's, by what they are: median and 95th percentile of a sphere's pixels."""
+    found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}), ({}, {})]
+    for column in columns:
+        reference, *fits = column.pictures.values()
+        touched = np.min([reference, *fits], 0).min(-1) < 1  # the background is white
+        for side, fit in enumerate(fits):
+            values = np.quantile(colour_difference(fit[touched], reference[touched]), (0.5, 0.95))
+            for measure, value in zip(found[side], values.tolist(), strict=True):
+                measure[column.name] = value
+    groups = {task.name: task.group or task.name for task in compared.tasks}
+    return {
+        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": Measured(
+            (statistics.fmean(one.values()), statistics.fmean(other.values())),
+            paired([one], [other], groups, logarithmic=False),
+        )
+        for share, one, other in zip(("median", "95 %"), *found, strict=True)
+    }
 
 
 def _labels(first: Document, second: Document) -> tuple[str, str]:

@@ -50,7 +50,8 @@ def command(options: Options) -> None:
 
     check_new(options.out_file, options.overwrite)
     compared = compare(options.first, options.second, options.task, options.inputs or [], options.data)
-    picture = draw(compared, options.out_file or compared.sides[0].folder / "comparison.png", quiet=options.quiet)
+    file = options.out_file or compared.sides[0].folder / "comparison.png"
+    picture, compared = draw(compared, file, quiet=options.quiet)
     if not (options.quiet or options.json):
         out().print(_table(compared))
     if not options.quiet:

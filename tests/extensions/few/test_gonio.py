@@ -13,11 +13,10 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import measured_pairs
-from data_tools.readers.colours import colour_science
 from data_tools.readers.measured_pairs import FEW, Pairs
+from metapp.appearance.colorimetry import colour_science, spectra_to_rgb
 from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.extensions.few import gonio
-from metapp.extensions.few.spectra import spectra_to_rgb
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"

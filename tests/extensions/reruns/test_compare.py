@@ -36,6 +36,18 @@ def test_errors_seconds_ratio_and_a_picture_are_shown(metapp: Callable, fitted: 
     assert [side["label"] for side in itself["runs"]] == ["A", "B"]
 
 
+def test_colours_of_spheres_are_compared(metapp: Callable, fitted: Callable) -> None:
+    """In CIE 2000 units from the reference; the same run twice is as far off twice."""
+    run = fitted("meta")
+    measures = metapp("compare", run, fitted("quickft"), "--json").done["measures"]
+    (median, high) = (
+        measures[f"CIE 2000 colour difference of 3 spheres drawn, {s} of pixels"] for s in ("median", "95 %")
+    )
+    assert all(0 < low < top < 100 for low, top in zip(median["means"], high["means"], strict=True))
+    itself = metapp("compare", run, run, "--json").done["measures"]
+    assert {one == other for one, other in (each["means"] for each in itself.values())} == {True}
+
+
 @pytest.mark.long
 def test_the_picture_has_reference_and_both_fits(metapp: Callable, fitted: Callable) -> None:
     meta, pixels = fitted("meta"), []

@@ -1,0 +1,68 @@
+"""Colorimetry by colour-science: spectra as linear RGB, colour differences.
+
+It takes a second to import, so that no fit needs it.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from types import ModuleType
+from unittest.mock import NonCallableMock
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def colour_science() -> ModuleType:
+    """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
+
+    It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends. The mocks that it
+    leaves in place of SciPy go again: other libraries would take them for the package.
+    """
+    import OpenImageIO as oiio
+
+    sys.modules["OpenImageIO"] = None  # type: ignore[assignment]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import colour
+    finally:
+        sys.modules["OpenImageIO"] = oiio
+    for name in [name for name, module in sys.modules.items() if isinstance(module, NonCallableMock)]:
+        del sys.modules[name]
+    return colour
+
+
+def spectra_to_rgb(wavelengths: Array) -> Array:
+    """The matrix [W, 3] that turns reflectance at some wavelengths into colour, multiplied with from the right.
+
+    Between wavelengths reflectance is linear, beyond the last ones constant. A perfect white is (1, 1, 1).
+
+    Args:
+        wavelengths: in nm, ascending, [W].
+
+    Returns:
+        To linear RGB (sRGB primaries), of a material in D65 for the CIE 1931 2 degree observer.
+    """
+    colour = colour_science()
+    line = np.arange(360.0, 831.0)
+    shape = colour.SpectralShape(line[0], line[-1], 1)
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
+    light = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values[:, None]
+    # each column: how much of each nanometre a measured wavelength stands for
+    share = np.stack([np.interp(line, wavelengths, row) for row in np.eye(len(wavelengths))], 1)
+    xyz = share.T @ (observer * light / (observer[:, 1:2] * light).sum())
+    result: Array = xyz @ colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB.T
+    white: Array = result.sum(0)
+    return result / white  # D65 as tabulated is white to four digits
+
+
+def colour_difference(pictures: Array, references: Array) -> Array:
+    """CIE 2000 colour differences (CIEDE2000, all weights 1) of display values in [0, 1], sRGB [..., 3], D65: [...]."""
+    colour = colour_science()
+    labs = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(each)) for each in (pictures, references)]
+    result: Array = colour.delta_E(*labs, method="CIE 2000")
+    return result
