@@ -212,7 +212,7 @@ EXTENSIONS = {
     "scene_files": 1_360,
     "several": 200,
     "vgg": 350,
-    "viewer": 1_500,
+    "viewer": 1_510,
 }
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import geometry
-from metapp.appearance.geometry import directions_to_four_angles, directions_to_rusinkiewicz, gauss_legendre
+from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, gauss_legendre
 from metapp.storage.tensors import kept
 
 _FOUR = "-phi_h"  # of names of scenes with phi_h
@@ -142,7 +142,7 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
 def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor, azimuths: bool) -> SphereScene:
     """A scene such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
     weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure(wi, irradiance)
-    to_angles = directions_to_four_angles if azimuths else directions_to_rusinkiewicz
+    to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
     return SphereScene(mask, coverage, to_angles(wi, wo[:, None].expand_as(wi)), weights)
 
 

@@ -20,7 +20,7 @@ from metapp.extensions.viewer.surface import light_map
 from metapp.extensions.viewer.view import View
 from metapp.learning.task import Params, Task
 
-CELLS = (24, 24, 48)  # of phi_d in [0, pi], theta_d, and the square root of theta_h
+CELLS = (48, 24, 48)  # of phi_d in [0, 2 pi), theta_d, and the square root of theta_h
 WIDENED = 4  # times that cells without samples look one cell farther
 PLOTTED = 8192  # samples of plots, at most
 
@@ -67,22 +67,27 @@ def _padded(weights: Tensor) -> Tensor:
 
 def _residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Task) -> Tensor:
     """The residual of log(1 + f) of samples beyond the fit, on a grid, with phi_h where either depends on it."""
-    columns = task.data["angles"].float().split(1, 1)
-    columns = (*columns[:2], columns[2] % math.pi)  # as the shader folds them, by reciprocity
-    if azimuthal := "phi_h" in task.data or turn is not None:
-        phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(columns[0])))
-        columns = (*columns, phi_h.float()[:, None])
-    angles = torch.cat(columns, 1)[: anisotropic_residual.MOST if azimuthal else None]
-    more = torch.log1p(task.data["reflectance"].float()[: len(angles)]) - torch.log1p(evaluate(angles))
-    return anisotropic_residual.gridded(angles, more, turn or 0.0) if azimuthal else gridded(angles, more)
+    columns, values = task.data["angles"].float().split(1, 1), torch.log1p(task.data["reflectance"].float())
+    columns = (*columns[:2], columns[2] % math.pi)
+    if "phi_h" in task.data or turn is not None:
+        phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(values)))
+        angles = torch.cat([*columns, phi_h.float()[:, None]], 1)[: anisotropic_residual.MOST]
+        more = values[: len(angles)] - torch.log1p(evaluate(angles))
+        return anisotropic_residual.gridded(angles, more, turn or 0.0)
+    angles = torch.cat(columns, 1)
+    exchanged = angles + angles.new_tensor([0, 0, math.pi])  # samples are reciprocal, a fit need not be
+    angles, values = torch.cat([angles, exchanged]), torch.cat([values, values])
+    grid = gridded(angles, values - torch.log1p(evaluate(angles)))
+    first, second = grid.float().chunk(2)
+    return grid[: len(first)] if torch.allclose(first, second, atol=1e-3) else grid
 
 
 def gridded(angles: Tensor, values: Tensor) -> Tensor:
-    """Values [N, 3] at angles [N, 3] in rad, phi_d in [0, pi), on a grid [*CELLS, 4], float16.
+    """Values [N, 3] at angles [N, 3] in rad, phi_d in [0, 2 pi), on a grid [*CELLS, 4], float16.
 
     Each value counts in the cells about it by its distance along each axis; cells without any take what is near.
     """
-    shares = angles / angles.new_tensor([math.pi / 2, math.pi / 2, math.pi])
+    shares = angles / angles.new_tensor([math.pi / 2, math.pi / 2, math.tau])
     places = torch.stack([shares[:, 2], shares[:, 1], shares[:, 0].sqrt()], 1) * shares.new_tensor(CELLS) - 0.5
     first, sums = places.floor(), torch.zeros(math.prod(CELLS), 4)
     for corner in itertools.product((0, 1), repeat=3):

@@ -2,9 +2,11 @@
 //
 // facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, turn, darkest, alphas [[2], [2]] of the lobes, samples.
 // arrays: weights [N, 4] as metapp.apps.brdf.viewing.packed lays them out, shares [24, 3] of the lobes; perhaps residual
-// [phi_d, theta_d, theta_h, 4], what the samples' log(1 + f) has more than the fit's (theta_h by its square root), or of samples
-// with phi_h the five axes of metapp.apps.brdf.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
+// [phi_d, theta_d, theta_h, 4], what the samples' log(1 + f) has more than the fit's (phi_d in [0, 2 pi), of
+// reciprocal fits in [0, pi); theta_h by its square root), or of samples with phi_h the five axes of metapp.apps.brdf.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
 // shared: light, a lat-long map [H, W, 3]; studio [2, L, 4], the lights of metapp's pictures.
+
+const HALF_CIRCLE = 24;  // cells of phi_d from 0 to pi
 
 const NETWORK = `
 #if IN_BLOCK
@@ -65,7 +67,7 @@ vec3 beyond(Half at) {
   float radius = sqrt(atan(at.sine, at.cosine) / (PI / 2.0)), theta_d = acos(clamp(at.difference.z, 0.0, 1.0)) / (PI / 2.0);
   float phi_d = atan(at.difference.y, at.difference.x) / PI;
 #if SLICES == 0
-  return textureLod(residual, vec3(radius, theta_d, phi_d), 0.0).rgb;
+  return textureLod(residual, vec3(radius, theta_d, phi_d * ${HALF_CIRCLE}.0 / float(textureSize(residual, 0).z)), 0.0).rgb;
 #else
   float slices = float(SLICES), width = float(textureSize(residual, 0).x) / slices;
   float slice = fract(phi_d + atan(at.sin_phi, at.cos_phi) / PI) * slices - 0.5, first = floor(slice);
@@ -76,18 +78,17 @@ vec3 beyond(Half at) {
 #endif
 }
 void reflectances(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {  // in 1/sr
-  Half at;
-  float incident = wi.z, outgoing = wo.z;
-  if (KIND == 2) at = half_of(turned(wi, -turn), turned(wo, -turn));
-  else {
-    at = half_of(wi, wo);
-    if (at.difference.y < 0.0) {  // by reciprocity phi_d lies in [0, pi], as in metapp's pictures
-      at.difference.xy = -at.difference.xy;
-      incident = wo.z; outgoing = wi.z;
-    }
+  float axes = KIND == 2 ? -turn : 0.0;
+  Half at = half_of(turned(wi, axes), turned(wo, axes));
+  fit = fitted(at, wi.z, wo.z);
+  vec3 base = fit;
+#if KIND != 2 && SLICES > 0
+  if (at.difference.y < 0.0) {  // what such samples have more is known for phi_d in [0, pi] alone
+    at.difference.xy = -at.difference.xy;
+    base = fitted(at, wo.z, wi.z);
   }
-  fit = fitted(at, incident, outgoing);
-  reference = hasResidual ? max(expm1_of(log(1.0 + fit) + beyond(at)), 0.0) : fit;
+#endif
+  reference = hasResidual ? max(expm1_of(log(1.0 + base) + beyond(at)), 0.0) : fit;
 }
 void at_point(vec2 uv) {}
 void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
