@@ -38,12 +38,13 @@ def command(
 ) -> None:
     """Write every fit of a run in another file format, as --export of the paradigms does.
 
-    Example: metapp export RUN bsdf
+    Example: metapp export runs/brdf/meta bsdf
     """
-    from metapp.runs.outputs.files import export_run
+    from metapp.runs.outputs.files import export_run, listed
 
     done = export_run(run, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
-        say(f"{len(done.tasks)} fit{'s' * (len(done.tasks) != 1)} written as {done.form}: {done.out}")
+        count = f"{len(done.tasks)} fit{'s' * (len(done.tasks) != 1)}"
+        say(f"{count} written as {done.form}: {listed(Path(done.out), done.tasks)}")
     if json:
         print_json(done._asdict())

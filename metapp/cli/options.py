@@ -15,7 +15,7 @@ import typer
 from data_tools.formats.options import fov_rad
 from metapp import door
 
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or its record.jsonl.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]
 FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of standard output.")]
 Options = TypeVar("Options")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -80,7 +82,35 @@ def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
         assert said in metapp("export", *words).misuse
     refused = metapp("export", "nowhere", "merl").error
     assert "nowhere: no such folder, expected a run's folder" in refused
-    assert "no record.jsonl with fits" in metapp("export", run / "..", "merl").error
+    assert "no record.jsonl with fits" in metapp("export", run / "params", "merl").error
+
+
+def test_of_a_folder_of_runs_the_newest_is_taken(metapp: Callable, run: Path) -> None:
+    other = Path("runs/brdf/meta/later")
+    shutil.copytree(run, other)
+    for times, newest in ((1, run), (3, other)):
+        os.utime(run / "record.jsonl", (2, 2))
+        os.utime(other / "record.jsonl", (times, times))
+        said = metapp("export", "runs", "nbrdf", "--out", "made", "--quiet")
+        assert said == (0, "", f"runs: the newest run is {newest}\n")
+    assert metapp("export", "runs/brdf", "nbrdf", "--json").document["out"] == str(other / "nbrdf")
+    assert "runs/brdf: the newest run" not in metapp("export", other, "nbrdf").err
+
+
+def test_of_a_single_fit_files_are_named(metapp: Callable, neural_fits: Callable[[int], Path]) -> None:
+    done = metapp(
+        "meta", "brdf", neural_fits(1), "--rule", "meta-curvature", "--export", "nbrdf,bsdf", "--out", "my runs"
+    )
+    assert done.code == 0
+    (record,) = Path("my runs").rglob("record.jsonl")
+    run = record.parent
+    said = done.err.splitlines()
+    assert f"1 fit written as bsdf: {run}/bsdf/m0.bsdf" in said
+    assert f"1 fit written as nbrdf: {run}/nbrdf/m0: b1.npy, b2.npy, b3.npy, fc1.npy, fc2.npy, fc3.npy" in said
+    assert f"fit: {run}/params/m0.safetensors" in said
+    for line, words in (("to look at: ", ["view"]), ("other forms (merl, mitsuba): ", ["export", "merl"])):
+        (found,) = [each.removeprefix(line) for each in said if each.startswith(line)]
+        assert shlex.split(found) == ["metapp", words[0], str(run), *words[1:]]
 
 
 def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:

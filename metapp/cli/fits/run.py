@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -57,6 +58,8 @@ def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
 
 def _show(run: Run, *, json: bool) -> None:
     """Print the table of a run, or its object, and say where everything is and what failed."""
+    from metapp.runs.outputs.files import listed
+
     plan, paradigm = run.plan, run.plan.paradigm.name
     if not plan.request.quiet:
         where = f"gallery: {run.gallery}" if run.gallery else f"picture: {run.picture}"
@@ -64,12 +67,14 @@ def _show(run: Run, *, json: bool) -> None:
             most = LISTED if run.gallery else None
             rate = run.tasks_per_second if run.gallery else None
             out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
-        say(f"{where}\nrecords: {run.folder.file}" + (f"\nmade: {run.made}" if run.made else ""))
+        folder, names = run.folder.path, [record["name"] for record in run.records]
+        say(f"{where}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}")
+        if run.made:
+            say(f"made: {listed(run.made, names)}")
         if any(offer.name == "view" for offer in door.offers(door.Command)):
-            say(f"to look at: metapp view {run.folder.path}")
-        others = [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]
-        if others:
-            say(f"other forms: metapp export {run.folder.path} KIND, one of {', '.join(others)}")
+            say(f"to look at: metapp view {shlex.quote(str(folder))}")
+        if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]:
+            say(f"other forms ({', '.join(others)}): metapp export {shlex.quote(str(folder))} {others[0]}")
         for line in run.remarks:
             say(line)
     for failure in run.failures:

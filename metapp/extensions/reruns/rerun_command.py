@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Folder of a run, or its record.jsonl.")],
+    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Folder of a run, or of runs: the newest in it.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved."),

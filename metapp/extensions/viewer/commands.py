@@ -23,9 +23,9 @@ class Options:
     """Of `metapp view`."""
 
     runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN...", help="Run folders or files of their params/; several are shown side by side."),
-    ]
+        list[Path] | None,
+        typer.Argument(metavar="[RUN]...", help="Folders of runs, or files of their params/; default: the newest run."),
+    ] = None
     inputs: Annotated[
         list[Path] | None,
         typer.Option("--input", metavar="INPUT", help="Original input, if it has moved."),
@@ -46,14 +46,14 @@ class Options:
 def view(options: Options) -> None:
     """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
 
-    RUN is the folder that a fit prints.
+    Of a folder of runs the newest is shown.
 
-    Example: metapp view RUN OTHER_RUN
+    Example: metapp view runs/brdf/meta runs/brdf/quickft
     """
     from metapp.extensions.viewer.viewing import Wanted, view_page
 
     check_new(options.out, options.overwrite)
-    wanted = Wanted(options.runs, options.inputs or [], options.data, options.task, options.most)
+    wanted = Wanted(options.runs or [Path("runs")], options.inputs or [], options.data, options.task, options.most)
     page = view_page(wanted, options.out, quiet=options.quiet)
     if options.open_page:
         webbrowser.open(page.resolve().as_uri())

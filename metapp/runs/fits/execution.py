@@ -19,7 +19,7 @@ from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter, Result
 from metapp.runs.inputs.names import Names
 from metapp.runs.inputs.sources import SOURCED, Source, content_of, sources_to_fit
-from metapp.runs.outputs.files import OUTPUTS, write_fit, write_outputs
+from metapp.runs.outputs.files import OUTPUTS, listed, write_fit, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
 from metapp.runs.requests.choosing import chosen_recipe
@@ -195,7 +195,8 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     if not records:
         raise _first_error(loop.failures, len(mine))
     for form in request.exports if loop.count else ():
-        say(f"{loop.count} fit{'s' * (loop.count != 1)} written as {form}: {folder.path / form}")
+        where = listed(folder.path / form, [record["name"] for record in records.values()])
+        say(f"{loop.count} fit{'s' * (loop.count != 1)} written as {form}: {where}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
     picture, gallery = loop.sheet(mine, records), None
     if request.resumes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from glob import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,6 +48,15 @@ def write_files(presentation: Presentation[Any], task: Task, theta: Params, fold
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
     write_pictures(presentation.files(theta, task), folder / file_name(task.name))
+
+
+def listed(folder: Path, names: Sequence[str]) -> str:
+    """A folder of what fits made, in words; of a single fit its file, or its own folder and the files in that."""
+    made = sorted(folder.glob(f"{escape(file_name(names[0]))}*")) if len(names) == 1 else []
+    if len(made) != 1:
+        return str(folder)
+    files = sorted(file.name for file in made[0].glob("*"))
+    return f"{made[0]}: {', '.join(files)}" if files else str(made[0])
 
 
 def write_outputs(

@@ -12,6 +12,7 @@ from metapp.paradigms import paradigms
 from metapp.runs import BadOption
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import SOURCED, Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.reporter import say
 from metapp.runs.requests.options import options_from_record
 from metapp.runs.requests.plan import Plan, plan
 from metapp.runs.requests.request import Request
@@ -46,14 +47,14 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     """The records of a run.
 
     Args:
-        run: its folder, or the record file in it.
+        run: its folder, the record file in it, or a folder of runs, whose newest run is taken.
         form: what records must hold.
         task: the one to take; "" for all.
 
     Raises:
         ValueError: there are none, or none of that task.
     """
-    folder = run.parent if run.name == "record.jsonl" else run
+    folder = run.parent if run.name == "record.jsonl" else _newest_run(run)
     write_plainly(folder)  # what is made of a run, such as exports, is written there
     records = read_records(folder / "record.jsonl", form)
     if not records:
@@ -66,6 +67,17 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
         some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
         raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{meant(task, names)}")
     return Recorded(folder, [records[names.index(task)]])
+
+
+def _newest_run(folder: Path) -> Path:
+    """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf/meta`; else the folder itself."""
+    below = [] if (folder / "record.jsonl").is_file() else ("*/", "*/*/", "*/*/*/")
+    found = [file for places in below for file in folder.glob(f"{places}record.jsonl")]
+    if not found:
+        return folder
+    newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent
+    say(f"{folder}: the newest run is {newest}")
+    return newest
 
 
 def plan_as(settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Plan:

@@ -50,6 +50,19 @@ def test_runs_of_the_same_tasks_stand_side_by_side(metapp: Callable, fitted: Cal
         assert all("error x100" in fit["caption"] and "residual" in fit["arrays"] for fit in group["fits"])
 
 
+def test_without_a_name_the_newest_run_is_shown(
+    metapp: Callable, fitted: Callable, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = fitted("meta")
+    top = next(folder for folder in run.resolve().parents if folder.name == "runs")
+    monkeypatch.chdir(top.parent)
+    told = metapp("view", "--json").done
+    assert (top.parent / told["page"]).parent == run.resolve()
+    assert len(opened) == 1
+    monkeypatch.chdir(run)
+    assert metapp("view").error.startswith("error: runs: no such folder, expected a run's folder")
+
+
 def test_a_page_of_one_task_is_small(metapp: Callable, fitted: Callable, opened: list[str]) -> None:
     run = fitted("meta")
     file = next((run / "params").glob("*.safetensors"))
