@@ -1,0 +1,78 @@
+"""README, guides and the pages beside them: their blocks of code run as they stand, in order, in a new folder."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.blocks import MARK, ROOT, RUN, SHOWN, Block, blocks_of
+from tests.conftest import USER_MATRIX, USER_WEIGHTS, lend
+from tests.needs_mitsuba import skip_without_mitsuba
+from tests.shell import bash, forked_commands
+
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md"]
+# why a block may be left out; what is short enough, and needs neither, has to run
+REASONS = {
+    "sets up an environment",
+    "takes minutes",
+    "needs a scheduler",
+    "needs photos of a printed sheet",
+    "waits for a browser",
+}
+LEFT_OUT = [block for page in PAGES for block in blocks_of(page) if block.reason]
+# what a reader would have to replace before a line works
+PLACEHOLDER = re.compile(r"\b(?:RUN|OTHER_RUN|NAME|DIR|FILE|APP|DATA|URL|ADDRESS)\b|\.\.\.|<[a-z]+>")
+
+
+def test_blocks_have_a_language_and_those_that_do_not_run_a_reason() -> None:
+    for page in PAGES:
+        blocks = list(blocks_of(page))
+        text = page.read_text(encoding="utf-8")
+        assert len(blocks) == len(re.findall(r"^ *```", text, re.M)) / 2, page
+        assert len(MARK.findall(text)) == sum(bool(block.reason) for block in blocks), f"{page}: a mark without a block"
+        for block in blocks:
+            assert block.kind in (*RUN, *SHOWN), block
+            assert not block.reason or (block.kind in RUN and block.reason in REASONS), block
+
+
+def test_most_blocks_run() -> None:
+    assert len(LEFT_OUT) <= 12
+
+
+def test_blocks_that_run_have_no_placeholders() -> None:
+    for page in PAGES:
+        for block in blocks_of(page):
+            if block.kind in RUN and not block.reason:
+                code = re.sub(r"#.*", "", block.code)
+                assert not PLACEHOLDER.search(code), (str(block), PLACEHOLDER.search(code))
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_blocks_of_a_page_run(page: Path, cache: Path, tmp_path: Path) -> None:
+    """In a folder that has `examples`, as a clone has; pages open in no browser."""
+    blocks = [block for block in blocks_of(page) if block.kind in RUN and not block.reason]
+    code = "".join(block.code for block in blocks)
+    if re.search(r"illumination|transport|mitsuba", code):
+        skip_without_mitsuba()
+        lend(USER_MATRIX, cache, "the second scene's matrix is not there: metapp data scene builds it")
+    if re.search(r"texture|svbrdf_stationary|metapp try", code):
+        lend(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
+    clone = tmp_path / "clone"
+    clone.mkdir()
+    (clone / "examples").symlink_to(ROOT / "examples")
+    with forked_commands(tmp_path / "bin") as environment:
+        for block in blocks:
+            code, said = bash(block.script(), clone, {**environment, "BROWSER": "true"})
+            assert code == 0, f"{block}: exit code {code}\n{block.code}\n{said}"
+    print((tmp_path / "bin" / "seconds.txt").read_text(encoding="utf-8"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("block", LEFT_OUT, ids=str)
+def test_what_does_not_run_is_listed(block: Block) -> None:
+    pytest.skip(f"{block.reason}: {block.code.splitlines()[0]}")
