@@ -198,15 +198,16 @@ def test_no_circles_among_files() -> None:
 # names what leaves, in the commit
 CORE = 28_000
 EXTENSIONS = {
+    "addresses": 270,
     "assets": 830,
-    "baselines": 2_540,
+    "baselines": 2_550,
     "capture": 2_410,
     "few": 1_070,
     "guided": 1_690,
     "mitsuba_bsdfs": 600,
     "native": 730,
     "packs": 590,
-    "report": 660,
+    "report": 675,
     "reruns": 670,
     "rgl": 440,
     "scene_files": 1_360,

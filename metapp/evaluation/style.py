@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,14 +57,6 @@ def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[F
     """A figure of so many inches, and its axes [rows, columns]."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def png_of(figure: Figure) -> bytes:
-    """A figure as a PNG."""
-    buffer = io.BytesIO()
-    with rc_context(STYLE):
-        figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -8,11 +8,12 @@ from typing import Annotated
 
 import typer
 
+from metapp import door
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, Seed, extended, takes
 from metapp.runs.reporter import say
-from metapp.runs.requests.options import all_read_options
+from metapp.runs.requests.options import all_shown_options, options_of
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,18 @@ class Options:
     seed: Seed = 0
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
+
+
+def all_read_options() -> dict[str, door.Option]:
+    """The options that say how inputs are read, of formats, of merges and of recipes, by name."""
+    of_presentations, others = all_shown_options(), (door.Output, door.Watcher)
+    names = {
+        option.name: option
+        for application in door.offers(door.Application)
+        for option, owner in options_of(application.name)
+        if not isinstance(owner, others)
+    }
+    return {name: option for name, option in names.items() if name not in of_presentations}
 
 
 @extended(all_read_options().values())  # as for fits: how inputs are read, and at which resolution

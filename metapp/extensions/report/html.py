@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
 from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Row, Table
-from metapp.evaluation.style import Drawn, png_of
+from metapp.evaluation.style import DPI, STYLE, Drawn
 from metapp.evaluation.subject import Subject
 from metapp.runs.requests.naming import name_of
 from metapp.storage.html import element, figure, image, table
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 LARGEST = 256  # px of a picture in the gallery
+
+
+def png_of(figure: Figure) -> bytes:
+    """A figure as a PNG."""
+    buffer = io.BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def gallery_address(srgb: np.ndarray) -> str:

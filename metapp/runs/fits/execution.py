@@ -17,6 +17,7 @@ from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter, Result
+from metapp.runs.inputs.addresses import kept
 from metapp.runs.inputs.names import Names
 from metapp.runs.inputs.sources import SOURCED, Source, content_of, sources_to_fit
 from metapp.runs.outputs.files import OUTPUTS, listed, write_fit, write_outputs
@@ -142,7 +143,8 @@ def execute(plan: Plan, lines: Iterable[Request] | None = None) -> Iterator[Run 
                 recipe = one.request.recipe
                 fitter = fitters[recipe] = fitters.get(recipe) or Fitter(with_checkpoint(one), warns=True)
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
-                done = _run(fitter, sources, label)
+                with kept(_folder(fitter.plan, label).path, request):
+                    done = _run(fitter, sources, label)
         except Exception as error:  # whatever it is, the next line is not to blame
             if lines is None:
                 raise

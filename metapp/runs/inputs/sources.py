@@ -15,6 +15,7 @@ from data_tools.readers.photos import SIZE
 from metapp import door
 from metapp.learning.app import App
 from metapp.learning.task import Task
+from metapp.runs.inputs.addresses import at_address, local, place_of
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.inputs.memory import tasks_of_objects
 from metapp.runs.inputs.names import Names
@@ -126,10 +127,10 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
         return sources_of(tasks), label
     merging = merge_of(app.name, plan.options)
     sources = [_merged(plan, *merging)] if merging else _sources_of_files(plan)
-    roots = sorted(str(path.resolve()) for path in request.inputs)
+    roots = sorted(place_of(path) for path in request.inputs)
     # read otherwise, the same files are other tasks
     ways = [f"{name}={value}" for name, value in recorded_options(app.name, plan.options).items()]
-    return sources, _label(_stem(str(request.inputs[0].resolve())), len(roots), _digest(*roots, *ways))
+    return sources, _label(_stem(place_of(request.inputs[0])), len(roots), _digest(*roots, *ways))
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
@@ -137,12 +138,18 @@ def _sources_of_files(plan: Plan) -> list[Source]:
     sources: dict[str, Source] = {}
     stamp = _stamps()
     for path in plan.request.inputs:
-        for places, read in _found(plan, path):
+        remote = at_address(path)
+        objects = remote.objects(path) if remote else {}  # of a folder none
+        for address, state in objects.items():
+            one = Source(address, functools.partial(_read_object, plan, address), state, named=len(objects) == 1)
+            sources.setdefault(address, one)
+        for places, read in () if objects else _found(plan, path):
             for place in places:
-                whole = str(place.resolve())
+                whole = place_of(place)
                 is_named = len(places) == 1 or place == path
                 sources.setdefault(
-                    whole, Source(as_text(whole), functools.partial(read, place), stamp(Path(whole)), named=is_named)
+                    whole,
+                    Source(as_text(whole), functools.partial(read, place), stamp(place.resolve()), named=is_named),
                 )
     names = Names()  # of stems: of a run's parts on several machines none knows the names of all tasks
     stems = {whole: _stem(whole) for whole in sources}
@@ -150,6 +157,13 @@ def _sources_of_files(plan: Plan) -> list[Source]:
         source._replace(mark=names.unique(stems[whole], whole).removeprefix(stems[whole]))
         for whole, source in sources.items()
     ]
+
+
+def _read_object(plan: Plan, address: str) -> Task:
+    """Read what is at an address by a copy, which then goes."""
+    with at_address(Path(address)).copied(address) as copy:
+        place, read = next((place, read) for places, read in _found(plan, copy) for place in places)
+        return read(place)
 
 
 def label_of(tasks: Sequence[Task]) -> str:
@@ -178,7 +192,7 @@ def source_of(record: Document, sources: Sequence[Source], moved: bool = False) 
     place, end = Path(record["source"]), SIZES if moved else None
     named_alike = [source for source in sources if Path(source.place).name == place.name]
     same = [source for source in named_alike if source.stamp[:end] == record["stamp"][:end]]
-    there = [source for source in same if source.place == str(place)] or same
+    there = [source for source in same if Path(source.place) == place] or same
     return there[0] if len(there) == 1 else None
 
 
@@ -194,7 +208,7 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
     Raises:
         ValueError: there is no such path, or it is no input of the application.
     """
-    app = plan.app
+    app, (path,) = plan.app, local([path])
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
@@ -252,7 +266,7 @@ def content_of(tasks: Sequence[Task]) -> str:
 
 def _stem(place: str) -> str:
     path = Path(place)
-    return path.stem if path.is_file() else path.name
+    return path.stem if path.is_file() or "://" in place else path.name
 
 
 def _digest(*texts: str) -> str:

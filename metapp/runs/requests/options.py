@@ -42,18 +42,6 @@ def all_shown_options() -> dict[str, door.Option]:
     return {option.name: option for offer in applications for option in offer.options if not option.adapt}
 
 
-def all_read_options() -> dict[str, door.Option]:
-    """The options that say how inputs are read, of formats, of merges and of recipes, by name."""
-    of_presentations, others = all_shown_options(), (door.Output, door.Watcher)
-    names = {
-        option.name: option
-        for application in door.offers(door.Application)
-        for option, owner in options_of(application.name)
-        if not isinstance(owner, others)
-    }
-    return {name: option for name, option in names.items() if name not in of_presentations}
-
-
 def options_of(app: str) -> list[Owned]:
     """The options of an application with their owners."""
     application = application_of(app)
