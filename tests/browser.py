@@ -23,12 +23,15 @@ ARGUMENTS = (
     "--disable-sync --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
 )
 
-WHOLE = """void (ShapeViewer.prototype._adapt = function () {
+# draw at full resolution, however busy this machine is, and labels over pictures
+WHOLE = """Object.defineProperty(Viewer.prototype, "strip", { value: false });
+ShapeViewer.prototype._adapt = function () {
     if (this.detail === 1) return;
     this.detail = 1;
     this._targets();
     this.restart();
-})"""  # draw at full resolution, however busy this machine is
+};
+dispatchEvent(new Event("resize"));"""
 
 
 @contextlib.contextmanager
@@ -57,8 +60,20 @@ def assert_alike(
     assert float((pair[0] - pair[1])[mask].abs().mean()) <= mean
 
 
+LEGEND = 46  # px below differences
+# of errors, from none to all
+HEAT = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]], np.float64) / 255
+
+
+def false_colours(errors: np.ndarray, most: float) -> np.ndarray:
+    """Display values [H, W, 3] of errors [H, W], as pages colour them up to `most`."""
+    places = np.clip(errors / most, 0, 1) * 4
+    return np.stack([np.interp(places, np.arange(5), HEAT[:, c]) for c in range(3)], -1)
+
+
 class Page:
-    """A page that `metapp view` wrote, opened from disk; `adapts`: it draws fewer pixels where the machine is slow.
+    """A page that `metapp view` wrote, opened from disk; `adapts`: it draws fewer pixels where the machine is slow,
+    and labels stand above pictures, not over them.
 
     Attributes:
         page: playwright's.

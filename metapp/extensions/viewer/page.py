@@ -17,19 +17,22 @@ from metapp.storage.html import data_script, element, page
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
-SCRIPTS = ("core", "shading", "shapes", "overlay", "stage", *KINDS, "main")  # in this order
+_BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "stage", "raster")
+SCRIPTS = (*_BEFORE, *KINDS, "listing", "main")  # in this order
 TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
 
 BODY = """<header>
 <h1></h1><p class="caption"></p><span class="spacer"></span>
-<button id="save" title="Save this view as PNG">Save PNG</button>
+<button id="options" type="button" aria-controls="controls" aria-expanded="false">Controls</button>
+<button id="save" type="button" title="Save this view as PNG, with its labels">Save PNG</button>
+<button id="help" type="button" title="Keys and pointer" aria-label="Help: keys and pointer">?</button>
 </header>
 <main>
 <nav aria-label="Fits"></nav>
 <section id="stage" aria-label="View"><p class="problem" hidden></p></section>
 <form id="controls" aria-label="Controls"></form>
 </main>
-<footer></footer>
+<footer><span class="said" role="status"></span><output class="numbers"></output></footer>
 <noscript>This page draws with WebGL 2 and needs JavaScript.</noscript>"""
 
 
@@ -90,6 +93,7 @@ def item(fit: Shown) -> Document:
         "facts": dict(view.facts),
         "arrays": {name: array(values) for name, values in view.arrays.items()},
         "pictures": {name: picture(pixels) for name, pixels in view.pictures.items()},
+        "thumbnail": "" if view.thumbnail is None else picture(view.thumbnail),
     }
 
 

@@ -27,6 +27,7 @@ class View(NamedTuple):
         pictures: display values [H, W, 1, 3 or 4] in [0, 1], by name, kept as PNG of 8 bits; the fourth is coverage.
         facts: what JSON holds.
         shared: arrays that are the same for all fits of a page that name them.
+        thumbnail: display values [h, w, 3] of the fit in the list, small; None for none.
     """
 
     kind: str
@@ -34,6 +35,7 @@ class View(NamedTuple):
     pictures: Mapping[str, Tensor] = NOTHING
     facts: Mapping[str, object] = NOTHING
     shared: Mapping[str, Tensor] = NOTHING
+    thumbnail: Tensor | None = None
 
 
 def view_of(presentation: Presentation[Any], theta: Params, task: Task, *, quick: bool = False) -> View:

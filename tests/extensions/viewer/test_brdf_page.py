@@ -32,7 +32,7 @@ from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
 from metapp.storage.html import write_page
 from tests import anisotropic
-from tests.browser import Page, assert_alike
+from tests.browser import LEGEND, Page, assert_alike, false_colours
 
 APPS = {
     "nbrdf": Brdf(),
@@ -186,13 +186,13 @@ def test_the_screen_shows_an_anisotropic_material_beside_a_wrong_fit(browser: An
     assert np.abs(page.screenshot() - wanted).mean() >= 15 / 255
     for plot in ("lobe", "slice"):
         page.set(plot=plot)
-        page.page.evaluate("metapp.viewer.pointed({ column: 0, x: 40, y: 40, width: 96, height: 96 })")
+        page.page.evaluate("metapp.viewer.pointed({ fit: 0, x: 40, y: 40, width: 96, height: 96 })")
     assert not page.problems
 
 
 @pytest.mark.long
 def test_the_screen_shows_metapps_picture(browser: Any, tmp_path: Path) -> None:
-    """Fit and reference, and the wipe has both; the difference of a picture from itself is none."""
+    """Fit and reference, and the wipe has both; the numbers of their difference are those of metapp's pictures."""
     page = open_page(browser, tmp_path, views("nbrdf", task=material()))
     page.sized(96, 96)
     page.set(view="picture", paper="white", show="fit")
@@ -210,7 +210,26 @@ def test_the_screen_shows_metapps_picture(browser: Any, tmp_path: Path) -> None:
     wiped = page.screenshot()
     assert np.array_equal(wiped[:, :24], shown["reference"][:, :24])
     assert np.array_equal(wiped[:, 24:], shown["fit"][:, 24:])
+    page.set(show="difference", scale=0.5)
+    page.sized(96, 96 + LEGEND)
+    page.settle()
+    apart = np.abs(to_srgb(pictures["fit"]) - to_srgb(pictures["reference"])).mean(-1)
+    inside = disc(96)
+    assert_alike(page.screenshot()[:96], false_colours(apart, 0.5), torch.from_numpy(inside))
+    (numbers,) = page.page.evaluate("metapp.viewer.numbers")
+    assert numbers["mean"] == pytest.approx(apart[inside].mean(), rel=0.03)
+    assert numbers["rms"] == pytest.approx(np.sqrt((apart[inside] ** 2).mean()), rel=0.03)
+    assert numbers["high"] == pytest.approx(np.quantile(apart[inside], 0.95), rel=0.05)
+    told = page.page.locator(".scale:not([hidden])").get_attribute("aria-label")
+    assert told.startswith("|fit \u2212 reference|: colours from 0 to 50 %; mean ")
+    assert f"mean {100 * numbers['mean']:.3g} %" in page.page.inner_text("footer")
     assert not page.problems
+
+
+def disc(size: int) -> np.ndarray:
+    """Pixels that the sphere of metapp's pictures covers, bool [size, size]."""
+    across = (np.arange(size) + 0.5) / size * 2 - 1
+    return np.hypot(*np.meshgrid(across, across)) < 0.96 - 1.5 / size
 
 
 @pytest.mark.long
@@ -223,7 +242,7 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(browser: Any, tmp_path: Pa
     white = view._replace(shared=dict(view.shared) | {"light": torch.ones(8, 16, 3).half()})
     page = open_page(browser, tmp_path, [Shown("meta", "", white)])
     page.sized(64, 64)
-    page.set(light="map", shape="plane")
+    page.set(light="map", shape="plane", show="fit")
     page.page.evaluate("metapp.viewer.most = () => 64")
     page.settle()
     middle = page.screenshot()[28:36, 28:36].mean()

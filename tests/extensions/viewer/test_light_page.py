@@ -26,9 +26,10 @@ from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from metapp.storage.html import write_page
-from tests.browser import Page, assert_alike
+from tests.browser import LEGEND, Page, assert_alike, false_colours
 
 ROWS = 64
+GAP = 6  # px between panes
 FIELD = LocalField(ROWS, 2 * ROWS, rows=4, columns=8, code=3, hidden=8, layers=2)
 
 
@@ -149,7 +150,7 @@ def coarse(picture: np.ndarray | Tensor) -> Tensor:
 def test_the_flat_map_is_that_of_the_png(browser: Any, tmp_path: Path, fitted: Tensor, scene: Path) -> None:
     page, presentation, theta = open_page(browser, tmp_path, "reference", lamps(2))
     page.sized(2 * ROWS, ROWS)
-    page.set(view="flat")
+    page.set(view="flat", show="fit")
     page.settle()
     pixels = presentation.files(theta, task_of(lamps(2)))["map"].pixels
     toned = tone_map(pixels / pixels.mean())
@@ -162,9 +163,13 @@ def test_the_flat_map_is_that_of_the_png(browser: Any, tmp_path: Path, fitted: T
     seen, reference = page.screenshot(), tone_map(lamps(2).permute(1, 2, 0) * 3 / pixels.mean())
     assert_alike(seen[:, :32], reference[:, :32])
     assert_alike(seen[:, 32:], toned[:, 32:])
-    page.set(show="difference", gain=1.0)
+    page.sized(2 * ROWS, ROWS + LEGEND)
+    page.set(show="difference", scale=0.3)
     page.settle()
-    assert_alike(page.screenshot(), (toned - reference).abs())
+    apart = (toned - reference).abs().mean(-1)
+    assert_alike(page.screenshot()[:ROWS], false_colours(apart.numpy(), 0.3))
+    (numbers,) = page.page.evaluate("metapp.viewer.numbers")
+    assert numbers["mean"] == pytest.approx(float(apart.mean()), rel=0.02)
     assert not page.problems
 
 
@@ -174,7 +179,7 @@ def test_a_panorama_looks_where_it_is_turned(browser: Any, tmp_path: Path, fitte
     page, _, _ = open_page(browser, tmp_path, "reference", lamps(2))
     page.sized(64, 64)
     toned = tone_map(fitted / fitted.mean())
-    page.set(view="around")
+    page.set(view="around", show="fit")
     for heading, pitch in ((0, 0), (70, 40), (-150, -60)):
         page.set(heading=heading, pitch=pitch, field=30)
         page.settle()
@@ -231,17 +236,17 @@ def test_a_photo_stands_beside_the_fits_ball_and_doubts_are_hatched(
     browser: Any, tmp_path: Path, fitted: Tensor
 ) -> None:
     page, presentation, theta = open_page(browser, tmp_path, "photo", fitted)
-    page.sized(2 * 64, 64)
+    page.sized(2 * 64 + GAP, 64)
     page.set(view="ball")
     page.settle()
     seen, photo = page.screenshot(), task_of(fitted).data["photos"][0].permute(1, 2, 0) / 255
     inside = sphere_normals(64)[0][2] > 0.5
-    # it fills 0.96 of its half
+    # it fills 0.96 of its pane
     place = ((torch.arange(64) + 0.5 - 32) / 0.96 + 32).long().clamp(0, 63)
-    for half in (seen[:, :64], seen[:, 64:]):
+    for half in (seen[:, :64], seen[:, 64 + GAP :]):
         assert float((torch.from_numpy(half.copy()) - photo[place][:, place])[inside].abs().mean()) < 0.03
     page.sized(512, 256)
-    page.set(view="flat", hatch=True)
+    page.set(view="flat", show="fit", hatch=True)
     page.settle()
     one = {key: each[None] for key, each in theta.items()}
     task = task_of(fitted)

@@ -34,7 +34,7 @@ from metapp.networks.presentation import TILED
 from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
 from metapp.storage.html import write_page
-from tests.browser import Page, assert_alike, browsing
+from tests.browser import LEGEND, Page, assert_alike, browsing, false_colours
 from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
@@ -140,7 +140,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         assert opened.problems == []
 
 
-FIRST = {"show": "all", "gain": 5, "exposure": 0, "tiles": 1, "seams": False, "zoom": -6, "x": 0, "y": 0}
+FIRST = {"show": "all", "scale": 0.2, "exposure": 0, "tiles": 1, "seams": False, "zoom": -6, "x": 0, "y": 0}
 
 
 def seen(page: Page, group: int, size: tuple[int, int], **settings: Any) -> np.ndarray:
@@ -201,9 +201,12 @@ def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
     screen = seen(page, 0, (WHOLE, WHOLE), show="wipe", wipe=0.25, **pair)
     cut = WHOLE // 4
     assert np.abs(screen - np.concatenate([fit[:, :cut], exemplar[:, cut:]], 1)).max() < 0.5 / 255
-    differs = seen(page, 0, (SIZE, SIZE), show="difference", gain=3, **pair)
-    expected = np.clip(3 * np.abs(fit[:SIZE, :SIZE] - pictures["exemplar"]), 0, 1)
-    assert np.abs(differs - expected).max() < 0.5 / 255
+    differs = seen(page, 0, (SIZE, SIZE + LEGEND), show="difference", scale=0.5, **pair)
+    apart = np.abs(fit[:SIZE, :SIZE] - pictures["exemplar"]).mean(-1)
+    assert np.abs(differs[:SIZE] - false_colours(apart, 0.5)).max() < 1.01 / 255
+    told = page.page.locator(".scale:not([hidden])").get_attribute("aria-label")
+    assert told.startswith("|left \u2212 right| of display values: colours from 0 to 50 %; mean ")
+    assert f"mean {100 * apart.mean():.3g} %" in told
 
 
 @pytest.mark.long

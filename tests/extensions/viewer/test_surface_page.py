@@ -171,7 +171,7 @@ def test_the_screen_shows_metapps_pictures(which: Any, browser: Any, tmp_path: P
     files = shown.files(theta, task)
     page = open_page(browser, tmp_path, view_of(shown, theta, task))
     page.sized(*[len(files["normal"].pixels)] * 2)
-    page.set(view="picture")
+    page.set(view="picture", show="fit")
     for name in ("left", "aside"):
         page.set(pictured=name)
         page.settle()

@@ -221,10 +221,9 @@ class BrdfViewer extends ShapeViewer {
 
   pointed(place) {
     if (this.settings.plot === "none") return;
-    const met = this.pick(place), { column } = place;
+    const met = this.pick(place), { fit: column } = place;
     this.plots.forEach((plot, i) => { plot.hidden = !met || i !== column; });
     if (!met) return;
-    this.plots[column].style.left = `${(column + 1) * place.width - 290}px`;
     const lamp = this.lampAt.clone().multiplyScalar(LAMP_DISTANCE).sub(met.p).normalize(), half = lamp.clone().add(met.towards).normalize();
     const [viewer, thetaH, thetaD] = [met.towards.dot(met.n), half.dot(met.n), half.dot(lamp)].map((x) => Math.acos(clamp(x, 0.001, 1)));
     const [seen, slanted] = [met.towards, half].map((direction) => azimuthOf(direction, met));

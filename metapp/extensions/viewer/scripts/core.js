@@ -123,15 +123,9 @@ class Viewer {
   draw() { return false; }
   resize() {}
   changed() {}
+  get strip() { return true; }  // whether labels stand above pictures, not over them
   close() { this.lost = this.restored = null; this.element.remove(); }
   async update(group) { this.fits = group.fits; }
-
-  // The column of a place in the element, and the place in it: {column, x, y}, px, and its width and height.
-  columnAt(event) {
-    const box = this.element.getBoundingClientRect(), width = box.width / this.fits.length;
-    const column = clamp(Math.floor((event.clientX - box.left) / width), 0, this.fits.length - 1);
-    return { column, x: event.clientX - box.left - column * width, y: event.clientY - box.top, width, height: box.height };
-  }
 }
 
 const VIEWERS = {};  // by kind

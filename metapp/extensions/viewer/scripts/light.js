@@ -29,7 +29,7 @@ Lobes lobes(vec3 wo) {
   return Lobes(vec2(alpha_of()), vec2(1.0), kind == 0 ? vec3(0.0) : vec3(1.0 - gloss, gloss, 0.0), 0.0);
 }`;
 
-// A map seen from its middle or flat, or two pictures side by side.
+// A map seen from its middle or flat, or a picture of a ball.
 const LOOK = `${SHOWING}
 uniform sampler2D doubt, photo, ball; uniform int mode, finer; uniform float zoom, dot; uniform vec2 heading; uniform bool hatch;
 const float PI = 3.14159265358979;
@@ -45,33 +45,35 @@ bool place_at(vec2 px, out vec2 uv) {  // in the map, of a place in the column
   uv = vec2(fract(0.5 + (heading.x + atan(d.x, d.z)) / (2.0 * PI)), acos(clamp(d.y, -1.0, 1.0)) / PI);
   return true;
 }
+float covered;
 vec3 map_at(vec2 px) {
   vec2 uv;
-  if (!place_at(px, uv)) return paper;
+  if (!place_at(px, uv)) { covered = 0.0; return paper; }
+  covered = 1.0;
   vec3 fit = encoded(textureLod(map, uv, 0.0).rgb * mapScale), reference = encoded(textureLod(referenceMap, uv, 0.0).rgb * mapScale);
-  return show == 3 ? abs(fit - reference) * gain : is_reference() ? reference : fit;
+  float apart = difference(fit, reference);
+  return show == 4 ? vec3(apart) : show == 3 ? heat(apart / full) : is_reference() ? reference : fit;
 }
-vec3 balls_at(vec2 px) {
-  bool wide = column.z > column.w;
-  vec2 cell = wide ? column.zw * vec2(0.5, 1.0) : column.zw * vec2(1.0, 0.5);
-  vec2 uv = 0.5 + (mod(px, cell) - 0.5 * cell) / (0.96 * min(cell.x, cell.y));
+vec3 ball_at(vec2 px, sampler2D picture) {
+  vec2 uv = 0.5 + (px - 0.5 * column.zw) / (0.96 * min(column.z, column.w));
   if (distance(uv, vec2(0.5)) > 0.49) return paper;
-  vec3 x = ((wide ? px.x < cell.x : px.y > cell.y) ? textureLod(photo, uv, 0.0) : textureLod(ball, uv, 0.0)).rgb;
+  vec3 x = textureLod(picture, uv, 0.0).rgb;
   return srgb(min(exposure * mix(x / 12.92, pow((x + 0.055) / 1.055, vec3(2.4)), step(0.04045, x)), 1.0));
 }
 void main() {
   vec2 px = gl_FragCoord.xy - column.xy, uv;
   vec3 sum = vec3(0.0);
-  if (mode == 2) sum = balls_at(px);
+  if (mode == 2) sum = ball_at(px, photo);
+  else if (mode == 3) sum = ball_at(px, ball);
   else if (mode < 2) {
     for (int i = 0; i < finer * finer; i++) sum += map_at(px + (vec2(i % finer, i / finer) + 0.5) / float(finer) - 0.5);
     sum /= float(finer * finer);
-    if (hatch && show != 3 && !is_reference() && place_at(px, uv)) {  // as metapp's confidence.png
+    if (hatch && show < 3 && !is_reference() && place_at(px, uv)) {  // as metapp's confidence.png
       float share = clamp(textureLod(doubt, uv, 0.0).r, 0.0, 1.0), away = abs(mod((px.x - px.y) / dot, 12.0) - 6.0);
       if (share > 0.0) sum = mix(sum, vec3(0.90, 0.05, 0.45), 0.75 * clamp(share * 3.0 + 0.5 - away, 0.0, 1.0));
     }
   } else sum = paper;
-  result = vec4(sum, 1.0);
+  result = vec4(sum, show == 4 ? covered : 1.0);
 }`;
 
 // Spheres [[kind, radius, x, y], ...] as one shape, their kind as the place on it.
@@ -165,12 +167,10 @@ class LightViewer extends ShapeViewer {
 
   controls() {
     const views = [["flat", "Flat map"], ["around", "Panorama"], ["free", "Spheres, to turn"], ["picture", "Spheres from the front"]];
-    if (this.fits.some(({ pictures }) => pictures.photo)) views.push(["ball", "The photo's ball | the fit's"]);
-    const compared = this.fits.some((fit) => this.referenced(fit)), lit = (s) => ["free", "picture"].includes(s.view);
+    if (this.fits.some(({ pictures }) => pictures.photo)) views.push(["ball", "The photo's ball and the fit's"]);
+    const lit = (s) => ["free", "picture"].includes(s.view);
     const own = {
       view: { value: "flat", options: views }, shape: { label: "Spheres", when: lit }, turn: { when: lit },
-      show: { when: (s) => compared && s.view !== "ball" }, wipe: { when: (s) => s.show === "wipe" && s.view !== "ball" },
-      gain: { when: (s) => s.show === "difference" && s.view !== "ball" },
     };
     return super.controls().filter(({ name }) => !["environment", "file"].includes(name)).map((each) => ({ ...each, ...own[each.name] }));
   }
@@ -183,7 +183,6 @@ class LightViewer extends ShapeViewer {
       { name: "pitch", label: "Turned up", type: "range", min: -90, max: 90, step: 1, value: 0, text: degrees, when: around },
       { name: "field", label: "Field of view", type: "range", min: 10, max: 140, step: 1, value: 75, text: degrees, when: around },
       { name: "hatch", label: "Stripes where the fit is uncertain", type: "check", value: false, when: (s) => unsure && (around(s) || s.view === "flat") },
-      { name: "balls", label: "First what the fit saw, then its own ball under its map.", type: "note", when: (s) => s.view === "ball" },
       ...notes.map(({ label, facts }, i) => (
         { name: `note${i}`, label: notes.length > 1 ? `${label}: ${facts.note}` : facts.note, type: "note", when: (s) => s.view !== "ball" })),
     ];
@@ -218,14 +217,24 @@ class LightViewer extends ShapeViewer {
     }, { passive: false });
   }
 
+  // What a fit saw stands before it.
+  parts() {
+    const { view } = this.settings, photos = this.fits.flatMap(({ pictures }, fit) => (pictures.photo ? [fit] : []));
+    const photo = photos.slice(0, 1).map((fit) => ({ fit, part: "photo", label: "Photo that the fit saw" }));
+    const several = this.fits.length > 1;
+    if (view === "ball") return [...photo, ...photos.map((fit) => ({ fit, part: "ball", label: `The same ball under the fit's map${several ? `: ${this.fits[fit].label}` : ""}` }))];
+    return view === "flat" && ["beside", "all"].includes(this.settings.show) ? [...photo, ...super.parts()] : super.parts();
+  }
+  shapeOfPane() { return this.settings.view === "flat" ? 2 : 1; }
+  finished() { return !this.inSpace || super.finished(); }
+
   draw() {
     if (this.inSpace) return super.draw();
-    const { settings, renderer } = this, u = this.looking.uniforms, mode = { around: 0, flat: 1, ball: 2 }[settings.view], { field } = settings;
-    const ratio = renderer.getPixelRatio(), width = this.element.clientWidth * ratio / this.fits.length, height = this.element.clientHeight * ratio;
-    u.zoom.value = Math.tan(field / 2 * DEGREE); u.dot.value = ratio; u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
-    this._columns(this.looking, (i) => {
-      const { size, doubt, photo, ball } = this.lights[i], px = mode ? Math.min(width / 2, height) : height * 180 / field;  // of all rows
-      u.finer.value = clamp(Math.ceil(size.y / px), 1, 4); u.mode.value = mode === 2 && !photo ? 3 : mode;
+    const { settings, renderer } = this, u = this.looking.uniforms, { field } = settings;
+    u.zoom.value = Math.tan(field / 2 * DEGREE); u.dot.value = renderer.getPixelRatio(); u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
+    this._columns(this.looking, (fit, { part, width, height }) => {
+      const { size, doubt, photo, ball } = this.lights[fit], flat = settings.view === "flat", px = flat ? Math.min(width / 2, height) : height * 180 / field;  // of all rows
+      u.finer.value = clamp(Math.ceil(size.y / px), 1, 4); u.mode.value = { photo: 2, ball: 3 }[part] ?? (flat ? 1 : 0);
       u.doubt.value = doubt; u.photo.value = photo; u.ball.value = ball; u.hatch.value = Boolean(doubt) && settings.hatch;
     });
     return false;

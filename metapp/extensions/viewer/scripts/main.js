@@ -4,9 +4,10 @@ const page = {
   header: document.querySelector("header"), nav: document.querySelector("nav"), stage: document.getElementById("stage"),
   form: document.getElementById("controls"), footer: document.querySelector("footer"), problem: document.querySelector(".problem"),
 };
-let viewer = null, controls = null, dirty = false, busy = false, drawn = 0, opened = 0;
+let viewer = null, controls = null, dirty = false, busy = false, drawn = 0, opened = 0, index = 0;
 
-function say(text) { page.footer.textContent = text; }
+function say(text) { page.footer.querySelector(".said").textContent = text; }
+function sayNumbers(text) { page.footer.querySelector(".numbers").textContent = text; }
 
 function tell(problem) {
   page.problem.hidden = !problem;
@@ -21,18 +22,19 @@ function fail(error) {
 
 function closeView() { viewer?.close(); viewer = null; }
 
-async function openGroup(index) {
+async function openGroup(wanted) {
+  index = wanted;
   const group = DATA.groups[index], turn = ++opened, before = viewer?.kind === group.kind ? { ...controls.settings } : {};
   closeView();
   tell("");
   page.header.querySelector("h1").textContent = group.title;
   document.title = `${group.title}: ${DATA.title}`;
   captions(group);
-  page.nav.querySelectorAll("button").forEach((each, i) => each.setAttribute("aria-current", i === index));
-  page.nav.querySelector('[aria-current="true"]')?.scrollIntoView({ block: "nearest" });
+  sayNumbers("");
+  mark(page.nav, index);
   const next = new VIEWERS[group.kind](page.stage, group, () => { dirty = true; });
   next.lost = () => tell("The browser stopped WebGL, as drawing took too long or the page was left. The view comes back when WebGL does; if it stays away, load the page anew.");
-  next.restored = () => openGroup(index);  // whatever the GPU held is gone
+  next.restored = () => openGroup(wanted);  // whatever the GPU held is gone
   try {
     await next.open();
     if (turn !== opened) return next.close();  // another one was asked for meanwhile
@@ -67,13 +69,16 @@ function frame() {
   requestAnimationFrame(frame);
 }
 
-function list() {
-  if (DATA.groups.length < 2) return;
-  let section = "";
-  DATA.groups.forEach((group, i) => {
-    if (group.section !== section) page.nav.append(make("h2", { textContent: section = group.section }));
-    page.nav.append(make("button", { type: "button", textContent: group.title, onclick: () => openGroup(i) }));
-  });
+// By keys: what is compared, where the viewer has it, and the exposure.
+function compare(show) {
+  const { options } = controls?.controls.find(({ name, when }) => name === "show" && (!when || when(controls.settings))) ?? {};
+  const has = (value) => options?.some(([each]) => each === value), usual = ["beside", "all"].find(has);
+  const wanted = show === "beside" ? usual : show === controls?.settings.show ? usual : show;
+  if (has(wanted)) controls.set("show", wanted);
+}
+function expose(stops) {
+  const control = controls?.controls.find(({ name }) => name === "exposure");
+  if (control) controls.set("exposure", clamp(controls.settings.exposure + stops, control.min, control.max));
 }
 
 // While a fit runs its page asks for what has changed.
@@ -106,7 +111,7 @@ function curve(points) {
   svg.setAttribute("width", 162); svg.setAttribute("height", 22);
   drawn.setAttribute("points", line.join(" ")); drawn.setAttribute("fill", "none"); drawn.setAttribute("stroke", "currentColor");
   svg.append(drawn);
-  page.footer.append(`; visible loss ${points.at(-1)[1].toPrecision(3)} `, svg);
+  page.footer.querySelector(".said").append(`; visible loss ${points.at(-1)[1].toPrecision(3)} `, svg);
 }
 
 async function png() {
@@ -124,7 +129,7 @@ async function labelled() {
   for (const each of [".wipe", ".plot", ".label"].flatMap((kind) => [...viewer.element.querySelectorAll(kind)])) {
     const { left, top, width, height } = each.getBoundingClientRect(), [x, y] = [left - box.left, top - box.top];
     if (each.hidden) continue;
-    if (each.matches(".plot")) { drawBox(g, x, y, width, height, "#101114e8"); g.drawImage(each, x, y, width, height); }
+    if (each.matches(".plot")) { if (!each.matches(".scale")) drawBox(g, x, y, width, height, "#101114e8"); g.drawImage(each, x, y, width, height); }
     else if (each.matches(".wipe")) { g.fillStyle = "#fff"; g.fillRect(x + 6, y, 1, height); }
     else { drawBox(g, x, y, width, height, "#000a"); drawText(g, each, x, y); }
   }
@@ -155,11 +160,17 @@ function drawText(g, element, x, y) {
 document.getElementById("save").addEventListener("click", async () => {
   if (viewer && page.problem.hidden) make("a", { href: await labelled(), download: `${document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_")}.png` }).click();
 });
+document.getElementById("options").addEventListener("click", ({ target }) => {
+  target.setAttribute("aria-expanded", page.form.classList.toggle("open"));
+  resize();
+});
 addEventListener("resize", resize);
-list();
+list(page.nav, openGroup);
+listen(page.nav, helpOf(document.getElementById("help")), { open: openGroup, index: () => index, compare, expose });
 window.metapp = {
   ready: openGroup(0),
   open: openGroup,
+  get index() { return index; },
   set: (name, value) => controls.set(name, value),
   png,
   labelled,

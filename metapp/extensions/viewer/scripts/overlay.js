@@ -1,24 +1,52 @@
-// What lies over the columns of a ShapeViewer: labels, and handles of wipe and lamp.
+// What lies over the panes of a ShapeViewer: labels, legends, and handles of wipe and lamp, which keys move, too.
+
+const STEP = Math.PI / 36;  // of the lamp, by a key
 
 class Overlay {
   constructor(viewer) {
-    this.viewer = viewer;
-    this.columns = viewer.fits.map((fit, i) => {
-      const label = make("div", { className: "label" }), wipe = make("div", { className: "wipe" });
-      const lamp = make("button", { type: "button", className: "lamp", title: "Drag the lamp" });
-      viewer.element.append(label, lamp, wipe);
-      this._drag(lamp, (event) => this._lampTo(event, i));
-      this._drag(wipe, (event) => {
-        const { x, width } = viewer.columnAt(event);
-        viewer.set("wipe", clamp(x / width, 0, 1));
-      });
-      return { label, lamp, wipe };
-    });
+    this.viewer = viewer; this.each = [];
     this._pointers(viewer.renderer.domElement);
+  }
+  get labels() { return this.each.map(({ label }) => label); }
+
+  // As many as there are panes, with their texts.
+  label() {
+    const { viewer } = this;
+    while (this.each.length > viewer.panes.length) Object.values(this.each.pop()).forEach((element) => element.remove());
+    while (this.each.length < viewer.panes.length) this.each.push(this._made(this.each.length));
+    viewer.panes.forEach((pane, i) => {
+      const text = this._text(pane), { label } = this.each[i];
+      Object.assign(label, { hidden: !text, textContent: text });
+    });
+  }
+
+  _made(index) {
+    const { viewer } = this, label = make("div", { className: "label" }), legend = make("canvas", { className: "plot scale" });
+    const wipe = make("div", { className: "wipe", tabIndex: 0, title: "Drag, or left and right keys" }), lamp = make("button", { type: "button", className: "lamp", title: "Drag the lamp, or arrow keys" });
+    wipe.setAttribute("role", "slider"); wipe.setAttribute("aria-label", "Wipe"); lamp.setAttribute("aria-label", "Lamp: arrow keys move it");
+    viewer.element.append(label, legend, lamp, wipe);
+    this._drag(lamp, (event) => this._lampTo(event));
+    this._drag(wipe, (event) => {
+      const { x, width } = viewer.paneAt(event);
+      viewer.set("wipe", clamp(x / width, 0, 1));
+    });
+    lamp.addEventListener("keydown", (event) => {
+      const by = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      this.moveLamp(...by.map((each) => each * STEP / (event.shiftKey ? 5 : 1)));
+    });
+    wipe.addEventListener("keydown", (event) => {
+      const to = wipeBy(event, viewer.settings.wipe);
+      if (to === undefined) return;
+      event.preventDefault();
+      viewer.set("wipe", to);
+    });
+    return { label, legend, lamp, wipe };
   }
 
   _drag(element, move) {
-    element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); this.viewer.moving(true); event.preventDefault(); });
+    element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); element.focus({ preventScroll: true }); this.viewer.moving(true); event.preventDefault(); });
     element.addEventListener("pointermove", (event) => { if (element.hasPointerCapture(event.pointerId)) move(event); });
     element.addEventListener("lostpointercapture", () => this.viewer.moving(false));
   }
@@ -27,48 +55,77 @@ class Overlay {
     const { viewer } = this;
     canvas.addEventListener("pointerdown", () => viewer.moving(true));
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => viewer.moving(false));
-    canvas.addEventListener("pointermove", (event) => { if (!event.buttons) viewer.pointed?.(viewer.columnAt(event)); });
-  }
-
-  // The size of a column, and the radius at which a lamp's handle is seen from aside.
-  _size() {
-    const { element, fits } = this.viewer, width = element.clientWidth / fits.length, height = element.clientHeight;
-    return { width, height, half: Math.min(width, height) * 0.46 };
+    canvas.addEventListener("pointermove", (event) => { if (!event.buttons && viewer.panes?.length) viewer.pointed?.(viewer.paneAt(event)); });
   }
 
   // The lamp's handle: its angle from the line of sight grows with the distance from the middle, so that all directions are within reach.
-  _lampTo(event, column) {
-    const { viewer } = this, box = viewer.element.getBoundingClientRect(), { width, height, half } = this._size();
-    const x = (event.clientX - box.left - (column + 0.5) * width) / half, y = -(event.clientY - box.top - height / 2) / half;
-    const radius = Math.min(Math.hypot(x, y), 1.41), cosine = 1 - radius * radius, sine = Math.sqrt(Math.max(1 - cosine * cosine, 0));
-    const angle = Math.atan2(y, x), own = new THREE.Vector3(sine * Math.cos(angle), sine * Math.sin(angle), cosine);
+  _lampTo(event) {
+    const { viewer } = this, { x, y, width, height } = viewer.paneAt(event), half = halfOf(width, height);
+    const [right, up] = [(x - width / 2) / half, -(y - height / 2) / half];
+    const radius = Math.min(Math.hypot(right, up), 1.41), cosine = 1 - radius * radius, sine = Math.sqrt(Math.max(1 - cosine * cosine, 0));
+    const angle = Math.atan2(up, right), own = new THREE.Vector3(sine * Math.cos(angle), sine * Math.sin(angle), cosine);
     viewer.lampAt.copy(own.transformDirection(viewer.camera.matrixWorld));
     viewer.restart();
   }
 
+  // Turn the lamp about the object, as it is seen: angles to the right and up.
+  moveLamp(right, up) {
+    const { viewer } = this, [x, y] = [0, 1].map((axis) => new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, axis));
+    viewer.lampAt.applyAxisAngle(y, right).applyAxisAngle(x, -up).normalize();
+    viewer.restart();
+  }
+
   place() {
-    const { viewer } = this, { settings, camera } = viewer, { width, height, half } = this._size();
+    const { viewer } = this, { settings, camera, panes } = viewer, ratio = viewer.renderer.getPixelRatio();
+    if (!panes || panes.length !== this.each.length) return;
     const lamp = viewer.lampAt.clone().transformDirection(camera.matrixWorldInverse.copy(camera.matrixWorld).invert());
     const radius = Math.sqrt(Math.max(1 - lamp.z, 0)), flat = Math.hypot(lamp.x, lamp.y) || 1;
-    this.columns.forEach((each, i) => {
-      const left = i * width, fit = viewer.fits[i], text = this._text(fit);
+    this.each.forEach((each, i) => {
+      const [left, top, width, height] = ["x", "y", "width", "height"].map((name) => panes[i][name] / ratio), half = halfOf(width, height);
       each.lamp.hidden = !viewer.lampShown();
       each.lamp.classList.toggle("behind", lamp.z < 0);
       each.lamp.style.left = `${left + width / 2 + half * radius * lamp.x / flat}px`;
-      each.lamp.style.top = `${height / 2 - half * radius * lamp.y / flat}px`;
-      each.wipe.hidden = viewer.shown(fit) !== "wipe";
-      each.wipe.style.left = `${left + width * settings.wipe}px`;
-      Object.assign(each.label.style, { left: `${left + 8}px`, maxWidth: `${width - 16}px` });
-      each.label.hidden = !text;
-      each.label.textContent = text;
+      each.lamp.style.top = `${top + height / 2 - half * radius * lamp.y / flat}px`;
+      each.wipe.hidden = panes[i].part !== "wipe";
+      each.wipe.setAttribute("aria-valuenow", Math.round(100 * settings.wipe));
+      Object.assign(each.wipe.style, { left: `${left + width * settings.wipe}px`, top: `${top}px`, height: `${height}px` });
+      const head = viewer.strip ? each.label.offsetHeight + 2 : 0;
+      Object.assign(each.label.style, { left: `${left + 4}px`, top: `${top - head}px` });
+      each.legend.hidden = panes[i].part !== "difference";
+      Object.assign(each.legend.style, { left: `${left}px`, top: `${top + height}px`, bottom: "auto" });
     });
+    this.tell();
   }
 
-  // Which of several fits it is, and what of it is shown where it is not the fit.
-  _text(fit) {
-    const { viewer } = this, shown = viewer.shown(fit), { gain } = viewer.settings;
-    const named = viewer.fits.length > 1 ? [fit.label, fit.caption].filter(Boolean).join(": ") : "";
-    const what = shown === "fit" ? "" : shown === "difference" ? `Difference times ${gain}` : COMPARED[shown].replace("Reference", viewer.named(fit));
-    return [named, what].filter(Boolean).join("; ");
+  // Legends, and the numbers of comparisons below the view.
+  tell() {
+    const { viewer } = this, { panes, numbers, fits, settings } = viewer, ratio = viewer.renderer.getPixelRatio();
+    panes.forEach(({ fit, part, width }, i) => {
+      if (part !== "difference") return;
+      drawLegend(this.each[i].legend, width / ratio, { most: settings.scale, title: this._measured(fit), told: numbers[fit] ? toldNumbers(numbers[fit]) : "" });
+    });
+    sayNumbers(fits.map((fit, i) => (numbers[i] && panes.length > 0 ? `${fits.length > 1 ? `${fit.label}: ` : ""}${this._measured(i)} of display values, ${toldNumbers(numbers[i])}` : "")).filter(Boolean).join("; "));
   }
+  _measured(fit) { return DIFFERENCE.replace("reference", this.viewer.named(this.viewer.fits[fit]).toLowerCase()); }
+
+  // Which of several fits it is, and what of it is shown; nothing where a fit stands alone.
+  _text({ fit: index, part, label }) {
+    const { viewer } = this, fit = viewer.fits[index], named = viewer.named(fit);
+    const own = [fit.label, viewer.fits.length > 1 && fit.caption].filter(Boolean).join(": ");
+    if (label) return label;
+    if (part === "reference") return named;
+    if (part === "fit" && viewer.panes.length === 1) return "";
+    const what = { fit: "Fit", wipe: `${named} | fit`, difference: `Difference from the ${named.toLowerCase()}` }[part];
+    return part === "fit" || viewer.fits.length > 1 ? `${what}: ${own}` : what;
+  }
+}
+
+// The radius at which a lamp's handle is seen from aside.
+const halfOf = (width, height) => Math.min(width, height) * 0.46;
+
+// Where keys put a wipe; undefined for others.
+function wipeBy({ key, shiftKey }, wipe) {
+  const step = shiftKey ? 0.1 : 0.01;
+  const to = { ArrowLeft: wipe - step, ArrowRight: wipe + step, Home: 0, End: 1 }[key];
+  return to === undefined ? undefined : clamp(to, 0, 1);
 }

@@ -2,86 +2,17 @@
 //
 // pictures: display values, 8 bits. arrays: linear radiance [H, W, 1 or 3] of any unit, tone-mapped here as in metapp's PNGs.
 // facts, none of which is needed:
-//   pictures   [{title, name, tiles, told}]: what is shown, in this order; by default all, titled as they are named. name: of `pictures`
-//              or `arrays`. tiles: "whole" (its edges meet) or "seams" (they do not). told: what its label says beside the title
+//   pictures   [{title, name, tiles, told, error, part, row}]: what is shown, in this order; by default all, titled as they are named.
+//              name: of `pictures` or `arrays`. tiles: "whole" (its edges meet) or "seams" (they do not). told: what its label says
+//              beside the title. error: show its error against the reference. part: [x, y, width, height] of it, enlarged. row: which
+//              row of the view it is in, where there is the room. chart: instead of a name, what `drawChart` draws
 //   compared   [left, right]: titles of the pair that is compared first; by default reference and fit
 //   reference  title of the radiance whose mean all are exposed by, and that errors are against; by default each has its own mean
+//   region     [x, y, width, height] that is marked in pictures
 //   notes      [text]
 
-const FITTED = -6;                 // of the setting `zoom`, a logarithm to base 2: as large as fits in the view
-const LARGEST = 6;                 // of the same
-const HEAT = [[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]];  // of errors, from none to all
-
-// A picture of the page: display values as a canvas, and the numbers behind it.
-class Raster {
-  constructor(width, height, source) { Object.assign(this, { width, height, source, levels: [] }); }
-
-  static async of(name, fit) {
-    if (!(name in fit.arrays)) {
-      const image = await imageOf(fit.pictures[name]), made = new Raster(image.width, image.height, fit.pictures[name]);
-      made.levels = [image];
-      return made;
-    }
-    const { shape, values } = await numbersOf(fit.arrays[name]).then((array) => ({ shape: array.shape, values: floatsOf(array) }));
-    const made = new Raster(shape[1], shape[0], fit.arrays[name].data);
-    return Object.assign(made, { radiance: values, channels: shape[2], mean: Math.max(values.reduce((sum, x) => sum + x, 0) / values.length, 1e-20) });
-  }
-
-  // Radiance over a mean and at an exposure: x / (1 + x), encoded as sRGB.
-  exposed(scale) {
-    if (!this.radiance || this.scale === scale) return;
-    this.scale = scale;
-    this.paint((i, c) => {
-      const x = Math.max(this.radiance[i * this.channels + Math.min(c, this.channels - 1)] * scale, 0), y = x / (1 + x);
-      return 255 * (y <= 0.0031308 ? 12.92 * y : 1.055 * y ** (1 / 2.4) - 0.055);
-    });
-  }
-
-  // Fill it with value(texel, channel) in [0, 255].
-  paint(value) {
-    const canvas = make("canvas", { width: this.width, height: this.height }), g = canvas.getContext("2d"), data = g.createImageData(this.width, this.height);
-    for (let i = 0; i < this.width * this.height; i++) {
-      for (let c = 0; c < 3; c++) data.data[4 * i + c] = value(i, c);
-      data.data[4 * i + 3] = 255;
-    }
-    g.putImageData(data, 0, 0);
-    this.levels = [canvas];
-    this.bytes = data.data;
-  }
-
-  // Display values, RGBA, 8 bits.
-  get data() {
-    if (!this.bytes) {
-      const g = make("canvas", { width: this.width, height: this.height }).getContext("2d");
-      g.drawImage(this.levels[0], 0, 0);
-      this.bytes = g.getImageData(0, 0, this.width, this.height).data;
-    }
-    return this.bytes;
-  }
-
-  // Halved so often: a browser that draws far less than there is skips texels.
-  level(n) {
-    while (this.levels.length <= n) {
-      const last = this.levels.at(-1), half = make("canvas", { width: Math.ceil(last.width / 2), height: Math.ceil(last.height / 2) });
-      half.getContext("2d").drawImage(last, 0, 0, half.width, half.height);
-      this.levels.push(half);
-    }
-    return this.levels[n];
-  }
-
-  // What its numbers are at a texel.
-  told(x, y) {
-    const i = y * this.width + x;
-    if (this.says) return this.says(i);
-    if (this.radiance) return `radiance ${[...this.radiance.subarray(i * this.channels, (i + 1) * this.channels)].map((v) => v.toPrecision(3)).join(", ")}`;
-    return `${[...this.data.subarray(4 * i, 4 * i + 3)].join(", ")} of 255`;
-  }
-}
-
-function heat(x) {
-  const at = clamp(x, 0, 1) * (HEAT.length - 1), i = Math.min(Math.floor(at), HEAT.length - 2);
-  return HEAT[i].map((low, c) => low + (at - i) * (HEAT[i + 1][c] - low));
-}
+const FITTED = -6;  // of the setting `zoom`, a logarithm to base 2: as large as fits in the view
+const LARGEST = 6;  // of the same
 
 class PicturesViewer extends Viewer {
 
@@ -91,7 +22,7 @@ class PicturesViewer extends Viewer {
     this.pointed = make("div", { className: "label pointed", hidden: true });
     this.pointed.style.top = "auto";
     this.element.append(this.canvas, this.pointed);
-    this.overlays = []; this.pointers = new Map();
+    this.overlays = []; this.pointers = new Map(); this.panels = [];
     await this._load();
     this._listen();
   }
@@ -107,10 +38,11 @@ class PicturesViewer extends Viewer {
   async _load() {
     this.sets = await Promise.all(this.fits.map(async (fit) => {
       const specs = fit.facts.pictures ?? [...Object.keys(fit.pictures), ...Object.keys(fit.arrays)].map((name) => ({ title: name, name }));
-      const rasters = await Promise.all(specs.map((spec) => Raster.of(spec.name, fit)));
+      const known = new Map(), load = (name) => known.get(name) ?? known.set(name, Raster.of(name, fit)).get(name);
+      const rasters = await Promise.all(specs.map(async ({ chart, name, part }) => (chart ? new Chart(chart) : part ? (await load(name)).part(part) : load(name))));
       return new Map(specs.map((spec, i) => [spec.title, { ...spec, raster: rasters[i] }]));
     }));
-    this.titles = [...new Set(this.sets.flatMap((set) => [...set.keys()]))];
+    this.titles = [...new Set(this.sets.flatMap((set) => [...set].filter(([, { chart, error, part }]) => !chart && !error && !part).map(([title]) => title)))];
     this.derived = new Map();
   }
 
@@ -121,21 +53,21 @@ class PicturesViewer extends Viewer {
     const usual = titles.includes("reference") && titles.includes("fit") ? ["reference", "fit"] : [titles[0], titles.at(-1)];
     const [left, right] = this.facts("compared") ?? usual, several = titles.length > 1, pair = (s) => ["wipe", "difference"].includes(s.show);
     const hdr = all.some((each) => each.raster.radiance), tiled = all.some((each) => each.tiles);
-    const shows = [["all", "Side by side"], ["one", "One at a time"], ["wipe", "Wipe between two"], ["difference", "Difference of two"]];
+    const shows = [["all", "Side by side"], ["one", "One at a time"], ["wipe", "Wipe between two"], ["difference", "Difference of two, in false colours"]];
     if (this.facts("reference")) shows.push(["error", "Error against the reference"]);
-    const percent = () => `${parseFloat((100 * (this.zoom ?? 1)).toPrecision(4))} %`;
+    const derived = all.some((each) => each.error), zoomed = () => `${parseFloat((100 * (this.zoom ?? 1)).toPrecision(4))} %`;
     return [
-      { name: "show", label: "Show", type: "choice", value: "all", options: shows, when: () => several },
+      { name: "show", label: "Compare", type: "choice", value: "all", options: shows, when: () => several },
       { name: "one", label: "Picture", type: "choice", value: right, options, when: (s) => s.show === "one" },
       { name: "left", label: "Left", type: "choice", value: left, options, when: pair },
       { name: "right", label: "Right", type: "choice", value: right, options, when: pair },
       { name: "wipe", label: "Wipe", type: "range", min: 0, max: 1, step: 0.005, value: 0.5, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "wipe" },
-      { name: "gain", label: "Difference times", type: "range", min: 1, max: 50, step: 1, value: 5, when: (s) => s.show === "difference" },
-      { name: "most", label: "Brightest error", type: "range", min: 0.05, max: 2, step: 0.05, value: 1, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "error" },
+      { name: "scale", label: "Colours of differences up to", type: "range", min: 0.01, max: 1, step: 0.01, value: 0.2, text: percent, when: (s) => s.show === "difference" },
+      { name: "most", label: "Colours of errors up to", type: "range", min: 0.05, max: 2, step: 0.05, value: 1, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "error" || (derived && s.show === "all") },
       { name: "exposure", label: "Exposure", type: "range", min: -6, max: 6, step: 0.1, value: 0, text: (x) => `${x > 0 ? "+" : ""}${x.toFixed(1)} stops`, when: () => hdr },
       { name: "tiles", label: "Tiles", type: "range", min: 1, max: 8, step: 1, value: 1, text: (n) => `${n} x ${n}`, when: () => tiled },
       { name: "seams", label: "Mark where tiles meet", type: "check", value: false, when: () => tiled },
-      { name: "zoom", label: "Zoom", type: "range", min: FITTED, max: LARGEST, step: 0.25, value: FITTED, text: (x) => `${percent()}${x <= FITTED ? ", fits" : ""}` },
+      { name: "zoom", label: "Zoom", type: "range", min: FITTED, max: LARGEST, step: 0.25, value: FITTED, text: (x) => `${zoomed()}${x <= FITTED ? ", fits" : ""}` },
       { name: "fit", label: "Fit to view", type: "action", run: () => this._put({ zoom: FITTED, x: 0, y: 0 }) },
       { name: "whole", label: "100 %", type: "action", run: () => this._put({ zoom: 0 }) },
       { name: "x", label: "", type: "note", value: 0, when: () => false },  // of what is in the middle: texels from the pictures' middle
@@ -166,11 +98,12 @@ class PicturesViewer extends Viewer {
     const picture = this.sets[i].get(title);
     if (!picture) return undefined;
     const { raster } = picture, by = this.sets[i].get(this.facts("reference"));
+    if (picture.error) return Object.assign(this._error(raster, by.raster), { note: picture.told });
     raster.exposed(2 ** this.settings.exposure / (by ?? picture).raster.mean);
     return Object.assign(raster, { tiles: picture.tiles, note: picture.told });
   }
 
-  // What is shown: [{fit, titles, rasters: one, or two of a wipe}]; what fits have in common is shown once.
+  // What is shown: [{fit, titles, row, rasters: one, or two of a wipe}]; what fits have in common is shown once.
   _panels() {
     const { show, one, left, right } = this.settings, panels = [], known = new Set(), reference = this.facts("reference");
     const sources = (i, titles) => titles.map((title) => this._raster(i, title)?.source).join("\n");
@@ -179,10 +112,10 @@ class PicturesViewer extends Viewer {
       if (known.has(key) || rasters.some((each) => !each)) return;
       known.add(key);
       const shared = this.fits.every((_, i) => sources(i, titles) === sources(fit, titles)), shown = made(...rasters);
-      if (shown.every(Boolean)) panels.push({ fit, titles: said, rasters: shown, shared });
+      if (shown.every(Boolean)) panels.push({ fit, titles: said, rasters: shown, shared, row: show === "all" ? this.sets[fit].get(titles[0]).row : undefined });
     };
     this.fits.forEach((_, i) => {
-      const titles = [...this.sets[i].keys()];
+      const titles = [...this.sets[i].keys()].filter((each) => show === "all" || this.titles.includes(each));
       if (show === "one") add(i, [one]);
       else if (show === "wipe") add(i, [left, right]);
       else if (show === "difference") add(i, [left, right], (a, b) => [this._difference(a, b)], [`difference of ${left} and ${right}`]);
@@ -200,15 +133,18 @@ class PicturesViewer extends Viewer {
     return this.derived.get(key);
   }
 
-  // |a - b| of display values times the gain, over what both cover.
+  // |a - b| of display values, the mean over channels, over what both cover, in false colours.
   _difference(a, b) {
     if (!a || !b) return undefined;
-    const { gain } = this.settings, key = `d ${gain} ${a.scale} ${b.scale} ${a.source} ${b.source}`;
+    const { scale } = this.settings, key = `d ${scale} ${a.scale} ${b.scale} ${a.source} ${b.source}`;
     return this._kept(key, () => {
       const width = Math.min(a.width, b.width), height = Math.min(a.height, b.height), made = new Raster(width, height, key);
       const at = (of, i) => 4 * (Math.floor(i / width) * of.width + i % width), off = (i, c) => Math.abs(a.data[at(a, i) + c] - b.data[at(b, i) + c]);
-      made.paint((i, c) => gain * off(i, c));
+      const values = Float32Array.from({ length: width * height }, (_, i) => (off(i, 0) + off(i, 1) + off(i, 2)) / 3 / 255);
+      made.paint((i, c) => heat(values[i] / scale)[c]);
       made.says = (i) => `differs by ${[0, 1, 2].map((c) => off(i, c)).join(", ")} of 255`;
+      made.numbers = summed(Float32Array.from({ length: 4 * values.length }, (_, i) => (i % 4 ? 1 : values[i / 4])));
+      made.legend = { most: scale, title: "|left \u2212 right| of display values", told: toldNumbers(made.numbers) };
       return Object.assign(made, { tiles: a.tiles && b.tiles && a.width === b.width ? a.tiles : undefined });
     });
   }
@@ -225,6 +161,7 @@ class PicturesViewer extends Viewer {
       }
       made.paint((i, c) => heat(values[i] / most)[c]);
       made.says = (i) => `error ${(100 * values[i]).toPrecision(3)} %`;
+      made.legend = { most, title: "|picture \u2212 reference| / reference" };
       return Object.assign(made, { note: `${picture.note ? `${picture.note}, ` : ""}MAPE ${(values.reduce((sum, x) => sum + x, 0) / values.length).toPrecision(3)}` });
     });
   }
@@ -232,34 +169,52 @@ class PicturesViewer extends Viewer {
   // How many texels a raster covers, its repetitions counted.
   _area(raster) {
     const { tiles } = this.settings;
+    if (raster.chart) return [1, 1];
+    if (raster.times) return [raster.width * raster.times, raster.height * raster.times];
     if (!raster.tiles || (tiles === 1 && this.settings.show !== "wipe")) return [raster.width, raster.height];
     const tiled = this.sets.flatMap((set) => [...set.values()]).filter((each) => each.tiles).map((each) => each.raster);
     return [tiles * Math.max(...tiled.map((each) => each.width)), tiles * Math.max(...tiled.map((each) => each.height))];
   }
 
+  // Rows of panels to choose from: those that pictures ask for, else all grids.
+  _rows() {
+    const { panels } = this, asked = [...new Set(panels.map(({ row }) => row))];
+    if (asked.length > 1 && !asked.includes(undefined)) return [asked.sort().map((row) => panels.filter((each) => each.row === row))];
+    return panels.map((_, i) => Array.from({ length: Math.ceil(panels.length / (i + 1)) }, (_, k) => panels.slice(k * (i + 1), (k + 1) * (i + 1))));
+  }
+
+  // Rows with their cells: {rows, strips: head and foot of each, cell, fit: zoom at which a picture of w x h fills one}.
+  _sized(rows, w, h) {
+    const { canvas } = this, ratio = devicePixelRatio, gap = Math.round(GAP * ratio), most = Math.max(...rows.map((row) => row.length));
+    const width = Math.floor((canvas.width - gap * (most - 1)) / most);
+    this._overlay(width / ratio);
+    const strips = rows.map((row) => ({
+      head: this.strip ? Math.ceil(ratio * headOf(row.map((panel) => this.overlays[this.panels.indexOf(panel)].label), width / ratio)) : 0,
+      foot: row.some(({ rasters }) => rasters[0].legend) ? LEGEND * ratio : 0,
+    }));
+    const around = strips.reduce((sum, { head, foot }) => sum + head + foot, gap * (rows.length - 1)), cell = [width, Math.floor((canvas.height - around) / rows.length)];
+    return { rows, strips, cell, fit: Math.max(Math.min(cell[0] / w, cell[1] / h), 0) };
+  }
+
   // Cells for all panels, as large as they can be, and the zoom: px of the screen a texel.
   _layout() {
-    const { canvas, settings } = this, ratio = devicePixelRatio, gap = Math.round(6 * ratio);
+    const { canvas, settings } = this, ratio = devicePixelRatio, gap = Math.round(GAP * ratio);
     if (!canvas.width || !canvas.height || settings.show === undefined) return;
     this.panels = this._panels();
     const areas = this.panels.flatMap((panel) => panel.rasters.map((each) => this._area(each)));
     const [w, h] = [0, 1].map((axis) => Math.max(1, ...areas.map((area) => area[axis])));
-    let best = { fit: 0 };
-    for (let columns = 1; columns <= this.panels.length; columns++) {
-      const rows = Math.ceil(this.panels.length / columns);
-      const cell = [Math.floor((canvas.width - gap * (columns - 1)) / columns), Math.floor((canvas.height - gap * (rows - 1)) / rows)];
-      const fit = Math.min(cell[0] / w, cell[1] / h);
-      if (fit > best.fit) best = { fit, columns, cell };
-    }
+    const best = this._rows().map((rows) => this._sized(rows, w, h)).reduce((a, b) => (b.fit > a.fit ? b : a), { fit: 0 });
     if (!best.fit) return;
     this.fitting = best.fit >= 2 ? Math.floor(best.fit) : best.fit >= 1 ? Math.floor(4 * best.fit) / 4 : best.fit;  // whole px a texel, where little is lost by that
     this.zoom = settings.zoom <= FITTED ? this.fitting : 2 ** settings.zoom;
     if (settings.zoom <= FITTED) Object.assign(settings, { x: 0, y: 0 });
     settings.x = clamp(settings.x, -w / 2, w / 2);
     settings.y = clamp(settings.y, -h / 2, h / 2);
-    this.panels.forEach((panel, i) => {
-      const column = i % best.columns, row = Math.floor(i / best.columns);
-      Object.assign(panel, { x: column * (best.cell[0] + gap), y: row * (best.cell[1] + gap), width: best.cell[0], height: best.cell[1] });
+    let top = 0;
+    best.rows.forEach((row, k) => {
+      const { head, foot } = best.strips[k], [width, height] = best.cell, left = Math.floor((canvas.width - row.length * width - gap * (row.length - 1)) / 2);
+      row.forEach((panel, i) => Object.assign(panel, { x: left + i * (width + gap), y: top + head, width, height }));
+      top += head + height + foot + gap;
     });
     this._place();
   }
@@ -295,15 +250,17 @@ class PicturesViewer extends Viewer {
     const { zoom } = this, [left, top] = this._origin(panel, raster), [w, h] = this._area(raster), { width, height } = raster;
     let n = 0;
     while (zoom * 2 ** n <= 0.5 && Math.min(width, height) >> (n + 1)) n++;
-    const source = raster.level(n);
-    g.imageSmoothingEnabled = zoom < 2 && zoom !== 1;
-    if (w === width && h === height) g.drawImage(source, left, top, width * zoom, height * zoom);
+    if (raster.chart) return raster.draw(g, panel);
+    const source = raster.level(n), times = raster.times ?? 1;
+    g.imageSmoothingEnabled = zoom * times < 2 && zoom !== 1;
+    if (w === width * times && h === height * times) g.drawImage(source, left, top, w * zoom, h * zoom);
     else {  // filtered across the edges, too
       const pattern = g.createPattern(source, "repeat");
       pattern.setTransform(new DOMMatrix([width * zoom / source.width, 0, 0, height * zoom / source.height, left, top]));
       g.fillStyle = pattern;
       g.fillRect(left, top, w * zoom, h * zoom);
     }
+    this._mark(g, raster, left, top);
     if (!this.settings.seams || !raster.tiles) return;
     g.fillStyle = raster.tiles === "seams" ? "#ff5d5d" : "#7fb2ff";
     const line = Math.max(1, Math.round(devicePixelRatio));
@@ -311,36 +268,69 @@ class PicturesViewer extends Viewer {
     for (let y = 0; y <= h; y += height) g.fillRect(left, top + Math.round(y * zoom) - (y === h ? line : 0), w * zoom, line);
   }
 
+  // A frame about the region that others enlarge.
+  _mark(g, raster, left, top) {
+    const region = this.facts("region"), line = Math.max(1, Math.round(1.5 * devicePixelRatio));
+    if (!region || raster.times || this.settings.show === "one") return;
+    const [x, y, width, height] = region.map((each) => each * this.zoom);
+    Object.assign(g, { strokeStyle: "#ffe14d", lineWidth: line });
+    g.strokeRect(left + x, top + y, width, height);
+  }
+
   png() { return this.canvas; }
 
-  // Labels, and the handles of wipes, over the panels.
+  // Labels, legends and the handles of wipes, as many as there are panels.
+  _overlay(width) {
+    while (this.overlays.length > this.panels.length) Object.values(this.overlays.pop()).forEach((each) => each.remove());
+    while (this.overlays.length < this.panels.length) this.overlays.push(this._made(this.overlays.length));
+    this.panels.forEach((panel, i) => { this.overlays[i].label.textContent = this._text(panel, width); });
+  }
+
+  _made(index) {
+    const label = make("div", { className: "label" }), legend = make("canvas", { className: "plot scale" });
+    const wipe = make("div", { className: "wipe", tabIndex: 0, title: "Drag, or left and right keys" });
+    wipe.setAttribute("role", "slider"); wipe.setAttribute("aria-label", "Wipe");
+    wipe.addEventListener("pointerdown", (event) => { wipe.setPointerCapture(event.pointerId); wipe.focus({ preventScroll: true }); event.preventDefault(); });
+    wipe.addEventListener("pointermove", (event) => {
+      const panel = this.panels[index];
+      if (wipe.hasPointerCapture(event.pointerId)) this._put({ wipe: clamp((this._at(event)[0] - panel.x) / panel.width, 0, 1) });
+    });
+    wipe.addEventListener("keydown", (event) => {
+      const to = wipeBy(event, this.settings.wipe);
+      if (to === undefined) return;
+      event.preventDefault();
+      this._put({ wipe: to });
+    });
+    this.element.append(label, legend, wipe);
+    return { label, legend, wipe };
+  }
+
+  // The label of a panel of a width in px; narrow ones leave out what is told beside the title.
+  _text(panel, width) {
+    const fit = this.fits[panel.fit], several = this.fits.length > 1 && !panel.shared, wide = width > 150 || this.settings.show !== "all";
+    const says = (raster) => [wide && raster.note, this._area(raster)[0] > raster.width && raster.tiles === "seams" && "repeated",
+      this.settings.seams && { whole: "its edges meet", seams: "its edges do not meet" }[raster.tiles]].filter(Boolean).join(", ");
+    const told = panel.rasters.map((raster, k) => [panel.titles[k], says(raster)].filter(Boolean).join(", ")).join(" | ");
+    const caption = several && this.settings.show !== "all" && fit.caption;
+    return several ? `${[fit.label, caption].filter(Boolean).join(", ")}: ${told}` : told;
+  }
+
+  // Where they are, over the panels.
   _place() {
     const ratio = devicePixelRatio;
-    while (this.overlays.length > this.panels.length) Object.values(this.overlays.pop()).forEach((each) => each.remove());
-    while (this.overlays.length < this.panels.length) {
-      const label = make("div", { className: "label" }), wipe = make("div", { className: "wipe" }), index = this.overlays.length;
-      wipe.addEventListener("pointerdown", (event) => { wipe.setPointerCapture(event.pointerId); event.preventDefault(); });
-      wipe.addEventListener("pointermove", (event) => {
-        const panel = this.panels[index];
-        if (wipe.hasPointerCapture(event.pointerId)) this._put({ wipe: clamp((this._at(event)[0] - panel.x) / panel.width, 0, 1) });
-      });
-      this.element.append(label, wipe);
-      this.overlays.push({ label, wipe });
-    }
     this.panels.forEach((panel, i) => {
-      const { label, wipe } = this.overlays[i], fit = this.fits[panel.fit], several = this.fits.length > 1 && !panel.shared;
-      label.style.left = `${panel.x / ratio + 8}px`;
-      label.style.top = `${panel.y / ratio + 8}px`;
-      label.style.maxWidth = `${panel.width / ratio - 16}px`;
-      const says = (raster) => [raster.note, this._area(raster)[0] > raster.width && raster.tiles === "seams" && "repeated",
-        this.settings.seams && { whole: "its edges meet", seams: "its edges do not meet" }[raster.tiles]].filter(Boolean).join(", ");
-      const told = panel.rasters.map((raster, k) => [panel.titles[k], says(raster)].filter(Boolean).join(", ")).join(" | ");
-      const caption = several && this.settings.show !== "all" && fit.caption;
-      label.textContent = several ? `${[fit.label, caption].filter(Boolean).join(", ")}: ${told}` : told;
+      const { label, legend, wipe } = this.overlays[i], [left, top, width, height] = ["x", "y", "width", "height"].map((name) => panel[name] / ratio);
+      label.title = this._text(panel, Infinity);
+      Object.assign(label.style, { left: `${left + 4}px`, top: `${top - (this.strip ? label.offsetHeight + 2 : 0)}px` });
       wipe.hidden = panel.rasters.length < 2;
-      wipe.style.left = `${(panel.x + panel.width * this.settings.wipe) / ratio}px`;
-      Object.assign(wipe.style, { top: `${panel.y / ratio}px`, bottom: "auto", height: `${panel.height / ratio}px` });
+      wipe.setAttribute("aria-valuenow", Math.round(100 * this.settings.wipe));
+      Object.assign(wipe.style, { left: `${left + width * this.settings.wipe}px`, top: `${top}px`, height: `${height}px` });
+      const scale = panel.rasters[0].legend;
+      legend.hidden = !scale;
+      Object.assign(legend.style, { left: `${left}px`, top: `${top + height}px`, bottom: "auto" });
+      if (scale) drawLegend(legend, width, scale);
     });
+    sayNumbers(this.settings.show === "difference" ? this.panels.map(({ titles, rasters: [{ numbers }] }) => `${titles[0]}: ${toldNumbers(numbers)}`).join("; ") : "");
     this.pointed.style.bottom = "8px";
     this.pointed.style.left = "8px";
   }
@@ -356,10 +346,10 @@ class PicturesViewer extends Viewer {
     const panel = this._panelAt(place);
     if (!panel) return null;
     const which = panel.rasters.length === 2 && place[0] >= panel.x + panel.width * this.settings.wipe ? 1 : 0;
-    const raster = panel.rasters[which], origin = this._origin(panel, raster), area = this._area(raster);
+    const raster = panel.rasters[which], times = raster.times ?? 1, origin = this._origin(panel, raster), area = this._area(raster);
     const [x, y] = [0, 1].map((axis) => Math.floor((place[axis] - origin[axis]) / this.zoom));
-    if (x < 0 || y < 0 || x >= area[0] || y >= area[1]) return null;
-    return { title: panel.titles[which], raster, x: x % raster.width, y: y % raster.height };
+    if (raster.chart || x < 0 || y < 0 || x >= area[0] || y >= area[1]) return null;
+    return { title: panel.titles[which], raster, x: Math.floor(x / times) % raster.width, y: Math.floor(y / times) % raster.height };
   }
 
   _tell(event) {

@@ -164,10 +164,10 @@ void main() {
   first = keep * texelFetch(a0, at, 0) + texelFetch(b0, at, 0);
   second = keep * texelFetch(a1, at, 0) + texelFetch(b1, at, 0);
 }`;
-// What puts fit and reference on the screen, in a column of it: [left, bottom, width, height], px.
+// What puts fit and reference on the screen, in a pane of it: column is [left, bottom, width, height], px; show one of PARTS.
 const SHOWING = `
 precision highp float; precision highp int; precision highp sampler2D;
-uniform float exposure, gain, wipe, mapScale; uniform int curve, show; uniform vec4 column; uniform vec3 paper;
+uniform float exposure, full, wipe, mapScale; uniform int curve, show; uniform vec4 column; uniform vec3 paper;
 uniform sampler2D map, referenceMap;
 out vec4 result;
 vec3 srgb(vec3 x) { return mix(12.92 * x, 1.055 * pow(max(x, 0.0031308), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, x)); }
@@ -176,12 +176,14 @@ vec3 encoded(vec3 x) {  // the curves of metapp's PNGs
   if (curve == 1) return pow(clamp(x, 1e-6, 1.0), vec3(1.0 / 2.2));
   return srgb(curve == 2 ? x / (1.0 + x) : min(x, 1.0));
 }
+${HEAT_GLSL}
+float difference(vec3 a, vec3 b) { return dot(abs(a - b), vec3(1.0 / 3.0)); }  // of display values
 bool is_reference() { return show == 1 || (show == 2 && gl_FragCoord.x - column.x < wipe * column.z); }`;
 const DISPLAY = `${SHOWING}
-uniform sampler2D fit, reference; uniform float samples, scale, mapTurn;
+uniform sampler2D fit, reference; uniform float samples, scale, first, mapTurn;
 uniform bool mapBehind, parallel; uniform mat4 fromClip; uniform vec3 eye;
 vec4 shown(sampler2D sum) {
-  vec4 v = texelFetch(sum, ivec2(gl_FragCoord.xy * scale), 0);
+  vec4 v = texelFetch(sum, ivec2((gl_FragCoord.xy - column.xy) * scale + vec2(first, 0.0)), 0);
   return v.a > 0.0 ? vec4(encoded(v.rgb / v.a), v.a / samples) : vec4(0.0);
 }
 vec3 behind() {
@@ -193,7 +195,9 @@ vec3 behind() {
 }
 void main() {
   vec4 a = shown(fit), b = shown(reference);
-  if (show == 3) { result = vec4(mix(paper, abs(a.rgb - b.rgb) * gain, a.a), 1.0); return; }
+  float apart = difference(a.rgb, b.rgb);
+  if (show == 4) { result = vec4(vec3(apart), a.a); return; }
+  if (show == 3) { result = vec4(mix(paper, heat(apart / full), a.a), 1.0); return; }
   vec4 chosen = is_reference() ? b : a;
   result = vec4(mix(behind(), chosen.rgb, chosen.a), 1.0);
 }`;

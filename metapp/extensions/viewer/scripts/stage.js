@@ -1,4 +1,4 @@
-// Shapes of a material in 3D, side by side: camera, lamp, light map, accumulation, wipe between fit and reference, difference.
+// Shapes of a material in 3D, in panes of one camera: lamp, light map, accumulation. Fit and reference are drawn at once.
 //
 // A subclass of ShapeViewer gives each fit a material: GLSL with
 //   void at_point(vec2 uv)                                what depends on the place alone
@@ -11,21 +11,15 @@
 // The frame has z along the shape's normal and x along its tangent. All light is linear RGB.
 
 const MINUTE = 60000;  // ms
-const GAP = 6;  // between columns, px
 const STUDIO = "studio";  // of `environments`
-const COMPARED = { fit: "Fit", reference: "Reference", wipe: "Reference | fit", difference: "Difference" };
 
-class ShapeViewer extends Viewer {
+class ShapeViewer extends ComparingViewer {
   // What subclasses change.
   static shapes = ["sphere", "plane", "knot"];
   static lights = [["lamp", "Lamp"], ["map", "Light map"]];
-  static curve = 0;  // of `encoded`
   static stops = 6;  // of exposure, either way
   async material(fit) { throw new Error("no material"); }  // -> {glsl, displacement, uniforms}
-  referenced(fit) { return false; }  // whether there is a reference to compare with
-  named(fit) { return "Reference"; }
   lampShown() { return this.settings.light === "lamp" && this.settings.view === "free"; }
-  shown(fit) { return this.referenced(fit) ? this.settings.show : "fit"; }  // of COMPARED
   picture(settings) { return null; }  // where metapp's own picture is looked at: {lamp, eye, half: of an orthographic view}
 
   async open() {
@@ -42,6 +36,8 @@ class ShapeViewer extends Viewer {
     this.orbit = new THREE.OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enablePan = false;
     this.orbit.addEventListener("change", () => this.restart());
+    Object.assign(this.renderer.domElement, { tabIndex: 0, ariaLabel: "Shapes: drag or arrow keys turn them, + and - move nearer or farther, 0 shows the front" });
+    this.renderer.domElement.addEventListener("keydown", (event) => this._key(event));
     this.lampAt = new THREE.Vector3(0.5, 0.7, 0.5).normalize();
     this.scene = new THREE.Scene();
     this.mesh = new THREE.Mesh(shapeOf(this.constructor.shapes[0]));
@@ -54,7 +50,7 @@ class ShapeViewer extends Viewer {
     this.wholeScene.add(this.whole);
     this.adding = this._pass(ADD, { a0: null, a1: null, b0: null, b1: null, keep: 0 });
     this.showing = this._pass(DISPLAY, {
-      ...this._shown(), fit: null, reference: null, samples: 1, scale: 1,
+      ...this._shown(), fit: null, reference: null, samples: 1, scale: 1, first: 0,
       mapBehind: false, parallel: false, fromClip: new THREE.Matrix4(), eye: new THREE.Vector3(), mapTurn: 0,
     });
     this.light = await this.ownLight();
@@ -90,24 +86,23 @@ class ShapeViewer extends Viewer {
   }
 
   controls() {
-    const { shapes, lights, stops } = this.constructor, compared = () => this.fits.some((fit) => this.referenced(fit));
+    const { shapes, lights, stops } = this.constructor;
     const own = this.picture({}) !== null;
     return [
-      { name: "view", label: "View", type: "choice", value: "free", options: [["free", "Free"], ["picture", "As in metapp's picture"]], when: () => own },
+      { name: "view", label: "View", type: "choice", value: this.firstView(), options: [["free", "Free"], ["picture", "As in metapp's picture"]], when: () => own },
       { name: "shape", label: "Shape", type: "choice", value: shapes[0], options: shapes.map((name) => [name, SHAPES[name][0]]), when: (s) => s.view === "free" },
       { name: "light", label: "Light", type: "choice", value: lights[0][0], options: lights, when: (s) => lights.length > 1 && s.view === "free" },
       { name: "environment", label: "Environment", type: "choice", value: STUDIO, options: this.environments(), when: (s) => s.light === "map" && s.view === "free" && this.environments().length > 1 },
       { name: "turn", label: "Rotation of the light map", type: "range", min: 0, max: 360, step: 1, value: 0, text: (x) => `${x}\u00b0`, when: (s) => s.light === "map" && s.view === "free" },
       { name: "behind", label: "Show the light map", type: "check", value: false, when: (s) => s.light === "map" && s.view === "free" },
       { name: "file", label: "Another light map (.hdr)", type: "file", accept: ".hdr", run: (file) => this.readLight(file), when: (s) => s.light === "map" && s.view === "free" },
-      { name: "show", label: "Show", type: "choice", value: "fit", when: compared, options: Object.entries(COMPARED) },
-      { name: "wipe", label: "Wipe", type: "range", min: 0, max: 1, step: 0.005, value: 0.5, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "wipe" && compared() },
-      { name: "gain", label: "Difference times", type: "range", min: 1, max: 50, step: 1, value: 5, when: (s) => s.show === "difference" && compared() },
+      ...this.comparing(),
       { name: "exposure", label: "Exposure", type: "range", min: -stops, max: stops, step: 0.1, value: 0, text: (x) => `${x > 0 ? "+" : ""}${x.toFixed(1)} stops` },
       { name: "paper", label: "Background", type: "choice", value: "dark", options: [["dark", "Dark"], ["gray", "Gray"], ["white", "White"]] },
       ...this.ownControls(),
     ];
   }
+  firstView() { return "free"; }
   ownControls() { return []; }
 
   async readLight(file) {
@@ -124,8 +119,28 @@ class ShapeViewer extends Viewer {
     if (name === "light" || name === "view") this.cost = 0;  // each light has its own
     if (name === "environment") this.relight(this.lightFrom(this.settings.environment));
     if (name === "shape" || name === "view") this.mesh.geometry = shapeOf(this.shape());
-    if (["wipe", "gain", "exposure", "paper", "show"].includes(name)) this.redraw(); else this.restart();
+    if (["wipe", "scale", "exposure", "paper"].includes(name)) this.redraw();
+    else if (!this._arranged() && name !== "show") this.restart();
+    this.redraw();
     this.overlay.place();
+  }
+
+  _key(event) {
+    const turn = Math.PI / 36, does = {
+      ArrowLeft: () => this.look(-turn, 0), ArrowRight: () => this.look(turn, 0), ArrowUp: () => this.look(0, -turn), ArrowDown: () => this.look(0, turn),
+      "+": () => this.look(0, 0, 0.9), "-": () => this.look(0, 0, 1 / 0.9), 0: () => { this.camera.position.set(0, 0, 5); this.look(0, 0); },
+    }[event.key];
+    if (!does || !this.orbit.enabled || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    does();
+  }
+  // Turn the camera about the object, by angles around it and down, and move it to so many times its distance.
+  look(around, down, times = 1) {
+    const at = new THREE.Spherical().setFromVector3(this.camera.position);
+    this.camera.position.setFromSphericalCoords(clamp(at.radius * times, 1.5, 20), clamp(at.phi + down, 0.01, Math.PI - 0.01), at.theta + around);
+    this.camera.lookAt(0, 0, 0);
+    this.orbit.update();
+    this.restart();
   }
 
   shape() { return (this.settings.view === "picture" && this.picture(this.settings)?.shape) || this.settings.shape || this.constructor.shapes[0]; }
@@ -198,12 +213,22 @@ class ShapeViewer extends Viewer {
     if (!width || !height) return;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height);
-    this._targets();
-    this.restart();
+    this._arranged(true);
   }
 
+  // Arrange the panes anew; where pictures have another size then they begin anew, and true is returned.
+  _arranged(always = false) {
+    if (!this.renderer.domElement.width || this.settings.exposure === undefined) return false;
+    const resized = this.arrange();
+    if ((!resized && !always) || !this.panes.length) return false;
+    this._targets();
+    this.restart();
+    return true;
+  }
+
+  // Each fit has a part of the width, as large as a pane.
   _targets() {
-    const size = this.renderer.getDrawingBufferSize(new THREE.Vector2()).multiplyScalar(this.detail).ceil();
+    const [{ width, height }] = this.panes, size = new THREE.Vector2(this.fits.length * Math.ceil(width * this.detail), Math.ceil(height * this.detail));
     [...(this.targets ?? []), this.buffer].forEach((each) => each?.dispose());
     const options = { count: 2, type: THREE.FloatType, format: THREE.RGBAFormat, ...NEAREST, depthBuffer: false, generateMipmaps: false };
     this.targets = [0, 1, 2].map(() => new THREE.WebGLRenderTarget(size.x, size.y, options));
@@ -256,10 +281,11 @@ class ShapeViewer extends Viewer {
   get chunks() { return 16; }  // frames that share the studio's lights
 
   draw() {
-    const begin = performance.now(), { renderer } = this, whole = this.targets[0], columns = this.fits.length;
+    if (!this.panes?.length || !this.targets) return false;
+    const begin = performance.now(), { renderer } = this, whole = this.targets[0], width = whole.width / this.fits.length;
     const measured = this.count < this.most();
     if (measured) {
-      const width = whole.width / columns, view = this.view(width / whole.height), { light, lamp, power } = this.lighting();
+      const view = this.view(this._aspect()), { light, lamp, power } = this.lighting();
       const shift = light === "studio" ? Math.floor(this.count / this.chunks) : this.count;
       const jitter = [halton(shift + 1, 2) - 0.5, halton(shift + 1, 3) - 0.5];
       const [sample, before, after] = [whole, this.targets[1 + (this.count & 1)], this.targets[2 - (this.count & 1)]];
@@ -267,16 +293,16 @@ class ShapeViewer extends Viewer {
       renderer.setRenderTarget(this.buffer);
       renderer.clear();
       this.materials.forEach((material, i) => {
-        const u = material.uniforms, left = Math.round(i * width), right = Math.round((i + 1) * width);
+        const u = material.uniforms, left = i * width;
         u.toClip.value = view.matrix; u.eye.value = view.eye; u.parallel.value = view.parallel; u.towardsEye.value = view.towardsEye;
-        u.jitter.value.set(2 * jitter[0] / (right - left), 2 * jitter[1] / whole.height);
+        u.jitter.value.set(2 * jitter[0] / width, 2 * jitter[1] / whole.height);
         u.light.value = { lamp: 0, map: 1, studio: 2 }[light]; u.frame.value = this.count; u.chunks.value = this.chunks;
         u.lamp.value = lamp; u.flashPower.value = power; u.studio.value = this.studio ?? null;
         const own = this.lightOf(i);
         u.map.value = own.map; u.referenceMap.value = own.reference; u.places.value = own.places; u.mapSize.value = own.size; u.mapTotal.value = own.total;
         u.mapScale.value = own.scale; u.mapTurn.value = this.settings.turn / 360;
         this.beforeDraw(u, i);
-        for (const target of [this.buffer, sample]) target.viewport.set(left, 0, right - left, whole.height);
+        for (const target of [this.buffer, sample]) target.viewport.set(left, 0, width, whole.height);
         this.mesh.material = material.seen;
         renderer.setRenderTarget(this.buffer);
         renderer.render(this.scene, this.camera);
@@ -297,8 +323,10 @@ class ShapeViewer extends Viewer {
       if (!this.compiled) this.compiled = true;  // the first frame compiles: its time says nothing
       else { this.cost = this.cost ? 0.7 * this.cost + 0.3 * cost : cost; this._adapt(); }
     }
-    return Boolean(this.awaited) || this.count < this.most();
+    return Boolean(this.awaited) || !this.finished();
   }
+  finished() { return this.count >= this.most(); }
+  _aspect() { return this.panes[0].width / this.panes[0].height; }
   lightOf(column) { return this.light; }
   beforeDraw(uniforms, column) {}
 
@@ -309,45 +337,19 @@ class ShapeViewer extends Viewer {
   }
 
   _show() {
-    const { renderer, settings } = this, u = this.showing.uniforms, size = renderer.getDrawingBufferSize(new THREE.Vector2());
-    const view = this.view(size.x / this.fits.length / size.y);
+    const { settings } = this, u = this.showing.uniforms, width = this.targets[0].width / this.fits.length, view = this.view(this._aspect());
     u.fit.value = this.sum.textures[0]; u.reference.value = this.sum.textures[1]; u.samples.value = this.count; u.scale.value = this.detail;
     u.mapBehind.value = settings.behind && this.lighting().light === "map"; u.parallel.value = view.parallel; u.eye.value = view.eye;
     u.fromClip.value = view.matrix.clone().invert(); u.mapTurn.value = settings.turn / 360;
-    this._columns(this.showing);
-  }
-
-  // Uniforms of SHOWING, and its pass over the columns; `each(i)` sets what else a column needs.
-  _shown() {
-    return { map: null, referenceMap: null, exposure: 1, gain: 1, wipe: 0.5, curve: 0, show: 0, mapScale: 1, column: new THREE.Vector4(), paper: new THREE.Vector3() };
-  }
-  _columns(material, each = () => {}) {
-    const { renderer, settings } = this, u = material.uniforms, size = renderer.getDrawingBufferSize(new THREE.Vector2());
-    const ratio = renderer.getPixelRatio(), width = size.x / this.fits.length;
-    u.exposure.value = 2 ** settings.exposure; u.gain.value = settings.gain; u.wipe.value = settings.wipe; u.curve.value = this.constructor.curve;
-    u.paper.value.setScalar({ dark: 0.09, gray: 0.5, white: 1 }[settings.paper]);
-    renderer.setRenderTarget(null);
-    renderer.setClearColor(0x17181b, 1);
-    renderer.clear();
-    renderer.setScissorTest(true);
-    this.fits.forEach((fit, i) => {
-      const left = Math.round(i * width), right = Math.round((i + 1) * width), own = this.lightOf(i);
-      u.column.value.set(left, 0, right - left, size.y);
-      u.map.value = own.map; u.referenceMap.value = own.reference; u.mapScale.value = own.scale;
-      u.show.value = Object.keys(COMPARED).indexOf(this.shown(fit));
-      each(i);
-      const gaps = [i ? GAP / 2 : 0, i < this.fits.length - 1 ? GAP / 2 : 0];
-      renderer.setScissor(left / ratio + gaps[0], 0, (right - left) / ratio - gaps[0] - gaps[1], size.y / ratio);
-      this._fill(material, null);
-    });
-    renderer.setScissorTest(false);
+    this._columns(this.showing, (fit) => { u.first.value = fit * width; });
   }
 
   png() { return this.renderer.domElement; }
 
-  // What is seen at a place of a column: {p, n, towards: to the viewer}, or null.
-  pick({ column, x, y, width, height }) {
-    const { buffer } = this, at = [Math.floor((column + x / width) / this.fits.length * buffer.width), Math.floor((1 - y / height) * buffer.height)];
+  // What is seen at a place of a pane: {p, n, towards: to the viewer}, or null.
+  pick({ fit, x, y, width, height }) {
+    if (x < 0 || y < 0 || x >= width || y >= height) return null;
+    const { buffer } = this, at = [Math.floor((fit + x / width) / this.fits.length * buffer.width), Math.floor((1 - y / height) * buffer.height)];
     const [place, normal, tangent] = [0, 1, 2].map((which) => {
       const values = new Float32Array(4);
       this.renderer.readRenderTargetPixels(buffer, ...at.map((each) => Math.max(each, 0)), 1, 1, values, undefined, which);

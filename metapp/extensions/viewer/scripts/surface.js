@@ -143,6 +143,7 @@ class SurfaceViewer extends ShapeViewer {
   }
 
   photo(fit) { return this.settings.view === "picture" && this.photos.get(fit.pictures[this.lit(fit).name]); }
+  firstView() { return this.fits.some((fit) => "photo_1" in fit.pictures) ? "picture" : "free"; }  // a photo beside the fit under its flash
   lampShown() { return super.lampShown() && this.settings.map === "lit"; }
   named(fit) { return this.photo(fit) ? "Photo" : super.named(fit); }
   referenced(fit) {
@@ -181,7 +182,7 @@ class SurfaceViewer extends ShapeViewer {
     const notes = [
       tiles ? "The maps tile." : "The maps do not tile: copies are mirrored.",
       fitted ? "" : `Heights are computed from the normals${tiles ? "" : ", without their curvature over the whole map"}.`,
-      photos.length ? `To compare with ${photos.length > 1 ? "a" : "the"} photo: View, As in metapp's picture.${compared ? " Elsewhere the reference is the true maps." : ""}` : "",
+      photos.length ? `The photo${photos.length > 1 ? "s stand" : " stands"} beside the fit under ${photos.length > 1 ? "their flashes" : "its flash"}. View, Free: other shapes, and a lamp to drag.${compared ? " There the reference is the true maps." : ""}` : "",
       lit.photo_1?.part < 1 ? "The maps are larger than the photo: under its flash their upper left part is shown." : "",
       shown[0] < size[0] ? `Reduced from ${size[1]} x ${size[0]} to ${shown[1]} x ${shown[0]} texels for this page.` : "",
     ];
