@@ -44,6 +44,11 @@ class Block(NamedTuple):
         python = f"cat > block.py <<'END OF BLOCK'\n{self.code}END OF BLOCK\npython block.py"
         return python if self.kind == "python" else self.code
 
+    def commands(self) -> list[str]:
+        """Its lines without comments, those that go on in one."""
+        lines = re.sub(r"\\\n\s*", "", self.code).splitlines()
+        return [command for line in lines if (command := re.sub(r"\s*#.*", "", line).strip())]
+
     def __str__(self) -> str:
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 

@@ -44,7 +44,6 @@ def command(
 
     done = export_run(run, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
-        count = f"{len(done.tasks)} fit{'s' * (len(done.tasks) != 1)}"
-        say(f"{count} written as {done.form}: {listed(Path(done.out), done.tasks)}")
+        say(f"written as {done.form}: {listed(Path(done.out), done.tasks)}")
     if json:
         print_json(done._asdict())

@@ -262,10 +262,15 @@ def fit_all(
         raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
     if sources is not None and not (sources := list(sources)):
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
-    request, sources = _request(app, paradigm, options), sources or []
-    if in_memory(sources):
-        return _fitted(replace(request, objects=sources))
-    return _fitted(replace(request, inputs=[Path(source) for source in sources]))
+    try:
+        request, sources = _request(app, paradigm, options), sources or []
+        if in_memory(sources):
+            return _fitted(replace(request, objects=sources))
+        return _fitted(replace(request, inputs=[Path(source) for source in sources]))
+    except ValueError as error:
+        if not os.environ.get("METAPP_TRACEBACK"):
+            error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
+        raise
 
 
 def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:

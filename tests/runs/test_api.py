@@ -82,8 +82,19 @@ def test_several_tasks_and_their_table(neural_fits: Callable[[int], Path]) -> No
     assert fits[:0] == []
     with pytest.raises(ValueError, match=r"2 tasks, expected one; take metapp\.fit_all"):
         api.fit("brdf", folder)
-    with pytest.raises(ValueError, match="no such file or folder"):
-        api.fit("brdf", folder / "none")
+
+
+def test_the_traceback_of_bad_input_ends_at_the_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for app, source, said in (("brdf", tmp_path / "none", "none: no such file or folder"), ("brfd", tmp_path, "brdf")):
+        with pytest.raises(ValueError, match=said) as short:
+            api.fit(app, source)
+        with monkeypatch.context() as patch:
+            patch.setenv("METAPP_TRACEBACK", "1")
+            with pytest.raises(ValueError, match=said) as whole:
+                api.fit(app, source)
+        assert [entry.name for entry in short.traceback[1:]] == ["fit"]
+        assert len(whole.traceback) > 4
+        assert short.value.__context__ is None
 
 
 def test_nothing_is_printed_and_threads_stay(network: Path, capfd: pytest.CaptureFixture[str]) -> None:

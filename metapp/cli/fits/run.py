@@ -68,9 +68,8 @@ def _show(run: Run, *, json: bool) -> None:
             rate = run.tasks_per_second if run.gallery else None
             out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
         folder, names = run.folder.path, [record["name"] for record in run.records]
-        say(f"{where}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}")
-        if run.made:
-            say(f"made: {listed(run.made, names)}")
+        made = f"\nmade: {listed(run.made, names)}" if run.made else ""
+        say(f"{where}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}{made}")
         if any(offer.name == "view" for offer in door.offers(door.Command)):
             say(f"to look at: metapp view {shlex.quote(str(folder))}")
         if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]:

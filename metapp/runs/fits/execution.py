@@ -197,8 +197,7 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     if not records:
         raise _first_error(loop.failures, len(mine))
     for form in request.exports if loop.count else ():
-        where = listed(folder.path / form, [record["name"] for record in records.values()])
-        say(f"{loop.count} fit{'s' * (loop.count != 1)} written as {form}: {where}")
+        say(f"written as {form}: {listed(folder.path / form, [each['name'] for each in records.values()])}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
     picture, gallery = loop.sheet(mine, records), None
     if request.resumes:

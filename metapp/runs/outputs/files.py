@@ -53,10 +53,8 @@ def write_files(presentation: Presentation[Any], task: Task, theta: Params, fold
 def listed(folder: Path, names: Sequence[str]) -> str:
     """A folder of what fits made, in words; of a single fit its file, or its own folder and the files in that."""
     made = sorted(folder.glob(f"{escape(file_name(names[0]))}*")) if len(names) == 1 else []
-    if len(made) != 1:
-        return str(folder)
-    files = sorted(file.name for file in made[0].glob("*"))
-    return f"{made[0]}: {', '.join(files)}" if files else str(made[0])
+    inside = ", ".join(sorted(file.name for place in made for file in place.glob("*")))
+    return f"{made[0]}{': ' * bool(inside)}{inside}" if len(made) == 1 else str(folder)
 
 
 def write_outputs(
