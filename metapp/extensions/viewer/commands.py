@@ -24,7 +24,7 @@ class Options:
 
     runs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[RUN]...", help="Folders of runs, or files of their params/; default: the newest run."),
+        typer.Argument(metavar="[RUN]...", help="Runs, folders of runs (the newest), files of params/; default: runs."),
     ] = None
     inputs: Annotated[
         list[Path] | None,
@@ -45,8 +45,6 @@ class Options:
 @takes(Options)
 def view(options: Options) -> None:
     """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
-
-    Of a folder of runs the newest is shown.
 
     Example: metapp view runs/brdf/meta runs/brdf/quickft
     """
