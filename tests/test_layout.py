@@ -212,6 +212,7 @@ EXTENSIONS = {
     "rgl": 440,
     "scene_files": 1_360,
     "several": 200,
+    "side_by_side": 290,
     "vgg": 350,
     "viewer": 1_510,
 }

@@ -149,7 +149,7 @@ def test_every_command_takes_it(commands: Callable, curves: Path, tmp_path: Path
         ["meta", "curve", *train, "10"],
         ["overfit", "curve", *shared, "--json"],
         ["finetune", "curve", *shared, "--json"],
-        ["evaluate", "curve", *shared, "--json"],
+        ["evaluate", "curve", *shared, "--whole", "--json"],
         ["evaluate", "curve", *shared, "--which", "storage", "--format", "markdown"],
         ["evaluate", "curve", *shared, "--figures", tmp_path / "figures", "--report", tmp_path / "report"],
     )  # fmt: skip

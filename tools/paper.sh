@@ -10,5 +10,5 @@ for app in "$@"; do
     "$metapp" "$paradigm" "$app" --recipe paper --train --out "$runs"
   done
 done
-"$metapp" evaluate "$@" --recipe paper --observe reference --which all --out "$runs" \
+"$metapp" evaluate "$@" --recipe paper --whole --observe reference --which all --out "$runs" \
   --figures "$runs/figures" --report "$runs/report"

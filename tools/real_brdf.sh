@@ -15,5 +15,5 @@ for seed in "$@"; do
   for rule in meta-sgd meta-curvature; do
     "$metapp" meta "${common[@]}" --rule "$rule" --train --quiet
   done
-  "$metapp" evaluate "${common[@]}" --table
+  "$metapp" evaluate "${common[@]}" --table --whole
 done

@@ -16,6 +16,6 @@ for seed in "$@"; do
     "$metapp" general "${common[@]}" --train --quiet
     "$metapp" quickft "${common[@]}" --train --quiet
     "$metapp" meta "${common[@]}" --train --quiet
-    "$metapp" evaluate "${common[@]}" --table
+    "$metapp" evaluate "${common[@]}" --table --whole
   done
 done

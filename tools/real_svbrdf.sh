@@ -10,6 +10,6 @@ done
 "$metapp" data strips "$data/svbrdf_strips" --split test --out "$runs/data/strips" --overwrite
 "$metapp" data maps "$data/svbrdf_maps" --split test --out "$runs/data/maps" --overwrite
 for each in strips maps; do
-  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$each" --out "$runs" --table
+  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$each" --out "$runs" --table --whole
 done
 "$metapp" meta svbrdf_nonstationary "$data/flash_nonstationary" --observe photo --out "$runs"

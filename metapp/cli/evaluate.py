@@ -18,11 +18,9 @@ from metapp.runs.requests.request import Request
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
-    from metapp.evaluation.cell import Cell
     from metapp.evaluation.rows import Table
     from metapp.evaluation.subject import Subject
 
-LISTED = 8  # rows of a table that are named as missing
 NAMES = table_names()
 WHICH = (*NAMES, ALL)
 FORMATS = ("rich", "markdown", "latex", "csv")
@@ -50,9 +48,10 @@ class Evaluation:
     no_run: Annotated[
         bool, typer.Option("--no-run", help="Print what there is, and the commands that make the rest.")
     ] = False
-    overfit_share: Annotated[
-        float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
-    ] = 1.0
+    table: Annotated[bool, typer.Option("--table", help="Print the tables, as is done without it.")] = True
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Overfit and Finetune on all test tasks, not on three; both protocols.")
+    ] = False
     rule: Annotated[
         str,
         typer.Option(
@@ -64,7 +63,8 @@ class Evaluation:
         str,
         typer.Option(
             autocompletion=completion.observations,
-            help="What fits may see, where an application has both: reference or photo; default: each.",
+            help="What fits may see, where an application has both: reference or photo; default: reference, with "
+            "--whole each.",
         ),
     ] = ""
     data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None
@@ -89,15 +89,24 @@ def command(options: Evaluation, **own: Path) -> None:
 
     Example: metapp evaluate brdf --which quickft
     """
+    if not (options.quiet or options.no_run):
+        say("evaluate: looking for records")
     from metapp.cli.show import show
+    from metapp.evaluation.cell import run_cells
 
     reported = NAMES if options.which in ("", ALL) else [options.which]
     reports = {offer: own[offer.option.name] for offer in door.offers(door.Report) if offer.option.name in own}
     options = check(options)
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else [options.which]
-    cells = cells_of([load_table(name) for name in (reported if reports else names)], subjects)
-    fill(cells, subjects, options)
+    measured = [load_table(name) for name in (reported if reports else names)]
+    runners = [door.load(offer.run) for offer in door.offers(door.CellRunner)]
+    if options.no_run:
+        say_missing(subjects, measured, options.which)
+    elif subjects and runners:
+        runners[0](subjects, measured, quiet=options.quiet)
+    else:
+        run_cells([cell for table in measured for one in subjects for cell in table.cells(one)], quiet=options.quiet)
     if not options.quiet:
         draw(subjects, names)
     show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
@@ -136,6 +145,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
         check_name(name)
     for name in [name for name in names if protocols_of(name)] or names:
         check_protocol(options.observe, name)
+    first = None if options.whole else 1
     plans = [
         plan(
             Request(
@@ -152,49 +162,49 @@ def subjects_of(options: Evaluation) -> list[Subject]:
             )
         )
         for name in names
-        for protocol in ((options.observe,) if options.observe and protocols_of(name) else protocols_of(name) or ("",))
+        for protocol in (protocols_of(name) and (options.observe,) * bool(options.observe))
+        or protocols_of(name)[:first]
+        or ("",)
     ]
     strict = bool(options.apps) and run
-    return [Subject(one, run=run, strict=strict, share=options.overfit_share) for one in plans]
+    subjects = [Subject(one, run=run, strict=strict, whole=options.whole) for one in plans]
+    # all checkpoints before the first fit: a missing one should not be found after an hour
+    return [subject for subject in subjects if not run or has_general(subject, options)]
 
 
-def cells_of(tables: list[Table], subjects: list[Subject]) -> list[Cell]:
-    """The cells that the tables need.
+def has_general(subject: Subject, options: Evaluation) -> bool:
+    """False where General has no checkpoint, so that nothing can be compared: the application is left out.
 
     Raises:
-        ValueError: a checkpoint is missing that was asked for.
+        ValueError: the same, of an application that was named.
     """
-    # all checkpoints before the first fit: a missing one should not be found after an hour; applications that nobody
-    # named have empty cells where a checkpoint is missing
-    assert all(subject.fits for subject in subjects)
-    return [cell for table in tables for subject in subjects for cell in table.cells(subject)]
+    from metapp.runs.checkpoints.finding import find_checkpoint
+
+    try:
+        return bool(find_checkpoint(subject.plan))
+    except ValueError as error:
+        if options.apps:
+            raise
+        say(f"{subject.title} is left out: {error}")
+        return False
 
 
-def fill(cells: list[Cell], subjects: list[Subject], options: Evaluation) -> None:
-    """Measure what has no record yet, or say how much that is and which command does it."""
-    from metapp.evaluation.cell import run_cells
-
-    if not options.no_run:
-        run_cells(cells, quiet=options.quiet)
-        return
-    commands = [command for subject in subjects if (command := _say_missing(subject, cells, options.which))]
-    if commands:
-        say(f"made by{' the same command without --no-run, or of one alone' * (len(commands) > 1)}: {commands[0]}")
-
-
-def _say_missing(subject: Subject, cells: list[Cell], which: str) -> str:
-    """A line about what has no record yet of an application, if anything; the command that makes it, else ""."""
+def say_missing(subjects: list[Subject], tables: Sequence[Table], which: str) -> None:
+    """Say how much has no record yet of each application, and which command measures it."""
     from metapp.runs.requests.naming import name_of
 
-    name = name_of(subject.app)
-    cells_here = {cell.title: cell for cell in cells if cell.title.startswith(f"{name} ")}.values()
-    empty = {cell.title.removeprefix(f"{name} ").partition(": ")[0]: cell for cell in cells_here if not cell.whole}
-    if not empty:
-        return ""
-    total, missing = sum(len(cell.tasks) for cell in cells_here), sum(len(cell.missing()) for cell in cells_here)
-    some = ", ".join([*list(empty)[:LISTED], *([f"{len(empty) - LISTED} more"] if len(empty) > LISTED else [])])
-    say(f"{name}: {f'{missing:,} of {total:,}' if total else 'all'} records missing: {some}")
-    return subject.command(which)
+    commands = []
+    for subject in subjects:
+        name = name_of(subject.app)
+        found = [cell for table in tables for cell in table.cells(subject)]
+        cells = {cell.title.removeprefix(f"{name} "): cell for cell in found}
+        empty = list(dict.fromkeys(title.partition(": ")[0] for title, cell in cells.items() if not cell.whole))
+        total, missing = sum(len(c.tasks) for c in cells.values()), sum(len(c.missing()) for c in cells.values())
+        if empty:
+            say(f"{name}: {f'{missing:,} of {total:,}' if total else 'all'} records missing: {', '.join(empty)}")
+            commands.append(subject.command(which))
+    if commands:
+        say(f"made by{' the same command without --no-run, or of one alone' * (len(commands) > 1)}: {commands[0]}")
 
 
 def draw(subjects: list[Subject], names: Sequence[str]) -> None:

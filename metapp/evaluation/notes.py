@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from metapp.evaluation.rows import Row, Table, paired_of
 from metapp.evaluation.subject import Subject
 from metapp.runs.outputs.statistics import FEWEST, Paired, apart
+from metapp.runs.reporter import number
 from metapp.runs.requests.naming import factor_of
 
 
@@ -73,21 +74,26 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
 
 
 def threads_note(rows: Sequence[Row]) -> list[str]:
-    """The threads that seconds are of, where records say so."""
+    """The threads that seconds are of, where records say so, and whether other fits ran meanwhile."""
+    most = max((row["processes"] or 1 for row in rows), default=1)
+    beside = f"; seconds of {most} fits side by side, each on a core" if most > 1 else ""
     counts = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
     if len(counts) > 1:
         text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])
         return [f"threads: {text}; seconds of different threads do not compare"]
-    return [f"threads: {count}" for count in counts]
+    return [f"threads: {count}{beside}" for count in counts]
 
 
-def overfit_note(subject: Subject) -> list[str]:
-    """A note where Overfit takes fewer steps than the recipe's."""
-    if subject.share == 1:
+def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:
+    """A note on the rows that are of some of the tasks, with the errors of all rows on these."""
+    counts = {name: len(subject.cell(name).tasks) for name in subject.fits}
+    names = [name for name, count in counts.items() if count < len(subject.tasks)]
+    if not names:
         return []
-    steps, recipe = subject.fits["overfit"].steps, subject.plan.job.recipe.overfit_steps
-    changed = "its error and the gap closed are too high, its time and the speed-up too low"
-    return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
+    errors = ", ".join(f"{row['paradigm']} {number(row['shared_error'], '.3f')}" for row in rows)
+    where = f", where mean errors are {errors}" if errors else ""
+    few = f"{counts[names[0]]} of the {len(subject.tasks)} tasks, evenly spaced"
+    return [f"* {', '.join(names)}: of {few}{where}; --whole measures all tasks"]
 
 
 def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:

@@ -25,5 +25,6 @@ def draw_cells(subject: Subject, cells: Mapping[str, Cell], kind: str) -> Path |
     if not runs:
         return None
     file = request.out / app.name / f"{'-'.join(words)}.png"
-    with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=request.quiet) as bar:
-        return picture_of_table(app, subject.tasks, runs, file, bar.advance)
+    tasks = min((list(cell.tasks) for cell in cells.values()), key=len)
+    with progress(f"pictures of {subject.title}", len(tasks[:COMPARED]), quiet=request.quiet) as bar:
+        return picture_of_table(app, tasks, runs, file, bar.advance)

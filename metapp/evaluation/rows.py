@@ -125,7 +125,7 @@ def paired_columns(other: str) -> tuple[Column, Column]:
 COMMON = {
     "paradigm": words("paradigm", "paradigm"),
     "rule": words("rule", "rule"),
-    "error": numbers("error", "error", ".3f"),
+    "error": Column("error", lambda row: number(row["error"], ".3f") + "*" * bool(row.get("few"))),
     "seconds": numbers("seconds", "seconds", ".4f"),
     "paper error": numbers("paper error", "paper_error", ".3f"),
     "paper seconds": numbers("paper seconds", "paper_seconds", ".3f"),
@@ -172,6 +172,7 @@ def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: obje
         "doubtful": 0,
         "guarded": None,
         "threads": None,
+        "processes": None,
         "low": None,
         "high": None,
         "paper_error": figures["error"].get(app, {}).get(paradigm),
@@ -242,6 +243,7 @@ def remarks(records: Sequence[Record]) -> Row:
         "doubtful": sum(not some[-1].startswith(ROSE) for some in clauses),
         "guarded": guarded(records),
         "threads": ", ".join(map(str, threads)) or None,
+        "processes": max((record.get("processes", 1) for record in records), default=None),
     }
 
 

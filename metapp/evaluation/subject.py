@@ -23,6 +23,9 @@ from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.records import FIT, Record, RunFolder
 
+LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
+FEW = 3  # tasks of these rows, unless all are asked for
+
 
 class Subject:
     """An application under a protocol, on a data set.
@@ -30,24 +33,17 @@ class Subject:
     Attributes:
         plan: of the application's own network; rows differ in paradigm, rule or steps.
         run: whether cells without records will be run; else they stay empty.
-        share: of the recipe's steps that Overfit takes here.
+        whole: whether all rows are of all test tasks; else those of more than LONG steps are of FEW of them.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        *,
-        run: bool,
-        strict: bool,
-        share: float = 1.0,
-    ) -> None:
+    def __init__(self, plan: Plan, *, run: bool, strict: bool, whole: bool = True) -> None:
         """Look up nothing yet.
 
         Args:
-            plan, run, share: as the attributes.
+            plan, run, whole: as the attributes.
             strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
         """
-        self.plan, self.run, self.share = plan, run, share
+        self.plan, self.run, self.whole = plan, run, whole
         self._strict = strict
         self._cells: dict[str, Cell] = {}
 
@@ -69,9 +65,7 @@ class Subject:
 
     def _found(self, paradigm: str) -> Plan:
         """The plan of a paradigm with its checkpoint; without one where it is missing, and that is no error."""
-        short = paradigm == "overfit" and self.share != 1
-        steps = max(1, round(self.share * self.plan.job.recipe.overfit_steps)) if short else None
-        plan = self.plan.by(paradigm, steps=steps)
+        plan = self.plan.by(paradigm)
         try:
             return find_checkpoint(plan)
         except ValueError as error:
@@ -136,9 +130,9 @@ class Subject:
         return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps)
 
     def make_cell(self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0) -> Cell:
-        """A cell of all tasks, of the application's threads; other entries by `Cell._replace`."""
-        title = f"{name_of(self.app)} {title}"
-        return Cell(title, self.tasks, folder, measure, steps, threads=threads_of(self.app))
+        """A cell of the application's threads; other entries by `Cell._replace`."""
+        tasks = self.tasks if self.whole or steps <= LONG else evenly(self.tasks, FEW)
+        return Cell(f"{name_of(self.app)} {title}", tasks, folder, measure, steps, threads=threads_of(self.app))
 
     def folder(self, kind: str, settings: Record, form: Record, *, of_fits: bool = False) -> RunFolder:
         """Where records are kept: <out>/<app>/<kind>/<data>-<recipe>-seed<seed>, with the protocol.
@@ -147,18 +141,17 @@ class Subject:
             kind: of records, a folder.
             settings: everything that their figures depend on.
             form: what records hold.
-            of_fits: whether they are of fits of several paradigms: with the rule and Overfit's share.
+            of_fits: whether they are of fits of several paradigms: with the rule.
         """
         request, job = self.plan.request, self.plan.job
-        shortened = f"overfit{self.share:g}" if self.share != 1 else ""
-        words = [self.label, request.recipe, f"seed{request.seed}", *([job.rule, shortened] if of_fits else [])]
+        words = [self.label, request.recipe, f"seed{request.seed}", *([job.rule] if of_fits else [])]
         path = request.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
         return RunFolder(path, settings, form, self.plan.origin())
 
     def command(self, which: str) -> str:
         """The command that fills a table for this application."""
         words = ["metapp", "evaluate", self.app.name, "--which", which, *shared_words(self.plan)]
-        words += ["--overfit-share", f"{self.share:g}"] if self.share != 1 else []
+        words += ["--whole"] if self.whole else []
         words += ["--rule", self.plan.job.rule] if self.plan.job.rule != self.plan.job.recipe.rule else []
         return shlex.join(words)
 

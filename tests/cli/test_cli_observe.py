@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from metapp.appearance.presentation import Picture
 from metapp.apps.brdf import recipes
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.tables.results import closing
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -194,25 +196,20 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
         assert reason in metapp("evaluate", *apps, "--observe", observe, "--no-run").misuse
 
 
-def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    met: list[tuple[str, str]] = []
-
-    def cells_of(tables: list[Any], subjects: list[Any], *_: Any) -> list[Any]:
-        met.extend((subject.app.name, subject.app.protocol) for subject in subjects)
-        subjects.clear()
-        return []
-
-    monkeypatch.setattr("metapp.cli.evaluate.cells_of", cells_of)
-    assert metapp("evaluate", "texture", "brdf", "--observe", "photo", "--json").code == 0
-    assert metapp("evaluate", "texture", "brdf", "--json").code == 0
+def test_the_option_reaches_those_that_have_the_protocol() -> None:
+    """The first protocol is the default, where fits see what the paper's do; the whole evaluation has all."""
     both = [("brdf", "reference"), ("brdf", "photo")]
-    assert met == [("texture", ""), both[1], ("texture", ""), *both]
+    for more, expected in (({"observe": "photo"}, both[1:]), ({}, both[:1]), ({"whole": True}, both)):
+        options = Evaluation(["texture", "brdf"], recipe="quick", no_run=True, **more)
+        found = [(subject.app.name, subject.app.protocol) for subject in subjects_of(options)]
+        assert found == [("texture", ""), *expected]
 
 
 def test_meta_is_compared_where_overfit_is_no_floor() -> None:
     errors = {"general": 1.0, "overfit": 0.5, "quickft": 0.978, "meta": 0.88}
     rows = [
-        {"paradigm": name, "error": error, "seconds": 1.0, "paper_error": None, "paper_seconds": None}
+        {"paradigm": name, "error": error, "shared_error": error, "few": False, "seconds": 1.0}
+        | {"paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
     assert "gap closed 0.24" in closing(app_by("brdf"), rows)
@@ -229,7 +226,10 @@ def test_meta_is_compared_where_overfit_is_no_floor() -> None:
 # Tasks without a reference
 
 
-def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, networks: Path) -> None:
+def test_a_data_set_of_tasks_without_reference_has_a_table(
+    metapp: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metapp.extensions.side_by_side.measuring.SMALL", math.inf)  # others know no such protocol
     made = metapp("data", "nbrdf", networks / "unknown", "--split", "test", "--out", "unknown", "--samples", "512")
     assert made.code == 0, made.err
     common = ("evaluate", "brdf", "--data", "unknown", "--observe", "reference")

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from metapp.evaluation.cell import Cell
-from metapp.evaluation.notes import overfit_note
 from metapp.evaluation.rows import Row, Table, Take, columns, numbers, paper, row_of, words
 from metapp.evaluation.subject import Subject, evenly
 from metapp.learning.app import stack
@@ -54,7 +53,7 @@ def trace_cell(subject: Subject) -> Cell:
 
     steps = sum(fit.steps for fit in fits.values()) + sum(FURTHER)
     cell = subject.make_cell("trace", folder, measure, steps)
-    return cell._replace(tasks=evenly(subject.tasks, TRACED))
+    return cell._replace(tasks=evenly(list(cell.tasks), TRACED))
 
 
 def trace(subject: Subject, fits: Mapping[str, Plan], task: Task) -> tuple[Record, Params]:
@@ -228,7 +227,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     ]
     if last["near"] is not None:
         lines.append(f"{last['near']} of {last['tasks']} tasks come so near (paper: {further['steps']} further steps)")
-    return [*lines, *overfit_note(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
+    return [*lines, f"traces of {len(trace_cell(subject).tasks)} of {len(subject.tasks)} tasks, evenly spaced"]
 
 
 COLUMNS = columns(

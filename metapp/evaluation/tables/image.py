@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.evaluation.cell import Cell
-from metapp.evaluation.notes import overfit_note
+from metapp.evaluation.notes import few_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
@@ -45,7 +45,7 @@ def image_cell(subject: Subject) -> Cell:
             yield {"name": task.name, "error": None, "measures": presentation.image_errors(fitted, task)}, None
 
     cell = subject.make_cell("pictures", folder, measure)
-    return cell._replace(stage=1)
+    return cell._replace(stage=1, tasks=min((fit.tasks for fit in fits.values()), key=len))
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -93,7 +93,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         for row in all_rows
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
-    lines = [", ".join([subject.presentation.image_measure, *of_references]), *overfit_note(subject)]
+    lines = [", ".join([subject.presentation.image_measure, *of_references]), *few_note(subject)]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
         for row in all_rows

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import statistics
+
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import (
     carried,
     change,
+    few_note,
     measures_note,
-    overfit_note,
     paired_note,
     threads_note,
     verdict,
     warned,
 )
 from metapp.evaluation.pictures import draw_paradigms
-from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of
+from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of, values_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
 from metapp.runs.outputs.statistics import apart
@@ -40,7 +42,15 @@ def result_row(subject: Subject, name: str) -> Row:
     fit = subject.fits[name]
     rule = fit.job.rule if fit.paradigm.name == "meta" else None
     versus = against(subject, name, *COMPARED)
-    return row_of(subject, name, [subject.cell(name)], {"rule": rule, "steps": fit.steps}, against=versus)
+    entries = {"rule": rule, "steps": fit.steps, "shared_error": shared_error(subject, name)}
+    entries |= {"few": len(subject.cell(name).tasks) < len(subject.tasks)}
+    return row_of(subject, name, [subject.cell(name)], entries, against=versus)
+
+
+def shared_error(subject: Subject, name: str) -> float | None:
+    """The mean error of the tasks that Overfit was fitted to; None where one of them has no record yet."""
+    errors, tasks = (values_of(subject.cell(row)) for row in (name, "overfit"))
+    return statistics.fmean(errors[task] for task in tasks) if tasks and tasks.keys() <= errors.keys() else None
 
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
@@ -54,7 +64,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         *measures_note(subject, all_rows),
         *paired_note(all_rows),
         *threads_note(all_rows),
-        *overfit_note(subject),
+        *few_note(subject, all_rows),
         *(["the paper's figures are of its own data and machine"] if is_first_protocol(subject.app) else []),
     ]
 
@@ -64,7 +74,7 @@ def closing(app: App, all_rows: list[Row]) -> str:
 
     Under a further protocol Overfit fits less than errors are measured on: Meta is compared with General and QuickFT.
     """
-    gap, speed = carried(all_rows, "error", "seconds")
+    gap, speed = carried(all_rows, "shared_error", "seconds")
     if not is_first_protocol(app):
         by_name = {row["paradigm"]: row for row in all_rows}
         others = {"General": by_name["general"], "QuickFT": by_name["quickft"]}
@@ -73,8 +83,9 @@ def closing(app: App, all_rows: list[Row]) -> str:
         floor = f"Overfit sees the {app.protocol} alone and is no floor"
         return f"{text}{floor}, speed-up of Meta over it {number(speed, '.0f')}"
     paper_gap, paper_speed = carried(all_rows, "paper_error", "paper_seconds")
+    mark = "*" * any(row["few"] for row in all_rows)
     return (
-        f"gap closed {number(gap, '.2f')} (paper {number(paper_gap, '.2f')}), "
+        f"gap closed {number(gap, '.2f')}{mark} (paper {number(paper_gap, '.2f')}), "
         f"speed-up of Meta over Overfit {number(speed, '.0f')} (paper {number(paper_speed, '.0f')})"
     )
 

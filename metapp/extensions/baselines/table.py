@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from metapp.evaluation.cell import Cell
-from metapp.evaluation.notes import compared_text, measures_note, overfit_note, paired_note, threads_note
+from metapp.evaluation.notes import compared_text, few_note, measures_note, paired_note, threads_note
 from metapp.evaluation.pictures import draw_cells
 from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
@@ -128,6 +128,7 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
         "size": size(theta),
         "shared": stored(fit.checkpoint),
         "unreached": 0,
+        "few": len(subject.cell(name).tasks) < len(subject.tasks),
     }
     return row_of(subject, name, [subject.cell(name)], entries, against=against(subject, name, "meta"))
 
@@ -159,7 +160,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         *measures_note(subject, all_rows),
         *paired_note(all_rows, "meta"),
         *threads_note(all_rows),
-        *overfit_note(subject),
+        *few_note(subject),
     ]
 
 

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 
 from metapp.appearance.colour import to_srgb
-from metapp.evaluation.notes import carried, overfit_note, warned
+from metapp.evaluation.notes import carried, few_note, warned
 from metapp.evaluation.rows import Row, paired_of, paper, values_of
 from metapp.evaluation.subject import Subject, evenly, shared_words
 from metapp.evaluation.tables import load_table
@@ -175,11 +175,12 @@ def glance(subjects: Sequence[Subject]) -> str:
 def card(subject: Subject) -> str:
     """One application: the quality-speed plane, the gap closed, the speed-up, and whether Meta wins."""
     rows = [result_row(subject, name) for name in TITLES]
-    (gap, speed), (paper_gap, paper_speed) = (carried(rows, f"{of}error", f"{of}seconds") for of in ("", "paper_"))
+    gap, speed = carried(rows, "shared_error", "seconds")
+    paper_gap, paper_speed = carried(rows, "paper_error", "paper_seconds")
     lines = [f"{_big(speed, ',.0f', TIMES)} as fast as Overfit {_small(paper_speed, ',.0f', TIMES)}"]
     if is_first_protocol(subject.app):
         lines.insert(0, f"{_big(gap, '.0%')} of the gap closed {_small(paper_gap, '.0%')}")
-    lines += [badge(rows), *(element("small", escape(note)) for note in (*warned(rows), *overfit_note(subject)))]
+    lines += [badge(rows), *(element("small", escape(note)) for note in (*warned(rows), *few_note(subject)))]
     drawn = draw("plane", subject)
     picture = drawn_html(drawn, "plain") if drawn else ""
     items = element("ul", *(element("li", line) for line in lines))
@@ -224,7 +225,7 @@ def matrix(subjects: Sequence[Subject]) -> str:
         body.append(element("tr", element("th", title, scope="row", class_="left"), *cells, class_=paradigm))
     caption = (
         "Mean error over unseen tasks and median seconds of inference; in small type the paper's, of its own data and "
-        "machine. A dash: not measured here yet."
+        "machine. A dash: not measured here yet. *: of some of the tasks, as notes below the application's table say."
     )
     head = [element("tr", element("td"), *cells) for cells in (top, below)]
     return scrolling(html.table(head, body, caption, class_="matrix"))
@@ -232,7 +233,7 @@ def matrix(subjects: Sequence[Subject]) -> str:
 
 def _pair(subject: Subject, paradigm: str) -> str:
     row = result_row(subject, paradigm)
-    ours = (number(row["error"], ".3f"), number(row["seconds"], ".3g"))
+    ours = (number(row["error"], ".3f") + "*" * row["few"], number(row["seconds"], ".3g"))
     theirs = (number(row["paper_error"], ".3f"), number(row["paper_seconds"], ".3f"))
     return "".join(element("td", one, element("small", other)) for one, other in zip(ours, theirs, strict=True))
 

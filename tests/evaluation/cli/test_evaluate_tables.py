@@ -160,3 +160,35 @@ def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(
     assert kept == [4, 10]
     resumed = evaluate("--json", "--out", tmp_path / "broken", "--quiet").document
     assert errors(resumed) == errors(unbroken)
+
+
+def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.evaluation.subject.FEW", 2)
+    short = Subject(subject.plan, run=True, strict=True, whole=False)
+    whole, few = ({row["paradigm"]: row for row in rows(one, "results")} for one in (subject, short))
+    assert [name for name in few if few[name]["few"]] == ["overfit"]  # of 40 steps; the others have 10 at most
+    assert [row["tasks"] for row in few.values()] == [3 - (name == "overfit") for name in few]
+    assert few["meta"]["error"] == whole["meta"]["error"]
+    names = [task.name for task in short.cell("overfit").tasks]
+    for name, row in few.items():
+        errors = {record["name"]: record["error"] for record in subject.cell(name).records()}
+        assert row["shared_error"] == pytest.approx(sum(errors[task] for task in names) / 2)
+        assert whole[name]["shared_error"] == pytest.approx(whole[name]["error"])
+    # the gap closed is of the tasks that all three have
+    gap = (few["general"]["shared_error"] - few["meta"]["shared_error"]) / (
+        few["general"]["shared_error"] - few["overfit"]["shared_error"]
+    )
+    table = load_table("results")
+    notes = table.notes(short, list(few.values()))
+    assert notes[0].startswith(f"gap closed {gap:.2f}* (paper")
+    assert f"overfit {few['overfit']['error']:.3f}" in next(
+        note for note in notes if note.startswith("* overfit: of 2")
+    )
+    assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
+    assert not any("*" in note for note in table.notes(subject, list(whole.values())))
+    assert short.command("results").endswith("--seed 0 --data " + str(short.plan.request.data))
+    assert "--whole" in subject.command("results")
+    # what is measured for one table counts for the other
+    assert not short.cell("overfit").missing()
+    for name in ("image", "convergence", "baselines"):
+        assert all(not cell.missing() for cell in load_table(name).cells(short))

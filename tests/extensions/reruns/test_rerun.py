@@ -166,7 +166,7 @@ def test_a_record_of_other_types_is_refused_in_a_line(metapp: Callable, run: Pat
 def test_rows_of_all_tables_are_repeated_or_refused_by_name(metapp: Callable, ten_materials: Path) -> None:
     out = Path("runs")
     for table in ("results", "ablation", "baselines", "convergence"):
-        words = ("--data", ten_materials, "--out", out, "--overfit-share", "0.001", "--which", table)
+        words = ("--data", ten_materials, "--out", out, "--which", table)
         assert metapp("evaluate", "brdf", *words, "--quiet", "--json").code == 0
     for record in sorted(out.glob("brdf/**/record.jsonl")):
         result = metapp("rerun", record, "--json")
