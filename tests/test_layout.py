@@ -214,7 +214,7 @@ EXTENSIONS = {
     "several": 200,
     "side_by_side": 290,
     "vgg": 350,
-    "viewer": 1_510,
+    "viewer": 1_650,
 }
 
 

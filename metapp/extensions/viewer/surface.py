@@ -10,11 +10,11 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, normalize
 
 from metapp.appearance.colour import stretched
-from metapp.appearance.flash import GAMMA, Maps, expose, pack, relightings, unpack
+from metapp.appearance.flash import GAMMA, Maps, expose, pack, positions, relightings, render, unpack
 from metapp.appearance.latlong import directions
 from metapp.appearance.sphere import environment
 from metapp.appearance.surface import Surface, fitted_planes
-from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.view import THUMBNAIL, View
 
 LARGEST = 1024  # texels a side on a page
 LARGEST_PHOTO = 512  # px a side
@@ -78,7 +78,9 @@ def surface_view(
             for name, each in lit.items()
         },
     }
-    return View("surface", pictures=pictures, facts=facts, shared={"light": light_map()})
+    few = _resized(small.maps, (THUMBNAIL, THUMBNAIL))
+    shown = expose(render(few, positions(THUMBNAIL, THUMBNAIL), *relightings()["above"])).squeeze(0)
+    return View("surface", pictures=pictures, facts=facts, shared={"light": light_map()}, thumbnail=_last(shown))
 
 
 def _level(height: Tensor) -> Tensor:

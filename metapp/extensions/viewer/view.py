@@ -9,12 +9,14 @@ from typing import Any, NamedTuple, Never
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp import door
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.presentation import Presentation
 from metapp.learning.task import Params, Task
 
+THUMBNAIL = 80  # px of a side of the pictures in the list of fits
 NOTHING: Mapping[str, Never] = MappingProxyType({})
 
 
@@ -58,4 +60,15 @@ def view_of(presentation: Presentation[Any], theta: Params, task: Task, *, quick
 
 def pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
     """The view of linear pictures, as of `Presentation.outputs`."""
-    return View("pictures", pictures={name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()})
+    shown = {name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()}
+    return View("pictures", pictures=shown, thumbnail=thumbnail(shown["fit"]) if "fit" in shown else None)
+
+
+def thumbnail(pixels: Tensor) -> Tensor:
+    """The central square of display values [H, W, 1, 3 or 4], as [h, h, 3], THUMBNAIL px a side at most."""
+    height, width = pixels.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    square = pixels[top : top + side, left : left + side, :3].permute(2, 0, 1).float().clamp(0, 1)
+    small = adaptive_avg_pool2d(square, min(side, THUMBNAIL))
+    return small.expand(3, -1, -1).permute(1, 2, 0)

@@ -73,6 +73,21 @@ def lit() -> View:
     return View("pictures", {name: light.half() for name, light in LIGHT.items()}, {}, facts)
 
 
+def in_rows() -> View:
+    """As views of scenes are, with a part, a curve and an error map."""
+    region, chart = (
+        [8, 12, 16, 12],
+        {"x": "s", "y": "MAPE", "lines": [{"label": "noisy", "points": [[1, 1], [4, 0.5]]}]},
+    )
+    shown = [{"title": name, "name": name, "row": 0} for name in ("reference", "noisy")]
+    shown += [
+        {"title": "part", "name": "noisy", "part": region, "row": 1},
+        {"title": "curve", "chart": chart, "row": 1},
+    ]
+    shown.append({"title": "error", "name": "noisy", "error": True, "row": 2})
+    return lit()._replace(facts={"pictures": shown, "reference": "reference", "region": region})
+
+
 # What views hold
 
 
@@ -105,20 +120,50 @@ def test_a_texture_is_shown_without_its_exemplar_and_while_its_fit_runs() -> Non
 
 @pytest.mark.long
 @needs_mitsuba
-def test_a_scene_is_shown_by_its_fit_and_by_regular_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.1)
+def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(pages, "SIZE", 16)
+    monkeypatch.setattr(pages, "SECONDS", 0.5)
+    monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.2)
+    monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-    app, task = Transport(TransportSetup(flow, picture=16)), Task("room", {"scene": scene_bytes(random_scene(0))})
+    app, task = Transport(TransportSetup(flow)), Task("room", {"scene": scene_bytes(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
     view = view_of(TransportPresentation(app), theta, task)
     shown = {each["title"]: each for each in view.facts["pictures"]}
-    assert list(shown) == ["reference", REGULAR, pages.GUIDED]
+    names = ("reference", REGULAR, pages.GUIDED)
+    worst = [f"worst region x4, {name}" for name in names]
+    assert list(shown) == [*names, *worst, "error by time", f"error, {REGULAR}", f"error, {pages.GUIDED}"]
     assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
-    reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
-    assert float(reference.mean()) == pytest.approx(1, rel=1e-3)
-    guided = view.arrays[pages.GUIDED].float().permute(2, 0, 1)[None]
-    told = float(shown[pages.GUIDED]["told"].partition("MAPE ")[2].partition(",")[0])
-    assert float(mape(guided, reference)) == pytest.approx(told, rel=0.01)
+    light = {name: view.arrays[name].float().permute(2, 0, 1)[None] for name in names}
+    assert float(light["reference"].mean()) == pytest.approx(1, rel=1e-3)
+    for line in shown["error by time"]["chart"]["lines"]:
+        seconds, errors = zip(*line["points"], strict=True)
+        assert sorted(seconds) == list(seconds)
+        assert float(mape(light[line["label"]], light["reference"])) == pytest.approx(errors[-1], rel=0.01)
+    assert view.facts["notes"][0].startswith("To a MAPE of ")
+    monkeypatch.setattr(pages, "_traced", lambda *_: pytest.fail("traced again"))
+    again = view_of(TransportPresentation(app), theta, task)
+    assert (again.facts, list(again.arrays)) == (view.facts, list(view.arrays))
+
+
+def test_the_time_to_an_equal_error_is_between_measurements() -> None:
+    """On a log scale: errors go with the root of time, so a guide of half the error needs a quarter of it."""
+    seconds, one = torch.tensor([1.0, 4.0, 16.0]), torch.zeros(3, 4, 4)
+    regular = pages.Progress(one, seconds, seconds**-0.5, 16)
+    guided = pages.Progress(one, seconds, 0.75 * seconds**-0.5, 16)
+    said, level = pages.equal_error(regular, guided)
+    assert level == 0.25
+    assert said == "To a MAPE of 0.25: regular 16 s, guided by the fit 9 s, 0.56 of the time."
+    said, _ = pages.equal_error(guided, regular)
+    assert said.endswith("1.8 times as long.")
+
+
+def test_the_worst_region_is_where_errors_are_greatest() -> None:
+    reference = torch.ones(3, 32, 32)
+    picture = reference.clone()
+    picture[:, 9:17, 20:28] = 1.5
+    picture[0, 0, 0] = 1e6
+    assert pages.worst_region(picture, reference) == [20, 9, 8, 8]
 
 
 # What the page shows of them
@@ -132,6 +177,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         Group("bark", "Texture", textures[:1]),
         Group("bark twice", "Texture", textures),
         Group("room", "Light", [Shown("meta", "", lit())]),
+        Group("parts", "Light", [Shown("meta", "", in_rows())]),
     ]
     file = write_page(html(document("metapp", groups)), tmp_path_factory.mktemp("page") / "view.html")
     with browsing() as browser:
@@ -238,6 +284,31 @@ def test_errors_are_those_of_metrics(page: Page) -> None:
     for name in ("noisy", "noisier"):
         expected = float(mape(*(LIGHT[each].permute(2, 0, 1)[None] for each in (name, "reference"))))
         assert f"{name}, MAPE {expected:.3g}" in labels
+
+
+@pytest.mark.long
+def test_errors_parts_and_curves_stand_in_rows(page: Page) -> None:
+    """The error map has its scale; the enlarged part is what the region holds."""
+    page.page.evaluate("metapp.open(3)")
+    page.sized(400, 400 + 3 * LEGEND)
+    page.set(show="all", zoom=-6, most=1)
+    page.settle()
+    places = page.page.evaluate("metapp.viewer.panels.map(({ titles: [title], x, y }) => [title, x > 0, y > 0])")
+    assert places == [
+        ["reference", False, False],
+        ["noisy", True, False],
+        ["part", False, True],
+        ["curve", True, True],
+        ["error", True, True],  # in the middle of its row
+    ]
+    told = page.page.locator(".scale:not([hidden])").evaluate_all("all => all.map((each) => each.ariaLabel)")
+    assert told == ["|picture \u2212 reference| / reference: colours from 0 to 100 %"]
+    middle = "const { x, y, width, height } = metapp.viewer.panels[2], place = [x + width / 2, y + height / 2]"
+    found = "const at = metapp.viewer.pick(place), i = 3 * (at.y * at.raster.width + at.x)"
+    x, y, value = page.page.evaluate(f"(() => {{ {middle}; {found}; return [at.x, at.y, at.raster.radiance[i]]; }})()")
+    assert x in (7, 8)  # the middle is between them
+    assert y in (5, 6)
+    assert value == pytest.approx(float(LIGHT["noisy"][12 + y, 8 + x, 0]), rel=1e-3)
 
 
 @pytest.mark.long

@@ -10,14 +10,15 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from metapp.appearance.colour import to_srgb
 from metapp.appearance.lobes import fit_lobes
-from metapp.appearance.sphere import studio_lights
+from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.networks import network_of
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.extensions.viewer.pages import anisotropic_residual
 from metapp.extensions.viewer.surface import light_map
-from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Params, Task
 
 CELLS = (48, 24, 48)  # of phi_d in [0, 2 pi), theta_d, and the square root of theta_h
@@ -44,7 +45,11 @@ def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bo
         "darkest": folded.darkest,
         "alphas": [list(alpha) for alpha in lobes.alphas],
     }
-    return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": light_map()})
+    shown = None
+    if not quick:
+        lit = shade_sphere(environment_scene(azimuths=folded.turn is not None), evaluate)
+        shown = thumbnail(torch.from_numpy(to_srgb(lit[..., :3])))
+    return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": light_map()}, shown)
 
 
 def packed(layers: list[tuple[Tensor, Tensor]]) -> Tensor:

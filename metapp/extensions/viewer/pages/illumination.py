@@ -7,7 +7,7 @@ import functools
 import torch
 from torch import Tensor
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.geometry import Cosines
 from metapp.appearance.latlong import directions, luminance, resample, solid_angles
 from metapp.appearance.photograph import mirror
@@ -17,7 +17,7 @@ from metapp.apps.illumination.confidence import doubt
 from metapp.apps.illumination.mirror import CLIPPED, DARK, is_mirror
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
-from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Batch, Params, Task
 
 MOST = (512, 1024)  # texels of a map on a page
@@ -55,7 +55,8 @@ def view(presentation: IlluminationPresentation, theta: Params, task: Task, *, q
         pictures = {"photo": data["photo"][0].permute(1, 2, 0) / 255, "ball": _ball(app, one, data).permute(1, 2, 0)}
         arrays["doubt"] = doubt(app.spread(one, data))[0].half()
     lobes = torch.stack([lobe_albedos(roughness) for roughness in ROUGHNESSES.values()]).half()
-    return View("light", arrays, pictures, facts | materials, {"lobes": lobes})
+    shown = thumbnail(tone_map(maps["map"]).permute(1, 2, 0))
+    return View("light", arrays, pictures, facts | materials, {"lobes": lobes}, shown)
 
 
 def _limited(light: Tensor) -> Tensor:

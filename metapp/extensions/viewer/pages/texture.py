@@ -8,7 +8,7 @@ from torch import Tensor
 
 from metapp.appearance.quilting import block_of, quilted
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Params, Task
 
 QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
@@ -31,7 +31,8 @@ def view(presentation: TexturePresentation, theta: Params, task: Task, *, quick:
         if not quick:
             pictures["image quilting"] = _quilted(exemplar)
     rows = [{"title": name, "name": name, "tiles": how} for name, how in tiles.items() if name in pictures]
-    return View("pictures", pictures=pictures, facts={"pictures": rows, "compared": [rows[0]["title"], "fit"]})
+    facts = {"pictures": rows, "compared": [rows[0]["title"], "fit"]}
+    return View("pictures", pictures=pictures, facts=facts, thumbnail=thumbnail(fit))
 
 
 def _quilted(exemplar: Tensor) -> Tensor:

@@ -1,78 +1,197 @@
-"""The page of a scene: a picture that the fit guides, regular paths, the reference; densities without a scene."""
+"""The page of a scene: reference, regular and guided paths in equal time, their errors; densities without a scene."""
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.metrics import mape
+from metapp.appearance.colour import tone_map
+from metapp.appearance.metrics import DARK, mape
 from metapp.appearance.presentation import REFERENCE
+from metapp.apps.transport import guide, images
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, Studio, studio_of
 from metapp.apps.transport.presentation import TransportPresentation, picture_of_flow, picture_of_samples
-from metapp.extensions.viewer.view import View, pictures_view
+from metapp.extensions.viewer.view import View, pictures_view, thumbnail
 from metapp.learning.task import Params, Task
+from metapp.rendering.paths import path_space
+from metapp.runs.torch_state import threads
+from metapp.storage import Document
+from metapp.storage.tensors import kept
 
-LARGEST = 128  # px of a side
-SPP = 32  # paths a pixel
-REFERENCE_SECONDS, FIRST = 4.0, 16  # of CPU for each half of the reference; samples a pixel that tell its speed
+SIZE = 256  # px of a side
+SECONDS, REFERENCE_SECONDS = 3.0, 10.0  # of CPU: for regular and guided paths each, for the reference
+ZOOM = 4  # times that the worst region is enlarged
 GUIDED = "guided by the fit"
 HALF = 65504.0  # the greatest of float16
 
+Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, SIZE, SIZE]
+
+
+class Progress(NamedTuple):
+    """A picture [3, size, size] of so many spp at last; its MAPE, and the seconds of CPU until then, at N times [N]."""
+
+    picture: Tensor
+    seconds: Tensor
+    errors: Tensor
+    spp: int
+
 
 def view(presentation: TransportPresentation, theta: Params, task: Task, *, quick: bool) -> View:
-    """Pictures of the scene at equal paths; densities where there is no scene, and while a fit runs."""
+    """Pictures of the scene in equal time; densities where there is no scene, and while a fit runs."""
     app = presentation.app
     if "scene" in task.data and not quick:
-        return scene_view(app.flow, theta, task, app.setup.picture)
-    return pictures_view(
-        {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.flow, theta)}
-    )
+        return scene_view(app.flow, theta, task)
+    shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.flow, theta)}
+    return pictures_view(shown)._replace(thumbnail=thumbnail(shown["fit"][:, : len(shown["fit"])]))
 
 
-def scene_view(flow: Flow, theta: Params, task: Task, size: int) -> View:
-    """The scene of a task.
+def scene_view(flow: Flow, theta: Params, task: Task) -> View:
+    """The scene of a task; its pictures are kept in the cache folder, so that a page made again traces nothing."""
+    made = _kept("fit", [task.data["scene"], *theta.values()], lambda: _traced(flow, theta, task))
+    reference = made[REFERENCE]
+    unit = reference.mean().clamp_min(1e-20)  # pictures hold radiance of any unit then
+    shots = {
+        name: Progress(made[name], made[f"{name} seconds"], made[f"{name} errors"], int(made[f"{name} spp"]))
+        for name in (REGULAR, GUIDED)
+    }
+    arrays = {name: (made[name] / unit).permute(1, 2, 0).clamp(0, HALF).half() for name in (REFERENCE, *shots)}
+    region = worst_region(shots[GUIDED].picture, reference)
+    told = {
+        name: f"{shot.spp} spp, {shot.seconds[-1]:.2g} s, MAPE {shot.errors[-1]:.3g}" for name, shot in shots.items()
+    }
+    said, level = equal_error(*shots.values())
+    curves = {name: torch.stack([shot.seconds, shot.errors], 1).tolist() for name, shot in shots.items()}
+    lines = [{"label": name, "points": points} for name, points in curves.items()]
+    chart = {"x": "seconds of CPU", "y": "MAPE", "lines": lines, "level": {"label": "equal error", "y": level}}
+    facts = {
+        "pictures": _pictures(told, region, chart, said),
+        "compared": [REGULAR, GUIDED],
+        "reference": REFERENCE,
+        "region": region,
+        "notes": [said, *_notes(made, "next_event" in task.data)],
+    }
+    return View("pictures", arrays, {}, facts, thumbnail=thumbnail(tone_map(reference / unit).permute(1, 2, 0)))
 
-    Args:
-        flow: the network.
-        theta: the fit, no task axis.
-        task: holds the `scene`.
-        size: side of the pictures that fits are judged by, px.
-    """
-    studio = studio_of(task, min(size, LARGEST))
-    studio.regular(1)
-    studio.guided(flow, theta, 1)  # the first calls compile
-    shots = {REGULAR: studio.regular(SPP), GUIDED: studio.guided(flow, theta, SPP)}
-    halves = _reference_halves(studio)
-    reference = halves.mean(0)
-    unit = reference.mean().clamp_min(1e-20)  # halves hold radiance of any unit then
-    arrays = {REFERENCE: _half(reference / unit)}
-    pictures: list[dict[str, str]] = [{"title": REFERENCE, "name": REFERENCE}]
+
+def _kept(what: str, of: Sequence[Tensor], make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Tensors from the cache, for these inputs and this code."""
+    settings = repr((SIZE, SECONDS, REFERENCE_SECONDS)).encode()
+    digest = hashlib.sha256(settings + b"".join(each.detach().cpu().numpy().tobytes() for each in of)).hexdigest()
+    sources = [str(module.__file__) for module in (guide, images, path_space)]
+    return kept(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
+
+
+def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
+    """The reference, with its own error, and the pictures of regular and guided paths as `Progress` has them."""
+    studio = studio_of(task, SIZE)
+    with threads(1):  # the table is made of small tensors, for which threads only wait
+        halves = _kept("reference", [task.data["scene"]], lambda: {"halves": _reference_halves(studio)})["halves"]
+        reference = halves.mean(0)
+        begin = time.process_time()
+        table = guide.table_of(flow, theta)
+        before, by = time.process_time() - begin, path_space.Guide(table.sample, table.density)
+        shots = {
+            REGULAR: progress(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0),
+            GUIDED: progress(
+                lambda spp, seed: path_space.render(studio.tracer, spp, SIZE, seed, by), reference, before
+            ),
+        }
+    # a half is as far from the mean of both as that is from the truth
+    made = {REFERENCE: reference, "own error": mape(halves[:1], reference[None])}
     for name, shot in shots.items():
-        arrays[name] = _half(shot.picture / unit)
-        error = float(mape(shot.picture[None], reference[None]))
-        told = f"{SPP} spp, MAPE {error:.3g}, {shot.seconds:.2f} s"
-        pictures.append({"title": name, "name": name, "told": told})
-    where = "from the second surface on" if studio.tracer.next_event else "at no surface"
-    own_error = float(mape(halves[:1], reference[None]))  # a half is as far from the mean as that is from the truth
-    notes = [
-        f"{GUIDED}: the fit guides three of four paths, with next-event estimation {where}. {REGULAR}: as many paths, "
-        "by the sampling of materials: equal paths, not equal time, for which there is metapp evaluate --which image.",
-        f"The reference, by Mitsuba's path, has a MAPE of about {own_error:.2g}. All show the central square of the "
-        "scene, rendered when this page was made. spp: samples a pixel; s: seconds of CPU. Radiance is in units of the "
-        "reference's mean.",
-    ]
-    facts = {"pictures": pictures, "compared": [REGULAR, GUIDED], "reference": REFERENCE, "notes": notes}
-    return View("pictures", arrays, {}, facts)
+        made |= {name: shot.picture, f"{name} seconds": shot.seconds, f"{name} errors": shot.errors}
+        made[f"{name} spp"] = torch.tensor(shot.spp)
+    return made
 
 
 def _reference_halves(studio: Studio) -> Tensor:
     """Two pictures by Mitsuba's path, of other random numbers, [2, 3, size, size]."""
-    studio.path(FIRST)  # the first call compiles
-    rate = studio.path(FIRST).seconds / FIRST
-    spp = max(1, round(REFERENCE_SECONDS / max(rate, 1e-9)))
+    studio.path(1)  # the first call compiles
+    rate = studio.path(4).seconds / 4
+    spp = max(1, round(REFERENCE_SECONDS / 2 / max(rate, 1e-9)))
     return torch.stack([studio.path(spp, seed).picture for seed in (1, 2)])
 
 
-def _half(picture: Tensor) -> Tensor:
-    return picture.permute(1, 2, 0).clamp(0, HALF).half()
+def progress(shoot: Shoot, reference: Tensor, before: float) -> Progress:
+    """A picture of as many samples as SECONDS of CPU have room for, measured each time that their number has doubled.
+
+    Args:
+        shoot: takes samples a pixel and a seed, which is another one for each part.
+        reference: [3, size, size].
+        before: seconds of CPU that something took before the first sample.
+    """
+    shoot(1, 0)  # the first call compiles
+    total, count, spent, points, part = torch.zeros_like(reference), 0, before, list[tuple[float, float]](), 1
+    while part > count // 8:  # a last part that is smaller would change nothing
+        begin = time.process_time()
+        total += part * shoot(part, len(points) + 1)
+        seconds = time.process_time() - begin
+        spent, count = spent + seconds, count + part
+        points.append((spent, float(mape(total[None] / count, reference[None]))))
+        part = min(count, int((SECONDS - spent) / max(seconds / part, 1e-9)))
+    taken, errors = torch.tensor(points).unbind(1)
+    return Progress(total / count, taken, errors, count)
+
+
+def equal_error(regular: Progress, guided: Progress) -> tuple[str, float]:
+    """A sentence on the time to an error that both reach, the greater of their last ones, and that error."""
+    level = float(torch.maximum(regular.errors[-1], guided.errors[-1]))
+    (first, exact), (second, also) = (_time_to(level, shot) for shot in (regular, guided))
+    about = "" if exact and also else "about "
+    share = (
+        f"{about}{second / first:.2g} of the time" if second < first else f"{about}{second / first:.2g} times as long"
+    )
+    return f"To a MAPE of {level:.3g}: regular {first:.2g} s, {GUIDED} {second:.2g} s, {share}.", level
+
+
+def _time_to(level: float, shot: Progress) -> tuple[float, bool]:
+    """Seconds to an error that a picture reaches, between measurements on a log scale; whether that is within them."""
+    points = [
+        (math.log(s), math.log(max(e, 1e-9))) for s, e in zip(shot.seconds.tolist(), shot.errors.tolist(), strict=True)
+    ]
+    wanted = math.log(max(level, 1e-9))
+    for (s0, e0), (s1, e1) in itertools.pairwise(points):
+        if e1 <= wanted < e0:
+            return math.exp(s0 + (s1 - s0) * (e0 - wanted) / (e0 - e1)), True
+    within = wanted < points[0][1]
+    return math.exp(points[-1 if within else 0][0]), within
+
+
+def worst_region(picture: Tensor, reference: Tensor) -> list[int]:
+    """The square, 1 / ZOOM of a side, in which errors, as of MAPE, are greatest in the mean: [x, y, width, height]."""
+    side = max(1, reference.shape[1] // ZOOM)
+    errors = ((picture - reference).abs() / reference.clamp_min(DARK * reference.mean())).mean(0)
+    means = avg_pool2d(errors.clamp_max(4.0)[None], side, stride=1)[0]  # a firefly alone is no region
+    row, column = divmod(int(means.argmax()), means.shape[1])
+    return [column, row, side, side]
+
+
+def _pictures(told: dict[str, str], region: list[int], chart: Document, said: str) -> list[Document]:
+    """What is shown: pictures, the worst region enlarged, errors, and the error by time."""
+    names = (REFERENCE, *told)
+    shown: list[Document] = [{"title": name, "name": name, "told": told.get(name, ""), "row": 0} for name in names]
+    shown += [{"title": f"worst region x{ZOOM}, {name}", "name": name, "part": region, "row": 1} for name in names]
+    shown.append({"title": "error by time", "told": said, "chart": chart, "row": 2})
+    shown += [{"title": f"error, {name}", "name": name, "error": True, "row": 2} for name in told]
+    return shown
+
+
+def _notes(made: dict[str, Tensor], next_event: bool) -> list[str]:
+    where = "from the second surface on" if next_event else "at no surface"
+    return [
+        f"{GUIDED}: the fit guides three of four paths, with next-event estimation {where}. {REGULAR}: by the sampling "
+        f"of materials. Both have about {SECONDS:.0f} s of CPU, the guide's table counted; the fit and its samples are "
+        "not: metapp evaluate --which image counts these.",
+        f"The reference, by Mitsuba's path, has a MAPE of about {float(made['own error']):.2g} of its own, below which "
+        "no error can be told. The worst region is that of the guided picture. All show the central square of the "
+        "scene. spp: samples a pixel; s: seconds of CPU. Radiance is in units of the reference's mean.",
+    ]

@@ -146,7 +146,7 @@ class BrdfViewer extends ShapeViewer {
     const studio = await shared("studio");
     this.studio = texture(floatsOf(studio), studio.shape[1], 2);
     await super.open();
-    this.plots = this.fits.map(() => make("canvas", { className: "plot", width: 280, height: 182, hidden: true }));
+    this.plots = this.fits.map(() => make("canvas", { className: "plot", hidden: true }));
     this.element.append(...this.plots);
     this.samples = await Promise.all(this.fits.map((fit) => (fit.arrays.samples ? samplesOf(fit.arrays.samples) : [])));
   }
@@ -227,36 +227,14 @@ class BrdfViewer extends ShapeViewer {
     const lamp = this.lampAt.clone().multiplyScalar(LAMP_DISTANCE).sub(met.p).normalize(), half = lamp.clone().add(met.towards).normalize();
     const [viewer, thetaH, thetaD] = [met.towards.dot(met.n), half.dot(met.n), half.dot(lamp)].map((x) => Math.acos(clamp(x, 0.001, 1)));
     const [seen, slanted] = [met.towards, half].map((direction) => azimuthOf(direction, met));
-    if (this.settings.plot === "lobe") this.plot(column, lobeOf(viewer, seen), `f in 1/sr in the plane of incidence; viewer at ${degrees(viewer)}, by the light's angle`);
-    else this.plot(column, sliceOf(thetaH, slanted), `f in 1/sr at theta_h ${degrees(thetaH)} by theta_d, lamp at ${degrees(thetaD)}; right: phi_d 90\u00b0, left: 0\u00b0`);
+    if (this.settings.plot === "lobe") this.plot(column, lobeOf(viewer, seen), { at: viewer, seen: "viewer", title: `In the plane of incidence, viewer at ${degrees(viewer)}`, axis: "angle of the light from the normal" });
+    else this.plot(column, sliceOf(thetaH, slanted), { at: thetaD, seen: "lamp", title: `At theta_h ${degrees(thetaH)}, lamp at theta_d ${degrees(thetaD)}`, axis: "theta_d; right: phi_d 90\u00b0, left: 0\u00b0" });
   }
 
-  // Reflectance by angle, log radius, mean of RGB: the fit in white, the reference and its samples in blue.
-  plot(column, { pairs, angles, near }, title) {
-    const canvas = this.plots[column], g = canvas.getContext("2d"), { width, height } = canvas, base = [width / 2, height - 46], most = 112;
-    const [fit, reference] = this.evaluate(column, pairs).map((values) => values.map(meanOf)), floor = 1e-3;
-    const top = Math.max(...fit, ...reference, 2 * floor);
-    const radius = (value) => most * clamp(Math.log(Math.max(value, floor) / floor) / Math.log(top / floor), 0, 1);
-    const at = (angle, value) => [base[0] + radius(value) * Math.sin(angle), base[1] - radius(value) * Math.cos(angle)];
-    g.clearRect(0, 0, width, height);
-    g.lineWidth = 1; g.strokeStyle = "#444a"; g.fillStyle = "#9a9fa8"; g.font = "10px system-ui, sans-serif"; g.textAlign = "center";
-    for (let decade = -2; 10 ** decade <= top; decade++) {
-      g.beginPath(); g.arc(...base, radius(10 ** decade), Math.PI, 2 * Math.PI); g.stroke();
-      if (radius(10 ** decade) - radius(10 ** (decade - 1)) > 20) g.fillText(`${10 ** decade}`, base[0] + radius(10 ** decade), base[1] + 10);
-    }
-    const line = (values, colour) => {
-      g.strokeStyle = colour; g.lineWidth = 1.5; g.beginPath();
-      angles.forEach((angle, i) => g.lineTo(...at(angle, values[i])));
-      g.stroke();
-    };
-    if (this.referenced(this.fits[column])) line(reference, "#7fb2ff");
-    line(fit, "#fff");
-    g.fillStyle = "#7fb2ffaa";
-    for (const { angles: sampled, rgb } of this.samples[column]) {
-      for (const angle of near(...sampled)) g.fillRect(...at(angle, meanOf(rgb)).map((x) => x - 1), 2, 2);
-    }
-    g.fillStyle = "#9a9fa8";
-    title.split("; ").forEach((text, i) => g.fillText(text, width / 2, height - 20 + 13 * i));
+  plot(fit, { pairs, angles, near }, told) {
+    const [curve, reference] = this.evaluate(fit, pairs).map((values) => values.map(meanOf));
+    const dots = this.samples[fit].flatMap(({ angles: sampled, rgb }) => near(...sampled).map((angle) => [angle, meanOf(rgb)]));
+    drawPolar(this.plots[fit], { angles, fit: curve, reference: this.referenced(this.fits[fit]) ? reference : null, dots, ...told });
   }
 }
 
@@ -280,37 +258,4 @@ function azimuthOf(direction, { n, t }) {
 
 const turnedBy = (azimuth, [x, y, z]) => [x * Math.cos(azimuth) - y * Math.sin(azimuth), x * Math.sin(azimuth) + y * Math.cos(azimuth), z];
 
-// The plane of incidence of a viewer at theta and an azimuth: pairs of directions, angles of the light, and which of these a
-// sample is of. Those without phi_h are of any azimuth.
-function lobeOf(theta, azimuth) {
-  const angles = Array.from({ length: 179 }, (_, i) => (i - 89) * Math.PI / 180);
-  const along = (angle) => turnedBy(azimuth, [Math.sin(angle), 0, Math.cos(angle)]), wo = along(theta);
-  const near = (h, d, phi, phiH) => {
-    if (Math.abs(Math.sin(phi)) * Math.sin(d) > 0.05 || Math.abs(Math.sin((phiH ?? azimuth) - azimuth)) > 0.15) return [];  // across the plane
-    const side = Math.sign(Math.cos(phi)) || 1, [wi, other] = [h + side * d, h - side * d];
-    const signs = phiH === undefined ? [1, -1] : [Math.sign(Math.cos(phiH - azimuth))];
-    return signs.flatMap((sign) => [[sign * wi, sign * other], [sign * other, sign * wi]])
-      .filter(([a, b]) => Math.abs(b - theta) < 0.035 && Math.abs(a) < Math.PI / 2).map(([a]) => a);
-  };
-  return { angles, pairs: angles.map((a) => [along(a), wo]), near };
-}
-
-// The slice at theta_h, and phi_h: by theta_d to the right where phi_d is 90 degrees, to the left where it is 0.
-function sliceOf(thetaH, azimuth) {
-  const pair = (d, phi) => [1, -1].map((sign) => {
-    const [x, y, z] = [sign * Math.sin(d) * Math.cos(phi), sign * Math.sin(d) * Math.sin(phi), Math.cos(d)];
-    return turnedBy(azimuth, [x * Math.cos(thetaH) + z * Math.sin(thetaH), y, z * Math.cos(thetaH) - x * Math.sin(thetaH)]);
-  });
-  const degree = Math.PI / 180, angles = [], pairs = [];
-  for (let a = -89; a < 90; a++) {
-    const both = a < 0 ? pair(-a * degree, 0) : pair(a * degree, Math.PI / 2);
-    if (both[0][2] <= 0.01 || both[1][2] <= 0.01) continue;
-    angles.push(a * degree); pairs.push(both);
-  }
-  const near = (h, d, phi, phiH) => {
-    if (Math.abs(h - thetaH) > 0.035 || Math.cos((phiH ?? azimuth) - azimuth) < 0.99) return [];
-    return Math.abs(Math.cos(phi)) < 0.12 ? [d] : Math.abs(Math.sin(phi)) < 0.12 ? [-d] : [];
-  };
-  return { angles, pairs, near };
-}
 VIEWERS.brdf = BrdfViewer;

@@ -1,7 +1,7 @@
 // Fits and references in panes of the same camera, light and exposure: side by side, their difference, a wipe on request.
 
 const COMPARED = {
-  beside: "Side by side", all: "Side by side, with the difference", difference: "Difference in false colours",
+  beside: "Side by side", all: "Side by side + difference", difference: "Difference in false colours",
   wipe: "Wipe between them", reference: "Reference", fit: "Fit",
 };
 const PARTS = ["fit", "reference", "wipe", "difference", "measured"];  // of a pane, as shaders count them

@@ -55,7 +55,7 @@ function drawLegend(canvas, width, { most, title, told = "", text = percent }) {
   g.fillStyle = ramp;
   g.fillRect(left, 2, wide, 9);
   Object.assign(g, { fillStyle: "#c9ccd2", font: "11px system-ui, sans-serif", textBaseline: "top" });
-  const ticks = wide > 180 ? 4 : 2;
+  const ticks = wide > 180 ? 4 : wide > 130 ? 2 : 1;
   for (let i = 0; i <= ticks; i++) {
     g.fillRect(left + i * wide / ticks - 0.5, 11, 1, 3);
     g.textAlign = i === 0 ? "left" : i === ticks ? "right" : "center";

@@ -116,9 +116,9 @@ function text(g, what, x, y, align, most) {
   g.fillText(what, x, y, most);
 }
 
-// 1, 2 and 5 times powers of ten within a range.
+// 1, 2 and 5 times powers of ten within a range, and some between where it is small.
 function ticksOf(low, high) {
   const all = [];
-  for (let decade = Math.floor(Math.log10(low)); decade <= Math.log10(high); decade++) for (const k of [1, 2, 5]) all.push(parseFloat((k * 10 ** decade).toPrecision(1)));
+  for (let decade = Math.floor(Math.log10(low)); decade <= Math.log10(high); decade++) for (const k of high < 4 * low ? [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8] : [1, 2, 5]) all.push(parseFloat((k * 10 ** decade).toPrecision(2)));
   return all.filter((each) => each >= low && each <= high);
 }
