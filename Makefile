@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow mutants lint types docs lock bench bench-size bench-growth bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow test-cluster mutants lint types docs lock bench bench-size bench-growth bench-cluster bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -68,6 +68,13 @@ $(VENV)/.docs: locks/docs.txt tools/setup.sh
 	bash tools/setup.sh "$(PYTHON)" "$(VENV)" docs
 	@touch $@
 
+test-cluster: $(VENV)/.cluster  ## the examples for Dask and Ray, on two workers each; installs these, 150 MB
+	$(VENV)/bin/python -m pytest tests/test_cluster.py tests/extensions/addresses
+
+$(VENV)/.cluster: locks/cluster.txt tools/setup.sh $(VENV)/.ready
+	bash tools/setup.sh "$(PYTHON)" "$(VENV)" cluster
+	@touch $@
+
 lock:  ## write locks/ anew, the SHA-256 of all packages, from setup.cfg and constraints.txt
 	bash tools/lock.sh "$(PYTHON)"
 
@@ -76,6 +83,9 @@ bench: setup  ## speed and memory of learning, as ratios measured side by side
 
 bench-size: setup  ## time and memory of a fit by size, a table and runs/bench/size.png; 2 minutes
 	$(VENV)/bin/python -m benchmarks.bench_size
+
+bench-cluster: $(VENV)/.cluster  ## materials a minute by a loop, Dask and Ray, with one worker and two; 2 minutes
+	$(VENV)/bin/python -m benchmarks.bench_cluster
 
 bench-growth: setup  ## growth of time and memory with steps, tasks and samples; a minute
 	$(VENV)/bin/python -m benchmarks.bench_growth

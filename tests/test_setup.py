@@ -53,7 +53,7 @@ def required(*extras: str) -> set[str]:
     return {canonicalize_name(Requirement(line).name) for line in "\n".join(lines).split()}
 
 
-@pytest.mark.parametrize("name", ["packages", "torch", "torch-cpu", "docs"])
+@pytest.mark.parametrize("name", ["packages", "torch", "torch-cpu", "docs", "cluster"])
 def test_locked_versions_are_those_of_the_constraints(name: str) -> None:
     for package, versions in locked(name).items():
         if package in pinned():
@@ -61,13 +61,18 @@ def test_locked_versions_are_those_of_the_constraints(name: str) -> None:
 
 
 def test_what_setup_installs_is_locked() -> None:
-    packages, torch, docs = locked("packages"), locked("torch"), locked("docs")
+    packages, torch = locked("packages"), locked("torch")
+    extras = {name: locked(name) for name in ("docs", "cluster")}
     assert required() | required("dev") | {"pip", "setuptools"} <= packages.keys() | {"torch"}
-    assert required("docs") <= docs.keys()
+    assert all(required(name) <= extra.keys() for name, extra in extras.items())
     assert "torch" in torch
     assert locked("torch-cpu") == {"torch": {Version(f"{pinned()['torch']}+cpu")}}
-    assert pinned().keys() - packages.keys() - torch.keys() - docs.keys() == UNLOCKED
-    assert all(docs[package] == packages[package] for package in docs.keys() & packages.keys())
+    assert (
+        pinned().keys() - packages.keys() - torch.keys() - {name for extra in extras.values() for name in extra}
+        == UNLOCKED
+    )
+    for extra in extras.values():  # beside the others in one environment
+        assert all(extra[package] == packages[package] for package in extra.keys() & packages.keys())
 
 
 def set_up(

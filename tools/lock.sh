@@ -27,7 +27,9 @@ mv "$work/packages.txt" "$work/torch.txt" locks/
 
 # beside the others in one environment
 grep -v ' *--hash=' locks/packages.txt | sed 's/ *\\$//' | cat constraints.txt - >"$work/beside.txt"
-requirements options.extras_require docs | compile locks/docs.txt --constraints "$work/beside.txt"
+for extra in docs cluster; do
+  requirements options.extras_require $extra | compile locks/$extra.txt --constraints "$work/beside.txt"
+done
 
 cpu=$(grep '^torch==' constraints.txt)+cpu
 if echo "$cpu" | compile "$work/torch-cpu.txt" --no-deps --index-url "$cpu_index" 2>"$work/errors"; then

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Make the virtual environment: setup.sh PYTHON VENV; with docs after them, only install what builds the pages into it.
+# Make the virtual environment: setup.sh PYTHON VENV; with docs or cluster after them, only install that extra into it.
 # Works on a bare Debian 12 with python3. HASHES=off installs by constraints.txt, for indexes with builds of their own.
 set -euo pipefail
 python=$1 venv=$2 hashes=${HASHES:-on}
@@ -40,7 +40,7 @@ get() {
     # shellcheck disable=SC2046
     case $name in
       packages) what=(pip setuptools $(required options install_requires) $(required options.extras_require dev)) ;;
-      docs) what=($(required options.extras_require docs)) ;;
+      docs | cluster) what=($(required options.extras_require "$name")) ;;
       *) what=(torch) ;;
     esac
     what+=(-c constraints.txt)
@@ -54,8 +54,8 @@ get() {
 get_or_stop() { get "$@" || stop "pip could not install locks/$1.txt, see above; by versions alone: $unhashed"; }
 unhashed="HASHES=off make ${3:-setup}"
 
-if [ "${3:-}" = docs ]; then
-  get_or_stop docs
+if [ -n "${3:-}" ]; then
+  get_or_stop "$3"
   exit
 fi
 has_torch() {

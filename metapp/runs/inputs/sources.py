@@ -265,7 +265,7 @@ def content_of(tasks: Sequence[Task]) -> str:
 
 
 def _stem(place: str) -> str:
-    path = Path(place)
+    path = Path((place.rpartition("/*")[0] if "://" in place else "") or place)  # of a pattern its folder
     return path.stem if path.is_file() or "://" in place else path.name
 
 

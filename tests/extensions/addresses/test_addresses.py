@@ -82,6 +82,7 @@ def test_objects_are_fitted_as_files_are(metapp: Callable, memory: Any) -> None:
     assert toolkit.fit("brdf", "memory://bucket/a.csv", paradigm="general", recipe="quick").error == record["error"]
     both = fit(metapp, "memory://bucket/*.csv", "--batch", "2").done
     assert [task["name"] for task in both["tasks"]] == ["a", "b"]
+    assert Path(both["out"]).name.startswith("bucket-")
     again = fit(metapp, "memory://bucket/*.csv", "--batch", "2")
     assert "2 fitted before" in again.err
     put_rows(memory, "/bucket/b.csv", 2)  # of another time

@@ -1,0 +1,61 @@
+"""Fit many materials on a Dask cluster, one JSON line each; workers read paths or addresses such as s3://bucket/a.binary.
+
+python examples/dask_fits.py materials/*.binary > fits.jsonl           # two processes of this machine
+python examples/dask_fits.py --scheduler tcp://head:8786 FILE...       # a cluster that runs
+
+A worker is one process with one thread, as Dask sets OMP_NUM_THREADS=1: small networks run slower where threads fight.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+
+
+def fits_of(sources: Sequence[str], app: str) -> list[dict[str, object]]:
+    """Fit sources on a worker: name, error and seconds of each, or why it was not fitted."""
+    import metapp  # by the worker, once a process
+
+    rows: list[dict[str, object]] = []
+    for source in sources:
+        try:
+            fit = metapp.fit(app, source)
+            rows.append({"source": source, "name": fit.name, "error": fit.error, "seconds": fit.seconds})
+        except (ValueError, OSError, FloatingPointError) as error:  # a bad file stops no other
+            rows.append({"source": source, "failure": str(error)})
+    return rows
+
+
+def fitted(
+    sources: Sequence[str], app: str = "brdf", scheduler: str = "", workers: int = 2
+) -> Iterator[dict[str, object]]:
+    """Rows of all sources, as batches of 8 come from the workers."""
+    from dask.distributed import Client, LocalCluster, as_completed
+
+    batches = [sources[first : first + 8] for first in range(0, len(sources), 8)]
+    cluster = scheduler or LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+    with Client(cluster) as client:
+        futures = client.map(fits_of, batches, [app] * len(batches), pure=False)
+        for _, rows in as_completed(futures, with_results=True):
+            yield from rows
+    if not scheduler:
+        cluster.close()
+
+
+def main() -> None:
+    """Print a JSON line for each material."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sources", nargs="+", metavar="FILE", help="paths that all workers see, or addresses")
+    parser.add_argument("--app", default="brdf")
+    parser.add_argument(
+        "--scheduler", default="", help="address of a Dask scheduler; default: a cluster of this machine"
+    )
+    parser.add_argument("--workers", type=int, default=2, help="processes of this machine")
+    options = parser.parse_args()
+    for row in fitted(options.sources, options.app, options.scheduler, options.workers):
+        print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+"""Fit many materials by Ray Data, one JSON line each; workers read paths or addresses such as s3://bucket/a.binary.
+
+python examples/ray_fits.py materials/*.binary > fits.jsonl            # two processes of this machine
+RAY_ADDRESS=auto python examples/ray_fits.py --workers 64 FILE...      # a cluster that runs
+
+Each worker is an actor of one CPU: Ray gives it one thread, and metapp stays imported between its batches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+
+class Fits:
+    """Fits the sources of a batch: a row of JSON for each, with name, error and seconds, or why it was not fitted."""
+
+    def __init__(self, app: str) -> None:
+        import metapp  # by the worker, once
+
+        self.app, self.metapp = app, metapp
+
+    def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """Rows of a batch of sources."""
+        return {"row": np.array([json.dumps(self._row(str(source))) for source in batch["item"]], dtype=object)}
+
+    def _row(self, source: str) -> dict[str, object]:
+        try:
+            fit = self.metapp.fit(self.app, source)
+        except (ValueError, OSError, FloatingPointError) as error:  # a bad file stops no other
+            return {"source": source, "failure": str(error)}
+        return {"source": source, "name": fit.name, "error": fit.error, "seconds": fit.seconds}
+
+
+def fitted(sources: Sequence[str], app: str = "brdf", workers: int = 2) -> Iterator[dict[str, object]]:
+    """Rows of all sources, as batches of 8 come from the workers."""
+    import ray
+
+    if not ray.is_initialized():
+        here = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
+        ray.init(log_to_driver=False, logging_level="error", **here)
+    ray.data.DataContext.get_current().enable_progress_bars = False
+    data = ray.data.from_items(list(sources), override_num_blocks=-(-len(sources) // 8))
+    actors = ray.data.ActorPoolStrategy(size=workers)
+    rows = data.map_batches(Fits, fn_constructor_args=(app,), batch_size=8, compute=actors)
+    for row in rows.iter_rows():
+        yield json.loads(row["row"])
+
+
+def main() -> None:
+    """Print a JSON line for each material."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sources", nargs="+", metavar="FILE", help="paths that all workers see, or addresses")
+    parser.add_argument("--app", default="brdf")
+    parser.add_argument("--workers", type=int, default=2, help="actors, each of one CPU")
+    options = parser.parse_args()
+    for row in fitted(options.sources, options.app, options.workers):
+        print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()
