@@ -18,7 +18,7 @@ from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter, Result
 from metapp.runs.inputs.addresses import kept
-from metapp.runs.inputs.names import Names
+from metapp.runs.inputs.names import numbered
 from metapp.runs.inputs.sources import SOURCED, Source, content_of, sources_to_fit
 from metapp.runs.outputs.files import OUTPUTS, listed, write_fit, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
@@ -259,7 +259,7 @@ class _Loop:
         self.remarks: list[str] = []
         self.anew, self.count = False, 0
         self._columns: dict[str, Column] = {}
-        self._names = Names()  # of tasks: sources of different stems may hold tasks of one name
+        self._places: dict[str, str] = {}  # of tasks by name: sources of different stems may hold tasks of one name
         self._touched: set[str] = set()  # places of files with another time, and the content of their record
 
     def _finished(self) -> dict[str, Document]:
@@ -314,11 +314,11 @@ class _Loop:
 
     def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
         finished = {} if self.anew else self._finished()
-        self._names.add({record["name"]: place for place, record in finished.items()})
+        self._places |= {record["name"]: place for place, record in finished.items()}
         for source in sources:
             try:
                 task = source.task()
-                task = task._replace(name=self._names.unique(task.name, source.place))
+                task = task._replace(name=numbered(task.name, source.place, self._places))
                 content = finished.get(source.place, {}).get("content")
                 if content and content == content_of([task]):
                     self._touched.add(source.place)

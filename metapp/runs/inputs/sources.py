@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.formats import inputs_of
+from data_tools.formats import formats, inputs_of
 from data_tools.readers.photos import SIZE
 from metapp import door
 from metapp.learning.app import App
@@ -18,7 +18,7 @@ from metapp.learning.task import Task
 from metapp.runs.inputs.addresses import at_address, local, place_of
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.inputs.memory import tasks_of_objects
-from metapp.runs.inputs.names import Names
+from metapp.runs.inputs.names import marks_of, numbered
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import merge_of, read_options, recorded_options
 from metapp.runs.requests.plan import Plan
@@ -40,7 +40,7 @@ class Source(NamedTuple):
         place: its path as text, or its name in a data set: what records know it by.
         read: -> the task; ValueError or OSError where it is damaged.
         stamp: changes when the file does; "" in a data set, whose content is part of the run's name.
-        mark: what its task's name needs to be its own in a run, "" where nothing.
+        mark: the folder that its task's name begins with, as another file has the same one; "" where none has.
         named: whether the user named it, so that it must be good; False of what was found in a folder.
     """
 
@@ -58,7 +58,9 @@ class Source(NamedTuple):
             OSError: it cannot be read.
         """
         task = self.read()
-        return task._replace(name=safe_name(task.name) + self.mark)
+        # readers may name tasks by their folders
+        is_marked = not self.mark or task.name.removeprefix(self.mark)[:1] in ("", "-", "_")
+        return task._replace(name=safe_name(task.name if is_marked else f"{self.mark}-{task.name}"))
 
 
 def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
@@ -134,7 +136,7 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
-    """Files and what folders hold, each once, in the order of inputs; of one stem later ones are numbered."""
+    """Files and what folders hold, each once, in the order of inputs."""
     sources: dict[str, Source] = {}
     stamp = _stamps()
     for path in plan.request.inputs:
@@ -151,12 +153,9 @@ def _sources_of_files(plan: Plan) -> list[Source]:
                     whole,
                     Source(as_text(whole), functools.partial(read, place), stamp(place.resolve()), named=is_named),
                 )
-    names = Names()  # of stems: of a run's parts on several machines none knows the names of all tasks
-    stems = {whole: _stem(whole) for whole in sources}
-    return [
-        source._replace(mark=names.unique(stems[whole], whole).removeprefix(stems[whole]))
-        for whole, source in sources.items()
-    ]
+    # by stems: of a run's parts on several machines none knows the names of all tasks
+    marks = marks_of({whole: _stem(whole) for whole in sources})
+    return [source._replace(mark=as_text(marks[whole])) for whole, source in sources.items()]
 
 
 def _read_object(plan: Plan, address: str) -> Task:
@@ -178,7 +177,7 @@ def _label(first: str, count: int, digest: str) -> str:
 
 def sources_of(tasks: Sequence[Task]) -> list[Source]:
     """Tasks that are read already."""
-    return [Source(task.name, functools.partial(_same, task)) for task in tasks]
+    return [Source(task.name, task._replace) for task in tasks]
 
 
 def source_of(record: Document, sources: Sequence[Source], moved: bool = False) -> Source | None:
@@ -198,8 +197,8 @@ def source_of(record: Document, sources: Sequence[Source], moved: bool = False) 
 
 def _renamed(tasks: Sequence[Task]) -> list[Task]:
     """The same tasks, with names that are safe, short and differ."""
-    names = Names()
-    return [task._replace(name=names.unique(safe_name(task.name), str(i))) for i, task in enumerate(tasks)]
+    places: dict[str, str] = {}
+    return [task._replace(name=numbered(safe_name(task.name), str(i), places)) for i, task in enumerate(tasks)]
 
 
 def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
@@ -217,7 +216,9 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
     if not readers:
         inputs = ", ".join(form.inputs for form in forms_of_app)
         expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
-        more = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
+        others = sorted({form.app for form in formats() if form.inputs and form.recognises(path)})
+        fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
+        more = f"; it is one of {', '.join(others)}" if others else fit
         for extension in door.left_out():
             forms = [offer for offer in extension.offers if isinstance(offer, door.Format) and offer.app == app.name]
             if any(form.recognises(path) for form in forms):
@@ -248,10 +249,6 @@ def _merged(plan: Plan, merge: door.Merge, value: object) -> Source:
 
     stamp = _stamps()
     return Source(as_text(str(places[0].resolve())), read, _digest(*map(stamp, places)), named=True)
-
-
-def _same(task: Task) -> Task:
-    return task
 
 
 def content_of(tasks: Sequence[Task]) -> str:
