@@ -10,6 +10,7 @@ import runpy
 import shlex
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import typer
@@ -146,6 +147,16 @@ def test_captions_become_captions_of_figures() -> None:
     html = on_page_content(f"<p>{picture}</p>\n<p><em>By <code>b</code>.</em></p>\n{text}")
     assert html == f"<figure>{linked}<figcaption>By <code>b</code>.</figcaption></figure>\n{text}"
     assert on_page_content(f"<p>{picture}</p>\n{text}") == f"<figure>{linked}</figure>\n{text}"
+
+
+def test_search_lists_other_pages_before_those_of_the_api() -> None:
+    hooks = runpy.run_path(str(ROOT / "tools" / "site_figures.py"))
+    boosts = {}
+    for name in ("api/runs.md", "guides/brdf.md"):
+        page = SimpleNamespace(file=SimpleNamespace(src_uri=name), meta={})
+        assert hooks["on_page_markdown"]("text", page=page) == "text"
+        boosts[name] = page.meta.get("search", {}).get("boost", 1.0)
+    assert 1000 * boosts["api/runs.md"] <= boosts["guides/brdf.md"]  # a title counts 1000 times as much as text
 
 
 def test_every_picture_is_shown() -> None:

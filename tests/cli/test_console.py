@@ -1,8 +1,12 @@
-"""Messages on a terminal."""
+"""Messages on a terminal, and help."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
 from metapp.cli.terminal import Terminal
+from tests.conftest import skip_reasons
 
 
 def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -18,3 +22,15 @@ def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[st
 def test_paths_in_messages_turn_no_text(capsys: pytest.CaptureFixture[str]) -> None:
     Terminal().say("picture: a\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a")
     assert capsys.readouterr().err == "picture: a\\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a\n"
+
+
+@pytest.mark.parametrize("words", ["try", "data merl", "data synth", "evaluate", ""])
+def test_help_shows_no_type_of_flags(metapp: Callable, words: str) -> None:
+    shown = metapp(*words.split(), "--help").out
+    assert "--help " in shown
+    assert "<bool>" not in shown
+
+
+def test_skipped_tests_are_counted_by_reason() -> None:
+    reports = [SimpleNamespace(longrepr=("a.py", 3, f"Skipped: {why}")) for why in ("no GPU", "no VGG", "no GPU")]
+    assert skip_reasons(reports) == {"no GPU": 2, "no VGG": 1}
