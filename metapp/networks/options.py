@@ -13,7 +13,7 @@ def size_of(text: str) -> tuple[int, int]:
     Raises:
         ValueError: it is no such text.
     """
-    sides = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text)
+    sides = re.fullmatch(r"(\d{1,18})x(\d{1,18})", text)
     if not sides:
         raise ValueError("expected HEIGHTxWIDTH in px, such as 1024x1024")
     return int(sides[1]), int(sides[2])
@@ -29,6 +29,6 @@ DETAIL = Option(
     0,
     "Resolution at which photos are read and fitted: 256 (the default) or 512, which is four times as slow.",
     "PX",
-    low=0,
+    low=256,
     adapt="metapp.networks.exemplar:with_detail",
 )

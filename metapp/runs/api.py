@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -270,7 +271,15 @@ def fit_all(
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
+        error.args = tuple(_for_programs(each) if isinstance(each, str) else each for each in error.args)
         raise
+
+
+def _for_programs(message: str) -> str:
+    """A message with options as programs give them, but in a command that ends it: observe="photo"."""
+    text, *command = re.split(r"(?=\bmetapp )", message, maxsplit=1)
+    text = re.sub(r"--(observe|recipe|rule|size) '?([\w+-]+)'?", r'\1="\2"', text)
+    return re.sub(r"--(?!train)([a-z]+)", r"\1", text) + "".join(command)
 
 
 def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:

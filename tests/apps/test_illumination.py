@@ -139,7 +139,9 @@ def test_photographs_alone_have_no_error(rng: Generator) -> None:
     theta = app.init(rng, 1)
     assert app.errors(theta, tasks) == {}
     assert torch.isfinite(app.loss(theta, app.sample(tasks, rng, 1), {})).all()
-    with pytest.raises(ValueError, match=r"lamps: a photo of a sphere, expected an HDR map .*--observe photo"):
+    with pytest.raises(
+        ValueError, match=r"lamps: a photo, expected an HDR map, .* --observe photo, of a surface take texture"
+    ):
         stack(Illumination(RECIPE.setup, "reference"), [alone])
 
 

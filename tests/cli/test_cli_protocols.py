@@ -74,7 +74,7 @@ APPS = {
     "illumination": Inputs(
         lambda folder: write_planes(folder / "reference.exr", lamp(), "float"), ball,
         {"map.exr", "map.png", "relit.png"},
-        "photo: a photo of a sphere, expected an HDR map where fits see the map itself; give an",
+        "photo: a photo, expected an HDR map, .exr or .hdr; of a mirror ball give --observe photo, of a surface",
     ),
     SVBRDF: Inputs(
         strip, flash, MADE,

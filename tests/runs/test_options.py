@@ -95,6 +95,7 @@ def test_offers_of_an_application_are_what_it_has(name: str) -> None:
         ("brdf", "", 512, "--detail: brdf has no such option, only svbrdf_stationary, texture; leave it out"),
         ("texture", "quick", 512, "--detail 512, by recipe quick: expected no choice; take another recipe"),
         ("texture", "full", 300, "expected one of 256, 512"),
+        ("texture", "", 0, "detail: 0, expected 256 or more"),
     ],
 )
 def test_a_detail_that_there_is_not_is_refused(app: str, recipe: str, detail: int, line: str) -> None:
@@ -118,3 +119,15 @@ def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) ->
 def test_training_has_no_detail() -> None:
     with pytest.raises(BadOption, match="leave --train out"):
         plan(Request("texture", recipe="full", options={"detail": 512}, train=True))
+
+
+@pytest.mark.parametrize(
+    ("app", "options", "line"),
+    [
+        ("transport", {"render": 0}, "render: 0, expected 1 to 4096"),
+        ("texture", {"size": "1000000x1000000"}, "--size 1000000x1000000: texture expects multiples of 32 from 64 to"),
+    ],
+)
+def test_an_output_of_another_size_is_refused_with_its_range(app: str, options: dict[str, object], line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        plan(Request(app, options=options))

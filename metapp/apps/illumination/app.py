@@ -96,8 +96,8 @@ class Illumination(CodedApp):
             return photo | {key: value[0] for key, value in described.items()}
         if self.protocol == "reference":
             raise ValueError(
-                f"{task.name}: a photo of a sphere, expected an HDR map where fits see the map itself; give an .exr or "
-                ".hdr map, or fit photos alone with --observe photo."
+                f"{task.name}: a photo, expected an HDR map, .exr or .hdr; of a mirror ball give --observe photo, of a "
+                "surface take texture or an svBRDF."
             )
         return photo
 

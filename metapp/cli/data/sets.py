@@ -165,6 +165,6 @@ def check(
         out().print("\n".join(lines), soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")
-        out().print(f"{len(problems)} problems" if problems else "no problems")
+        out().print(f"{len(problems)} problem{'s' * (len(problems) != 1)}" if problems else "no problems")
     if problems:
         raise typer.Exit(Exit.FAILED)

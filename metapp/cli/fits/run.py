@@ -122,7 +122,7 @@ def table_of(
     measured = total["error"] is not None
     caption = "\n".join([caption_of(app, measured), *remarks])
     table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
-    table.add_column("task", "mean error, median of the rest" if measured else "median")
+    table.add_column("task", "mean error; other columns: median" if measured else "median")
     if measured:
         table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")

@@ -11,7 +11,7 @@ RENDER = Option(
     0,
     "Also render each scene at this size, with path guiding and without it in equal time.",
     "PX",
-    low=0,
+    low=1,
     high=4096,
     panel="Output",
 )

@@ -45,8 +45,8 @@ def read_task(folder: Path, size: int = PX, exposure: float = 0.0) -> Task:
     paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and is_photo(path)]
     if len(paths) < 2:
         raise ValueError(
-            f"{folder}: {len(paths)} photo(s) beside the places of camera or flash, expected two or more; add some, or "
-            "give one photo by its name."
+            f"{folder}: {'1 photo' if paths else 'no photos'} beside places of camera or flash, expected two or more; "
+            "add some, or give one photo by its name."
         )
     places = read_places(folder, len(paths))
     shapes = {path: _shape(path) for path in paths}

@@ -66,7 +66,7 @@ def _rows(path: Path, count: int, width: int) -> list[list[float]]:
     try:
         lines = [line for line in read_text(path).splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as text, expected {count} line(s) in cm; write it.") from error
+        raise ValueError(f"{path}: cannot be read as text, expected lines in cm: {count}; write it.") from error
     if len(lines) != count:
         raise ValueError(f"{path}: {len(lines)} lines, expected {count}; give one for each photo, or one side.")
     return [_numbers(path, line, width) for line in lines]
@@ -78,5 +78,5 @@ def _numbers(path: Path, line: str, width: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != width or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{path}: line {line!r}, expected {width} finite number(s) parted by commas; mend it.")
+        raise ValueError(f"{path}: line {line!r}, expected finite numbers, parted by commas: {width}; mend it.")
     return numbers

@@ -246,7 +246,7 @@ def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence
     """
     records = sorted(folder.finished().values(), key=lambda record: (-(record["error"] or 0.0), record["name"]))
     total = summary(records)
-    title = f"{title_of(app)}, {paradigm}: {len(records)} fits"
+    title = f"{title_of(app)}, {paradigm}: {len(records)} fit{'s' * (len(records) != 1)}"
     mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; {caption_of(app)}"
     listed = [element("li", escape(source), "<br>", element("small", escape(reason))) for source, reason in failures]
     failed = element("h2", f"{len(failures)} failed") + element("ul", *listed) if failures else ""

@@ -73,7 +73,7 @@ def test_fits_merge_photos_of_several_exposures(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["illumination", "--observe", "photo", "--exposures", "1/20,1/60"], "2 exposure(s) for 3 photo(s)"),
+        (["illumination", "--observe", "photo", "--exposures", "1/20,1/60"], "exposures: 2 for 3 photos"),
         (["illumination", "--observe", "photo", "--exposures", "soon"], "expected exposure times"),
         (
             ["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"],

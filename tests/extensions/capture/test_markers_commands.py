@@ -95,9 +95,9 @@ def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Call
 def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:
     write(Path("table.png"), noise(300, 400))
     for inputs, line in (
-        (paths(taken, "a"), "1 of 1 photo(s) can be used, expected two or more of one material; take more"),
-        ([*paths(taken, "a"), Path("table.png")], "1 of 2 photo(s) can be used (table.png: no marker found"),
-        ([Path("table.png")], "0 of 1 photo(s) can be used (table.png: no marker found"),
+        (paths(taken, "a"), "1 of 1 photo can be used, expected two or more of one material; take more"),
+        ([*paths(taken, "a"), Path("table.png")], "1 of 2 photos can be used (table.png: no marker found"),
+        ([Path("table.png")], "0 of 1 photo can be used (table.png: no marker found"),
         ([Path("none.jpg")], "none.jpg: no such file"),
     ):
         assert line in metapp("data", "rectify", *inputs, "--out", LEAF).refusal

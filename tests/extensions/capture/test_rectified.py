@@ -240,7 +240,7 @@ def test_some_hidden_markers_do_no_harm(tmp_path: Path) -> None:
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing": (lambda path: write(path, noise(600, 800)), "no marker found, expected those of a marker sheet; photog"),
     "few": (lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9)), "markers on one side of the opening alone"),
-    "three": (lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9), (-9, -5, -9, -5)), "3 marker(s) found, expected"),
+    "three": (lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9), (-9, -5, -9, -5)), "3 markers found, expected"),
     "bent": (lambda path: take(path, tilted(20), bend=0.35), "of a flat sheet in focus; lay it flat"),
     "bent much": (
         lambda path: take(path, tilted(20), bend=1.5),
@@ -273,7 +273,7 @@ def test_a_cropped_photograph_or_another_lens_is_refused(photos: Path, tmp_path:
     (line,) = placed.skipped
     assert line.startswith(f"{cropped}: markers are ")
     assert "from where a lens of 26 mm sees them" in line
-    with pytest.raises(ValueError, match=r"1 of 2 photo\(s\) can be used \(.* mm sees them\), expected two or more"):
+    with pytest.raises(ValueError, match=r"1 of 2 photos can be used \(.* mm sees them\), expected two or more"):
         place([photos / "above.jpg", cropped], Settings())
 
 

@@ -115,13 +115,13 @@ def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (lambda at: (at / LIGHT).unlink(), "light_pos.txt: cannot be read as text, expected 3 line(s)"),
+        (lambda at: (at / LIGHT).unlink(), "light_pos.txt: cannot be read as text, expected lines in cm: 3"),
         (lambda at: (at / SIZE).unlink(), "image_size.txt: cannot be read as text"),
         (lambda at: (at / "a.png").unlink(), "camera_pos.txt: 3 lines, expected 2; give one for each photo"),
         (lambda at: write(at / "b.png", 2, 48, 64), "b.png: 64 x 48 px, expected square photos of one size"),
         (lambda at: write(at / "b.png", 2, 64, 64), "b.png: 64 x 64 px, expected square photos of one size"),
         (lambda at: (at / "b.png").write_bytes(b"no image"), "b.png"),
-        (lambda at: [(at / f"{name}.png").unlink() for name in "bc"], "leaf: 1 photo(s) beside the places"),
+        (lambda at: [(at / f"{name}.png").unlink() for name in "bc"], "leaf: 1 photo beside places"),
     ],
 )
 def test_bad_folders_are_refused_in_a_line(folder: Path, change: Callable[[Path], object], line: str) -> None:

@@ -97,7 +97,8 @@ def capture(paths: Sequence[Path], settings: Settings, done: Callable[[str], obj
     """
     given = settings.exposures
     if given and len(given) != len(paths):
-        raise ValueError(f"{len(given)} exposure(s) for {len(paths)} photo(s), expected one for each, in their order.")
+        counts = f"exposures: {len(given)} for {len(paths)} photo{'s' * (len(paths) != 1)}"
+        raise ValueError(f"{counts}, expected one for each, in their order.")
     pictures: list[Pixels] = []
     candidates: list[Ball | None] = []
     for path in paths:

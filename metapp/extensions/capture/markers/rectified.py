@@ -115,8 +115,8 @@ def place(paths: Sequence[Path], settings: Settings, done: Callable[[str], objec
     if len(photos) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
-            f"{len(photos)} of {len(paths)} photo(s) can be used{why}, expected two or more of one material; take more "
-            "from other places, with the whole sheet in view."
+            f"{len(photos)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{why}, expected two or more of "
+            "one material; take more from other places, with the whole sheet in view."
         )
     photos.sort(key=lambda photo: photo.pose.tilt)
     opening = sightings[0].opening

@@ -88,7 +88,9 @@ def find_sheet(path: Path) -> Sighting:
     on_sheet = corners_cm(opening)
     markers = [(number, corners) for number, corners in markers if number in on_sheet]
     if len(markers) < FEWEST:
-        raise ValueError(f"{path}: {len(markers)} marker(s) found, expected {FEWEST} to 12; {_REMEDY}.")
+        raise ValueError(
+            f"{path}: {len(markers)} marker{'s' * (len(markers) != 1)} found, expected {FEWEST} to 12; {_REMEDY}."
+        )
     points_cm = np.concatenate([on_sheet[number] for number, _ in markers])
     points_px = np.concatenate([corners for _, corners in markers])
     numbers = [number for number, _ in markers]
