@@ -4,7 +4,7 @@ FOLDER holds exemplars of the embedded data sets as pictures (`metapp data synth
 ball2.jpg (`metapp.appearance.photograph.mirror` of a map of `metapp data synth illumination --size 256`, on grey, each
 a third as bright as the one before), and the runs of
 
-    metapp meta texture gravel.png
+    metapp meta texture bricks.png
     metapp meta svbrdf_stationary rust.png leather.png --export blender
     metapp meta svbrdf_nonstationary sign.png --observe photo
     metapp meta transport --data boxes --render 256       (metapp data cornell --count 2 --split test --out boxes)
@@ -43,7 +43,7 @@ def maps(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | No
 # columns of a card, each a list of rows of parts
 CARDS: dict[str, list[list[list[Part]]]] = {
     "brdf": [[[("demo.png", (372, 32, 996, 350))]]],
-    "texture": [[[("gravel.png", None)]], [[("runs/texture/meta/*gravel*/outputs/*/texture.png", QUARTER)]]],
+    "texture": [[[("bricks.png", None)]], [[("runs/texture/meta/*bricks*/outputs/*/texture.png", QUARTER)]]],
     "svbrdf-stationary": [
         [[("rust.png", None)]],
         maps(STATIONARY.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), QUARTER),

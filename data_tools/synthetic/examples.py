@@ -90,20 +90,21 @@ def _hemisphere(uniform: Tensor) -> Tensor:
 
 
 def _write_texture(file: Path) -> None:
-    _write_picture(_drawn(texture, "gravel", "image"), file)
+    _write_picture(_drawn(texture, "bricks", "image", 27), file)
 
 
 def _write_svbrdf_stationary(file: Path) -> None:
-    _write_picture(_drawn(svbrdf_stationary, "leather", "image"), file)
+    """Leather with a coarse grain, whose relief shows under any light."""
+    _write_picture(_drawn(svbrdf_stationary, "leather", "image", 40), file)
 
 
 def _write_svbrdf_nonstationary(file: Path) -> None:
-    _write_picture(_drawn(svbrdf_nonstationary, "mosaic", "photo"), file)
+    _write_picture(_drawn(svbrdf_nonstationary, "mosaic", "photo", _SEED), file)
 
 
-def _drawn(module: ModuleType, family: str, key: str) -> Tensor:
-    """The picture, uint8 [3, 256, 256], of the first test task of a family."""
-    tasks = module.synthetic_tasks("test", 20, _SEED, size=256)
+def _drawn(module: ModuleType, family: str, key: str, seed: int) -> Tensor:
+    """The picture, uint8 [3, 256, 256], of the first test task of a family in the set of a seed."""
+    tasks = module.synthetic_tasks("test", 20, seed, size=256)
     picture: Tensor = next(task.data[key] for task in tasks if task.name.startswith(family))
     return picture
 
@@ -142,7 +143,7 @@ def _write_picture(values: Tensor, file: Path) -> None:
 
 EXAMPLES: Mapping[str, Example] = {
     "brdf": Example(("paint.csv",), _write_brdf),
-    "texture": Example(("gravel.png",), _write_texture),
+    "texture": Example(("bricks.png",), _write_texture),
     "svbrdf_stationary": Example(("leather.png",), _write_svbrdf_stationary),
     "svbrdf_nonstationary": Example(("mosaic.png",), _write_svbrdf_nonstationary, observe="photo"),
     "illumination": Example(("courtyard.exr", "ball.png"), _write_illumination),

@@ -48,7 +48,7 @@ def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_pa
         lines = [line for line in metapp("examples", *words).out.splitlines() if not line.startswith("#")]
         assert len(lines) == count
     metapp(*shlex.split(metapp("examples", "texture").out.splitlines()[1])[1:])
-    assert [file.name for file in FOLDER.iterdir()] == ["gravel.png"]
+    assert [file.name for file in FOLDER.iterdir()] == ["bricks.png"]
     made = metapp("examples", "illumination", "--make", tmp_path / "my files", "--json").document
     assert len(made["commands"]) == 5
     assert [Path(file).name for file in made["files"]] == ["courtyard.exr", "ball.png"]
