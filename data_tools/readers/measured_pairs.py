@@ -79,10 +79,8 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
     if len(angles):
         angles, reflectance = _distinct(angles, reflectance)
     if len(angles) < LEAST:
-        raise ValueError(
-            f"{source or name}: {len(angles)} pair{'s' * (len(angles) != 1)} of directions that differ, of "
-            f"{len(pairs.wi)}, expected {LEAST} or more; measure more."
-        )
+        found = f"different pairs of directions: {len(angles)} of {len(pairs.wi)}"
+        raise ValueError(f"{source or name}: {found}, expected {LEAST} or more; measure more.")
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
     near = functools.partial(_near, KDTree(_points(angles)), reflectance.log1p())
     render = shade_sphere(reference_scene(azimuths=azimuths), near).float()

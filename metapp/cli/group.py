@@ -7,27 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup, TyperOption
 
 from metapp import door
 
-
-class _Untyped:
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Take out what typer shows as the type of a flag, <bool>."""
-        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # of a command
-        for param in params:
-            if getattr(param, "is_flag", False):
-                param.metavar = ""
-        return params
+_type_of = TyperOption.display_type_rich  # help shows that of flags as <bool>, without a setting for it
+TyperOption.display_type_rich = lambda self, ctx: None if self.is_flag else _type_of(self, ctx)  # type: ignore[method-assign]
 
 
-class Command(_Untyped, TyperCommand):
-    """A command whose help shows no type of flags."""
-
-
-class Group(_Untyped, TyperGroup):
-    """The same of a group, which knows of which extension a command is that is left out."""
+class Group(TyperGroup):
+    """A group that knows of which extension a command is that is left out."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is named; a usage error names the extension that has it."""
@@ -50,4 +39,4 @@ def add_command(app: typer.Typer, function: Callable[..., object], name: str, *,
     """Add a command; for --help the paragraphs of its docstring flow, while indented examples keep their lines."""
     paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
     text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
-    app.command(name, cls=Command, no_args_is_help=bare_is_help, help=text)(function)
+    app.command(name, no_args_is_help=bare_is_help, help=text)(function)

@@ -153,9 +153,9 @@ def test_a_bsdf_of_mitsuba_is_fitted() -> None:
     [
         (3, "object: int, expected a path, a function"),
         ((1, 2), "2 arrays, expected 3"),
-        ((np.zeros((0, 3)),) * 3, "object: 0 pairs of directions that differ, of 0, expected 4 or more"),
+        ((np.zeros((0, 3)),) * 3, "object: different pairs of directions: 0 of 0, expected 4 or more"),
         ((np.zeros((9, 3)), np.ones((9, 3)), np.ones((9, 3))), "wi of length 0, expected unit vectors"),
-        ((*directions(3), np.ones((3, 3))), "3 pairs of directions that differ, of 3, expected 4"),
+        ((*directions(3), np.ones((3, 3))), "different pairs of directions: 3 of 3, expected 4"),
         ((*directions(80), -np.ones((80, 3))), "reflectance that is negative"),
         (lambda wi, wo: wi[:, :2], r"values \(\d+, 2\), expected"),
         (lambda wi, wo: -np.abs(wi), "reflectance of -1 /sr, expected 0 or more"),

@@ -17,8 +17,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.inputs.addresses import at_address, local, place_of
 from metapp.runs.inputs.embedded import embedded_data
-from metapp.runs.inputs.memory import tasks_of_objects
-from metapp.runs.inputs.names import marks_of, numbered
+from metapp.runs.inputs.memory import marks_of, numbered, tasks_of_objects
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import merge_of, read_options, recorded_options
 from metapp.runs.requests.plan import Plan
@@ -58,8 +57,7 @@ class Source(NamedTuple):
             OSError: it cannot be read.
         """
         task = self.read()
-        # readers may name tasks by their folders
-        is_marked = not self.mark or task.name.removeprefix(self.mark)[:1] in ("", "-", "_")
+        is_marked = not self.mark or task.name.removeprefix(self.mark)[:1] in ("", "-", "_")  # by its reader
         return task._replace(name=safe_name(task.name if is_marked else f"{self.mark}-{task.name}"))
 
 
@@ -136,7 +134,7 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
-    """Files and what folders hold, each once, in the order of inputs."""
+    """Files and what folders hold, each once, in the order of inputs, marked by stems: parts of a run know no more."""
     sources: dict[str, Source] = {}
     stamp = _stamps()
     for path in plan.request.inputs:
@@ -153,7 +151,6 @@ def _sources_of_files(plan: Plan) -> list[Source]:
                     whole,
                     Source(as_text(whole), functools.partial(read, place), stamp(place.resolve()), named=is_named),
                 )
-    # by stems: of a run's parts on several machines none knows the names of all tasks
     marks = marks_of({whole: _stem(whole) for whole in sources})
     return [source._replace(mark=as_text(marks[whole])) for whole, source in sources.items()]
 

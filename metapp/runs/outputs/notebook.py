@@ -59,5 +59,4 @@ def table_of(rows: Sequence[tuple[str, float | None, float, str]], app: App | No
         return element("div", "no fits")
     titles = ("", f"error{factor_of(app)}", "seconds", "warning" if any(warning for *_, warning in rows) else "")
     body = [html.row((name, number(error, ".3f"), f"{seconds:.3g}", told)) for name, error, seconds, told in rows]
-    title = f"{title_of(app)}: {len(rows)} fit{'s' * (len(rows) != 1)}"
-    return element("div", escape(title), html.table([html.row(titles, "th")], body))
+    return element("div", escape(f"{title_of(app)}, fits: {len(rows)}"), html.table([html.row(titles, "th")], body))

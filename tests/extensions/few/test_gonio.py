@@ -193,7 +193,7 @@ def test_a_file_that_is_too_large_says_how_many_rows_to_keep(tmp_path: Path) -> 
         (HEAD.replace("deg", "rad") + "\n" + ROW, "line 2: theta_i 30 rad, expected 0 to 1.5708"),
         (HEAD + ",r\n" + ROW + ",1", "two columns 'r'"),
         (HEAD[:-6] + ",500nm,600nm\n" + ROW[:-4], "2 wavelengths from 500 to 600 nm, expected 4"),
-        (HEAD + "\n" + "\n".join([ROW] * 200), "1 pair of directions that differ, of 200, expected 4 or more"),
+        (HEAD + "\n" + "\n".join([ROW] * 200), "different pairs of directions: 1 of 200, expected 4 or more"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
         (f"{HEAD}\n".encode() + 9999 * f"{ROW}\n".encode() + b"\xff", "no text in UTF-8"),
     ],
