@@ -118,5 +118,5 @@ def test_no_ball_is_one_line(tmp_path: Path) -> None:
         capture([path], Settings())
     found = capture([path], Settings(ball=(120, 100, 60)))
     assert tuple(found.shots[0].whole[:3]) == pytest.approx((120, 100, 60))
-    with pytest.raises(ValueError, match="2 exposure"):
+    with pytest.raises(ValueError, match="exposures: 2 for 1 photo, expected"):
         capture([path], Settings((1.0, 2.0)))
