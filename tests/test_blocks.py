@@ -42,7 +42,7 @@ def test_blocks_have_a_language_and_those_that_do_not_run_a_reason() -> None:
 
 
 def test_most_blocks_run() -> None:
-    assert len(LEFT_OUT) <= 21 < sum(block.kind in RUN for page in PAGES for block in blocks_of(page)) / 3
+    assert len(LEFT_OUT) <= 22 < sum(block.kind in RUN for page in PAGES for block in blocks_of(page)) / 3
 
 
 def test_what_another_page_runs_is_there() -> None:
