@@ -25,12 +25,7 @@ ARGUMENTS = (
 
 # draw at full resolution, however busy this machine is, and labels over pictures
 WHOLE = """Object.defineProperty(Viewer.prototype, "strip", { value: false });
-ShapeViewer.prototype._adapt = function () {
-    if (this.detail === 1) return;
-    this.detail = 1;
-    this._targets();
-    this.restart();
-};
+DrawnViewer.prototype._details = () => [1, 1];
 dispatchEvent(new Event("resize"));"""
 
 

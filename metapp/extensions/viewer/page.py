@@ -17,7 +17,7 @@ from metapp.storage.html import data_script, element, page
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
-_BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "stage", "raster", "polar")
+_BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
 SCRIPTS = (*_BEFORE, *KINDS, "listing", "main")  # in this order
 TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
 

@@ -247,9 +247,14 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(browser: Any, tmp_path: Pa
     page.settle()
     middle = page.screenshot()[28:36, 28:36].mean()
     assert middle == pytest.approx(float(to_srgb(np.full((1, 1, 3), 0.3 * 0.5)).mean()), abs=0.015)
-    page.set(light="lamp", shape="sphere")
+    page.set(light="lamp", shape="sphere", surround=False)
     page.page.evaluate("metapp.viewer.lampAt.set(1, 0, 0); metapp.viewer.restart()")
     page.settle()
     lit = page.screenshot().mean(-1)
     assert lit[32, 14] < 0.02 < 0.2 < lit[32, 50]
+    page.set(surround=True)
+    page.settle()
+    surrounded = page.screenshot().mean(-1)
+    faint = float(to_srgb(np.full((1, 1, 3), 0.15 * 0.3 * 0.5)).mean())
+    assert surrounded[32, 14] == pytest.approx(faint, abs=0.015)  # 15 % of what the map makes alone
     assert not page.problems

@@ -309,7 +309,7 @@ def test_what_stands_out_casts_a_shadow(tiles: bool, browser: Any, tmp_path: Pat
     page.page.evaluate(f"metapp.viewer.lighting = () => ({far})")
     rows = {}
     for relief in (0, 1):
-        page.set(relief=relief)
+        page.set(relief=relief, surround=False)
         page.settle()
         rows[relief] = page.screenshot()[134, 36:232].mean(-1)  # the plane, but for its rim
     share = rows[1] / rows[0]

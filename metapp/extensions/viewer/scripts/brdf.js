@@ -6,6 +6,7 @@
 // reciprocal fits in [0, pi); theta_h by its square root), or of samples with phi_h the five axes of metapp.apps.brdf.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
 // shared: light, a lat-long map [H, W, 3]; studio [2, L, 4], the lights of metapp's pictures.
 
+const DRAWN = 128;       // directions that albedos of lobes are the mean of
 const HALF_CIRCLE = 24;  // cells of phi_d from 0 to pi
 
 const NETWORK = `
@@ -18,6 +19,7 @@ vec4 weight(int i) { return texelFetch(weights, ivec2(i % 256, i / 256), 0); }
 #endif
 uniform sampler3D residual; uniform bool hasResidual; uniform float turn, darkest;
 uniform vec2 alpha0, alpha1; uniform vec3 shares[${NODES}];
+uniform sampler2D fitAlbedos, referenceAlbedos;  // of each lobe, by the viewer's angle
 vec4 activated(vec4 x) { return FEATURED ? x / (1.0 + exp(-x)) : max(x, 0.0); }
 LAYERS
 vec3 expm1_of(vec3 x) { return mix(exp(x) - 1.0, x * (1.0 + x * (0.5 + x / 6.0)), vec3(lessThan(abs(x), vec3(0.01)))); }
@@ -95,10 +97,24 @@ void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
   reflectances(wi, wo, fit, reference);
   fit *= wi.z; reference *= wi.z;
 }
+float node_of(vec3 wo) { return min(acos(clamp(wo.z, 0.0, 1.0)) * ${((NODES - 1) / LAST_NODE).toFixed(6)}, ${NODES - 1}.0); }
 Lobes lobes(vec3 wo) {
-  float place = min(acos(clamp(wo.z, 0.0, 1.0)) * ${((NODES - 1) / (89 * Math.PI / 180)).toFixed(6)}, ${NODES - 1}.0);
+  float place = node_of(wo);
   int node = min(int(place), ${NODES - 2});
   return Lobes(alpha0, alpha1, mix(shares[node], shares[node + 1], place - float(node)), turn);
+}
+vec3 albedo(sampler2D albedos, int lobe, float place) {
+  int node = min(int(place), ${NODES - 2});
+  return mix(texelFetch(albedos, ivec2(node, lobe), 0).rgb, texelFetch(albedos, ivec2(node + 1, lobe), 0).rgb, place - float(node));
+}
+void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference) {
+  float place = node_of(wo);
+  vec3 other, light = matte_light(frameOf[2], other);
+  fit = albedo(fitAlbedos, 0, place) * light; reference = albedo(referenceAlbedos, 0, place) * light;
+  light = lobe_light(alpha0, turn, wo, frameOf, other);
+  fit += albedo(fitAlbedos, 1, place) * light; reference += albedo(referenceAlbedos, 1, place) * light;
+  light = lobe_light(alpha1, turn, wo, frameOf, other);
+  fit += albedo(fitAlbedos, 2, place) * light; reference += albedo(referenceAlbedos, 2, place) * light;
 }`;
 
 // The layers with a variable for each four neurons: an array that is indexed would lie in memory. Weights lie as
@@ -122,7 +138,6 @@ function layers(inputs4, hidden4) {
 
 const EVALUATE = `
 uniform sampler2D pairs;
-layout(location = 0) out vec4 fitOut; layout(location = 1) out vec4 referenceOut;
 void main() {
   int i = int(gl_FragCoord.x);
   vec3 fit, reference;
@@ -171,9 +186,23 @@ class BrdfViewer extends ShapeViewer {
       uniforms: {
         ...(defines.IN_BLOCK ? {} : { weights: this._listed(weights.values) }), residual: table, hasResidual: Boolean(residual), turn: turn ?? 0,
         darkest, alpha0: new THREE.Vector2(...alphas[0]), alpha1: new THREE.Vector2(...alphas[1]),
+        fitAlbedos: null, referenceAlbedos: null,
         shares: Array.from({ length: NODES }, (_, i) => new THREE.Vector3(...shares.slice(3 * i, 3 * i + 3))),
       },
     };
+  }
+
+  // What each lobe reflects by the viewer's angle, once for a material.
+  prepare(material) {
+    if (material.albedos) return;
+    const u = material.uniforms, before = [u.light.value, u.frame.value, u.chunks.value];
+    material.albedos = new THREE.WebGLRenderTarget(NODES, 3, { count: 2, type: THREE.FloatType, ...NEAREST, depthBuffer: false });
+    [u.light.value, u.frame.value, u.chunks.value] = [ALBEDOS, DRAWN, 1];
+    [u.fitAlbedos.value, u.referenceAlbedos.value] = [null, null];
+    this._bind(material);
+    this._fill(material, material.albedos);
+    [u.light.value, u.frame.value, u.chunks.value] = before;
+    [u.fitAlbedos.value, u.referenceAlbedos.value] = material.albedos.textures;
   }
 
   referenced(fit) { return "residual" in fit.arrays; }
@@ -197,7 +226,7 @@ class BrdfViewer extends ShapeViewer {
     if (!own.evaluator) {
       own.evaluator = new THREE.RawShaderMaterial({
         glslVersion: THREE.GLSL3, vertexShader: WHOLE, uniforms: { ...own.uniforms, pairs: { value: null } }, depthTest: false, depthWrite: false,
-        fragmentShader: `${COMMON}\n${own.glsl}\n${EVALUATE}`, blending: THREE.NoBlending,
+        fragmentShader: `${COMMON}\n${PIXEL}\n${own.glsl}\n${EVALUATE}`, blending: THREE.NoBlending,
       });
     }
     const directions = texture(values, count, 2), target = new THREE.WebGLRenderTarget(count, 1, { count: 2, type: THREE.FloatType, ...NEAREST });

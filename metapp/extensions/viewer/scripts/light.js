@@ -24,6 +24,20 @@ void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
   }
   fit = reference = vec3(value);
 }
+void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference) {
+  float share = fresnel(wo.z);
+  vec3 other;
+  if (kind == 0) {
+    vec2 at = place_of(frameOf * vec3(-wo.xy, wo.z));
+    fit = share * mapScale * textureLod(map, at, 0.0).rgb; reference = share * mapScale * textureLod(referenceMap, at, 0.0).rgb;
+    return;
+  }
+  fit = share * lobe_light(vec2(alpha_of()), 0.0, wo, frameOf, reference);
+  reference *= share;
+  if (kind == 1) return;
+  fit += (1.0 - share) * albedo * matte_light(frameOf[2], other);
+  reference += (1.0 - share) * albedo * other;
+}
 Lobes lobes(vec3 wo) {
   float gloss = kind == 1 ? 1.0 : clamp(fresnel(wo.z), 0.1, 0.9);
   return Lobes(vec2(alpha_of()), vec2(1.0), kind == 0 ? vec3(0.0) : vec3(1.0 - gloss, gloss, 0.0), 0.0);

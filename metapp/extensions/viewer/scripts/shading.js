@@ -2,10 +2,13 @@
 
 const LAMP_DISTANCE = 2.414;  // of a lamp under which a white matte surface that faces it has radiance 1
 const NODES = 24;             // angles of the viewer that lobes are known at
+const LAST_NODE = 89 * Math.PI / 180;
+const PLACES = 8;             // about a lobe that a blurred light map is read at
 
 const COMMON = `
 precision highp float; precision highp int; precision highp sampler2D; precision highp sampler3D;
 const float PI = 3.14159265358979;
+vec3 towards_node(int i) { float angle = float(i) * ${(LAST_NODE / (NODES - 1)).toFixed(7)}; return vec3(sin(angle), 0.0, cos(angle)); }
 struct Lobes { vec2 first; vec2 second; vec3 shares; float turn; };  // GGX alphas of two lobes; shares of the cosine and of both
 
 uint seed; float draw, stride;  // of a pixel; which frame; by how much of 1 numbers go on from frame to frame
@@ -30,11 +33,12 @@ float mirrored_density(vec3 v, vec3 l, vec2 alpha) {
   float square = dot(scaled, scaled), d = 1.0 / (PI * alpha.x * alpha.y * square * square);
   return d / (2.0 * (v.z + length(vec3(alpha * v.xy, v.z))));
 }
-float lobes_density(Lobes m, vec3 v, vec3 l) {
-  if (l.z <= 0.0) return 0.0;
+vec3 lobes_densities(Lobes m, vec3 v, vec3 l) {  // of the cosine and of both
+  if (l.z <= 0.0) return vec3(0.0);
   vec3 v_axes = turned(v, -m.turn), l_axes = turned(l, -m.turn);
-  return m.shares.x * l.z / PI + m.shares.y * mirrored_density(v_axes, l_axes, m.first) + m.shares.z * mirrored_density(v_axes, l_axes, m.second);
+  return m.shares * vec3(l.z / PI, mirrored_density(v_axes, l_axes, m.first), mirrored_density(v_axes, l_axes, m.second));
 }
+float lobes_density(Lobes m, vec3 v, vec3 l) { return dot(lobes_densities(m, v, l), vec3(1.0)); }
 vec3 lobes_sample(Lobes m, vec3 v) {
   float choice = random();
   vec2 u = vec2(random(), random());
@@ -66,22 +70,83 @@ in vec3 P; in vec3 N; in vec3 T; in vec2 U;
 layout(location = 0) out vec4 place; layout(location = 1) out vec4 normalOut; layout(location = 2) out vec4 tangentOut;
 void main() { place = vec4(P, 1.0); normalOut = vec4(N, U.x); tangentOut = vec4(T, U.y); }`;
 
-const FRAGMENT = `
+// A pixel of what is seen, and light maps as metapp.appearance.latlong has them: u = atan2(x, -z) / 2 pi, v = acos(y) / pi.
+const PIXEL = `
 uniform sampler2D seen0, seen1, seen2;
 vec3 P, N, T; vec2 U;
 layout(location = 0) out vec4 fitOut; layout(location = 1) out vec4 referenceOut;
 uniform vec3 eye; uniform vec3 towardsEye; uniform bool parallel;
+uniform sampler2D map, referenceMap, matte, referenceMatte; uniform vec2 mapSize; uniform float mapScale, mapTurn;
+
+bool seen_at(ivec2 pixel, out mat3 frameOf, out vec3 wo) {
+  vec4 place = texelFetch(seen0, pixel, 0), first_two = texelFetch(seen1, pixel, 0), last_two = texelFetch(seen2, pixel, 0);
+  fitOut = referenceOut = vec4(0.0);
+  if (place.w == 0.0) return false;
+  P = place.xyz; N = first_two.xyz; T = last_two.xyz; U = vec2(first_two.w, last_two.w);
+  vec3 towards = parallel ? towardsEye : normalize(eye - P);
+  vec3 n = normalize(N);
+  if (dot(n, towards) < 0.0) n = -n;
+  vec3 t = normalize(T - n * dot(n, T));
+  frameOf = mat3(t, cross(n, t), n);
+  wo = towards * frameOf;
+  wo = normalize(vec3(wo.xy, max(wo.z, 1e-3)));
+  return true;
+}
+vec2 place_of(vec3 d) { return vec2(fract(atan(d.x, -d.z) / (2.0 * PI) - mapTurn), acos(clamp(d.y, -1.0, 1.0)) / PI); }
+// The light of both maps in the mean over the cosine about a direction, and over a lobe, in the frame of the shape: the maps'
+// levels are as coarse as the places about a lobe that light is read at.
+vec3 matte_light(vec3 n, out vec3 other) {
+  vec2 at = place_of(n);
+  other = mapScale * textureLod(referenceMatte, at, 0.0).rgb;
+  return mapScale * textureLod(matte, at, 0.0).rgb;
+}
+vec3 lobe_light(vec2 alpha, float turn, vec3 wo, mat3 frameOf, out vec3 other) {
+  vec3 v = turned(wo, -turn), sum = vec3(0.0);
+  float total = 0.0;
+  other = vec3(0.0);
+  for (int i = 0; i < ${PLACES}; i++) {
+    vec3 l = reflect(-v, visible_normal(v, alpha, vec2((float(i) + 0.5) / ${PLACES}.0, 0.618034 * float(i))));
+    if (l.z <= 0.0) continue;
+    float radius = sqrt(1.0 / (${PLACES}.0 * PI * mirrored_density(v, l, alpha)));
+    float level = max(log2(1.5 * radius * mapSize.y / PI), 0.0);
+    vec2 at = place_of(frameOf * turned(l, turn));
+    sum += textureLod(map, at, level).rgb;
+    other += textureLod(referenceMap, at, level).rgb;
+    total += 1.0;
+  }
+  other *= mapScale / max(total, 1.0);
+  return sum * mapScale / max(total, 1.0);
+}`;
+
+const UNLIT = `
+#ifndef UNLIT
+void unlit(inout vec3 fit, inout vec3 reference) {}
+#endif
+void put(vec3 fit, vec3 reference) {
+  unlit(fit, reference);
+  if (any(isnan(fit)) || any(isinf(fit))) fit = vec3(0.0);
+  if (any(isnan(reference)) || any(isinf(reference))) reference = vec3(0.0);
+  fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
+}`;
+
+const FIRST_LOOK = `${UNLIT}
+void main() {
+  mat3 frameOf;
+  vec3 wo, fit, reference;
+  if (!seen_at(ivec2(gl_FragCoord.xy), frameOf, wo)) return;
+  at_point(U);
+  first_look(wo, frameOf, fit, reference);
+  put(fit, reference);
+}`;
+
+const ALBEDOS = 3;  // as the number of a light: what each lobe reflects, by the viewer's angle across and the lobe above
+const FRAGMENT = `${UNLIT}
 uniform int light, frame, chunks; uniform vec3 lamp; uniform float flashPower;
-uniform sampler2D map, referenceMap, places, studio; uniform vec2 mapSize; uniform float mapTotal, mapScale, mapTurn;
+uniform sampler2D places, studio; uniform float mapTotal;
 
 #ifndef BENT
 mat3 bent() { return mat3(1.0); }
 #endif
-#ifndef UNLIT
-void unlit(inout vec3 fit, inout vec3 reference) {}
-#endif
-// Light maps as metapp.appearance.latlong has them: u = atan2(x, -z) / 2 pi, v = acos(y) / pi.
-vec2 place_of(vec3 d) { return vec2(fract(atan(d.x, -d.z) / (2.0 * PI) - mapTurn), acos(clamp(d.y, -1.0, 1.0)) / PI); }
 float map_density(vec2 at) { return textureLod(map, at, 0.0).a / (mapTotal * max(sin(PI * at.y), 1e-4)); }  // of samples: luminance
 float tent(float u) { float t = 2.0 * u - 1.0; return sign(t) * (1.0 - sqrt(1.0 - abs(t))); }
 vec3 map_sample() {  // around a texel as radiance is interpolated, so that one bright texel among dark ones is no noise
@@ -121,37 +186,40 @@ vec3 by_studio(int i, vec3 wo, mat3 frameOf, out vec3 weight) {
   weight *= 4.0 * cosine * (0.06 + 0.05 * (frameOf * wi).y);
   return wi;
 }
+// What a lobe reflects of the same light from everywhere: its share of what all do.
+vec3 by_lobe(int which, vec3 wo, out vec3 weight) {
+  Lobes mixture = lobes(wo);
+  vec3 wi = lobes_sample(mixture, wo), densities = lobes_densities(mixture, wo, wi);
+  float density = dot(densities, vec3(1.0));
+  weight = vec3(densities[which] / max(density * density * float(frame), 1e-20));
+  return wi;
+}
 void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
-  vec4 place = texelFetch(seen0, pixel, 0), first_two = texelFetch(seen1, pixel, 0), last_two = texelFetch(seen2, pixel, 0);
-  fitOut = referenceOut = vec4(0.0);
-  if (place.w == 0.0) return;
-  P = place.xyz; N = first_two.xyz; T = last_two.xyz; U = vec2(first_two.w, last_two.w);
-  seed = uint(gl_FragCoord.x) * 1973u + uint(gl_FragCoord.y) * 9277u + 1u;
+  mat3 frameOf = mat3(1.0);
+  vec3 wo, fit = vec3(0.0), reference = vec3(0.0), a, b, weight, other;
+  int first = 0, last = 1;
+  uvec2 noise = light == ${ALBEDOS} ? uvec2(pixel.x, 0) : uvec2(gl_FragCoord.xy);
+  seed = noise.x * 1973u + noise.y * 9277u + 1u;
   random(); random();
   draw = float(frame); stride = 1.0;
-  vec3 towards = parallel ? towardsEye : normalize(eye - P);
-  vec3 n = normalize(N);
-  if (dot(n, towards) < 0.0) n = -n;
-  vec3 t = normalize(T - n * dot(n, T));
-  mat3 frameOf = mat3(t, cross(n, t), n);
-  vec3 wo = towards * frameOf;
-  wo = normalize(vec3(wo.xy, max(wo.z, 1e-3)));
-  vec3 fit = vec3(0.0), reference = vec3(0.0), a, b, weight, other;
+  if (light == ${ALBEDOS}) { wo = towards_node(pixel.x); last = frame; }
+  else if (!seen_at(pixel, frameOf, wo)) return;
   at_point(U);
-  int first = 0, last = 1;
   if (light == 2) { first = frame % chunks; last = textureSize(studio, 0).x; }  // lights of each kind in each frame
   for (int i = first; i < last; i += chunks) {  // one call of response, which may be long
-    vec3 wi = light == 0 ? by_lamp(frameOf, weight) : light == 1 ? by_map(wo, frameOf, weight, other) : by_studio(i, wo, frameOf, weight);
+    vec3 wi;
+    if (light == ${ALBEDOS}) {  // for a viewer all round
+      draw = float(i); stride = 1.0;
+      wo = turned(wo, 2.399963);
+      wi = by_lobe(pixel.y, wo, weight);
+    } else wi = light == 0 ? by_lamp(frameOf, weight) : light == 1 ? by_map(wo, frameOf, weight, other) : by_studio(i, wo, frameOf, weight);
     if (light != 1) other = weight;
     if (wi.z <= 1e-4) continue;
     response(wi, wo, a, b);
     fit += a * weight; reference += b * other;
   }
-  unlit(fit, reference);
-  if (any(isnan(fit)) || any(isinf(fit))) fit = vec3(0.0);
-  if (any(isnan(reference)) || any(isinf(reference))) reference = vec3(0.0);
-  fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
+  put(fit, reference);
 }`;
 
 const WHOLE = `precision highp float; in vec3 position; void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }`;
@@ -180,11 +248,32 @@ ${HEAT_GLSL}
 float difference(vec3 a, vec3 b) { return dot(abs(a - b), vec3(1.0 / 3.0)); }  // of display values
 bool is_reference() { return show == 1 || (show == 2 && gl_FragCoord.x - column.x < wipe * column.z); }`;
 const DISPLAY = `${SHOWING}
-uniform sampler2D fit, reference; uniform float samples, scale, first, mapTurn;
-uniform bool mapBehind, parallel; uniform mat4 fromClip; uniform vec3 eye;
-vec4 shown(sampler2D sum) {
-  vec4 v = texelFetch(sum, ivec2((gl_FragCoord.xy - column.xy) * scale + vec2(first, 0.0)), 0);
-  return v.a > 0.0 ? vec4(encoded(v.rgb / v.a), v.a / samples) : vec4(0.0);
+uniform sampler2D fit, reference, fitUnder, referenceUnder, fitLook, referenceLook;
+uniform float samples, scale, first, underScale, underFirst, trust, surround, mapTurn;
+uniform bool looked, mapBehind, parallel; uniform mat4 fromClip; uniform vec3 eye;
+vec4 read(sampler2D sum, float scale, float first) {  // between pixels of a picture that has fewer, where all of them are drawn
+  ivec2 offset = ivec2(first, 0);
+  vec2 at = (gl_FragCoord.xy - column.xy) * scale;
+  vec4 nearest = texelFetch(sum, offset + ivec2(at), 0);
+  if (scale >= 1.0 || nearest.a < 0.0) return nearest;
+  ivec2 low = max(ivec2(floor(at - 0.5)), 0), high = min(low + 1, ivec2(ceil(column.zw * scale)) - 1);
+  vec2 share = clamp(at - 0.5 - vec2(low), 0.0, 1.0);
+  vec4 a = texelFetch(sum, offset + low, 0), b = texelFetch(sum, offset + ivec2(high.x, low.y), 0);
+  vec4 c = texelFetch(sum, offset + ivec2(low.x, high.y), 0), d = texelFetch(sum, offset + high, 0);
+  if (min(min(a.a, b.a), min(c.a, d.a)) < 0.0) return nearest;
+  return mix(mix(a, b, share.x), mix(c, d, share.x), share.y);
+}
+// The mean of samples: of the coarse picture where none is drawn yet; with the first look, as far as samples are not trusted.
+vec4 shown(sampler2D sum, sampler2D under, sampler2D look) {
+  vec4 v = read(sum, scale, first), at_first = looked ? read(look, scale, first) : vec4(0.0);
+  at_first.rgb /= max(at_first.a, 1e-6);
+  float share = v.a < 0.0 ? 0.0 : trust, count = samples;
+  bool lacks = v.a < 0.0 && underScale == 0.0;
+  if (v.a < 0.0) { v = underScale > 0.0 ? read(under, underScale, underFirst) : vec4(0.0); count = 1.0; }
+  vec4 mean = v.a > 0.0 ? vec4(v.rgb / v.a, v.a / count) : vec4(0.0);
+  if (surround > 0.0) mean = vec4(mean.rgb + surround * at_first.rgb, lacks ? at_first.a : mean.a);
+  else if (looked) mean = vec4(mean.a == 0.0 ? at_first.rgb : at_first.a == 0.0 ? mean.rgb : mix(at_first.rgb, mean.rgb, share), mix(at_first.a, mean.a, share));
+  return mean.a > 0.0 ? vec4(encoded(mean.rgb), mean.a) : vec4(0.0);
 }
 vec3 behind() {
   if (!mapBehind || parallel) return paper;
@@ -194,7 +283,7 @@ vec3 behind() {
   return encoded((is_reference() ? textureLod(referenceMap, at, 0.0) : textureLod(map, at, 0.0)).rgb * mapScale);
 }
 void main() {
-  vec4 a = shown(fit), b = shown(reference);
+  vec4 a = shown(fit, fitUnder, fitLook), b = shown(reference, referenceUnder, referenceLook);
   float apart = difference(a.rgb, b.rgb);
   if (show == 4) { result = vec4(vec3(apart), a.a); return; }
   if (show == 3) { result = vec4(mix(paper, heat(apart / full), a.a), 1.0); return; }

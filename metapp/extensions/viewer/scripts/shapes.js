@@ -2,6 +2,7 @@
 
 THREE.ColorManagement.enabled = false;
 const LINEAR = { minFilter: THREE.LinearFilter, magFilter: THREE.LinearFilter };
+const AROUND = { ...LINEAR, wrapS: THREE.RepeatWrapping };  // of light maps
 const NEAREST = { minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter };
 
 // A texture of numbers, four a texel.
@@ -35,9 +36,75 @@ function lightOf(values, height, width, reference = values) {
     while (sums[at] < (i + 0.5) / 8192 * total && at < sums.length - 1) at++;
     places[4 * i] = at % width; places[4 * i + 1] = Math.floor(at / width);
   }
-  const mean = total / (4 * Math.PI), around = { ...LINEAR, wrapS: THREE.RepeatWrapping }, map = texture(texels, width, height, around);
-  return { map, reference: reference === values ? map : texture(others, width, height, around), places: texture(places, 8192, 1),
-    size: new THREE.Vector2(width, height), total, scale: 0.5 / mean };
+  const mean = total / (4 * Math.PI), same = reference === values, [map, matte] = blurred(texels, values, width, height);
+  const [other, otherMatte] = same ? [map, matte] : blurred(others, reference, width, height);
+  return { map, matte, reference: other, referenceMatte: otherMatte, places: texture(places, 8192, 1), size: new THREE.Vector2(width, height), total, scale: 0.5 / mean };
+}
+
+// A map with levels that are blurred alike all over the sphere, each half as many texels across, and its mean over the cosine
+// about each direction.
+function blurred(texels, values, width, height) {
+  const mipmaps = [{ data: texels, width, height }];
+  let level = { values: Float32Array.from(values, (x) => clamp(x, 0, 65504)), width, height }, small = level;
+  while (level.height >= 8 && level.width >= 8) {
+    level = halved(level);
+    mipmaps.push({ data: fourHalves(level.values), width: level.width, height: level.height });
+    if (small.height > 32) small = level;
+  }
+  const map = texture(texels, width, height, { ...AROUND, minFilter: THREE.LinearMipmapLinearFilter });
+  map.mipmaps = mipmaps;
+  return [map, texture(fourHalves(overCosine(small, 32, 16)), 32, 16, AROUND)];
+}
+
+function fourHalves(values) {
+  const texels = new Uint16Array(values.length / 3 * 4);
+  for (let i = 0, k = 0; i < values.length; i += 3, k += 4) for (let c = 0; c < 3; c++) texels[k + c] = THREE.DataUtils.toHalfFloat(Math.min(values[i + c], 65504));
+  return texels;
+}
+
+// The mean over a tent of two rows either way and, of each row, over two of its texels at the equator, towards the poles more.
+function halved({ values, width, height }) {
+  const wide = Math.floor(width / 2), high = Math.floor(height / 2), result = new Float32Array(3 * wide * high), sums = new Float64Array(3 * (width + 1));
+  const sine = (row, rows) => Math.sin(Math.PI * (row + 0.5) / rows), totals = new Float64Array(high);
+  for (let row = 0; row < height; row++) {
+    for (let x = 0; x < width; x++) for (let c = 0; c < 3; c++) sums[3 * (x + 1) + c] = sums[3 * x + c] + values[3 * (row * width + x) + c];
+    const upTo = (x, c) => {  // of the row from 0 to a place, which may lie beyond it
+      const rounds = Math.floor(x / width), at = x - rounds * width, first = Math.floor(at), i = 3 * first + c;
+      return rounds * sums[3 * width + c] + sums[i] + (first < width ? (at - first) * (sums[i + 3] - sums[i]) : 0);
+    };
+    for (let y = Math.max(Math.floor((row - 2) * high / height), 0); y < high; y++) {
+      const weight = (1 - Math.abs(row + 0.5 - (y + 0.5) * height / high) / 2) * sine(row, height);
+      if ((y + 0.5) * height / high - row > 3) break;
+      if (weight <= 0) continue;
+      const half = Math.min(1 / sine(y, high), width / 2);
+      totals[y] += weight;
+      for (let x = 0; x < wide; x++) {
+        const at = (x + 0.5) * width / wide;
+        for (let c = 0; c < 3; c++) result[3 * (y * wide + x) + c] += weight * (upTo(at + half, c) - upTo(at - half, c)) / (2 * half);
+      }
+    }
+  }
+  for (let i = 0; i < result.length; i++) result[i] /= totals[Math.floor(i / 3 / wide)];
+  return { values: result, width: wide, height: high };
+}
+
+function overCosine({ values, width, height }, wide, high) {
+  const result = new Float32Array(3 * wide * high), total = new Float64Array(4);
+  const places = (w, h) => Array.from({ length: w * h }, (_, i) => {
+    const phi = 2 * Math.PI * (i % w + 0.5) / w, theta = Math.PI * (Math.floor(i / w) + 0.5) / h;
+    return [Math.sin(theta) * Math.sin(phi), Math.cos(theta), -Math.sin(theta) * Math.cos(phi), Math.sin(theta)];
+  });
+  const lights = places(width, height);
+  places(wide, high).forEach(([x, y, z], i) => {
+    total.fill(0);
+    lights.forEach(([lx, ly, lz, area], k) => {
+      const weight = area * Math.max(x * lx + y * ly + z * lz, 0);
+      total[3] += weight;
+      for (let c = 0; c < 3; c++) total[c] += weight * values[3 * k + c];
+    });
+    for (let c = 0; c < 3; c++) result[3 * i + c] = total[c] / total[3];
+  });
+  return result;
 }
 
 // Gives up the textures of a light.

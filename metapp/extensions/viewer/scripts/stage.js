@@ -3,6 +3,7 @@
 // A subclass of ShapeViewer gives each fit a material: GLSL with
 //   void at_point(vec2 uv)                                what depends on the place alone
 //   void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference)   BRDF times cosine, in the frame of the shape
+//   void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference)   about what a light map makes, by `blurred`
 //   Lobes lobes(vec3 wo)                                  what to sample light from, for a direction to the viewer; without
 //                                                         any share it is a perfect mirror, whose response is a reflectance
 // and may define
@@ -10,10 +11,9 @@
 //   #define UNLIT, void unlit(inout vec3 fit, inout vec3 reference)   radiance that stands for what the light makes
 // The frame has z along the shape's normal and x along its tangent. All light is linear RGB.
 
-const MINUTE = 60000;  // ms
 const STUDIO = "studio";  // of `environments`
 
-class ShapeViewer extends ComparingViewer {
+class ShapeViewer extends DrawnViewer {
   // What subclasses change.
   static shapes = ["sphere", "plane", "knot"];
   static lights = [["lamp", "Lamp"], ["map", "Light map"]];
@@ -50,13 +50,14 @@ class ShapeViewer extends ComparingViewer {
     this.wholeScene.add(this.whole);
     this.adding = this._pass(ADD, { a0: null, a1: null, b0: null, b1: null, keep: 0 });
     this.showing = this._pass(DISPLAY, {
-      ...this._shown(), fit: null, reference: null, samples: 1, scale: 1, first: 0,
+      ...this._shown(), fit: null, reference: null, fitUnder: null, referenceUnder: null, fitLook: null, referenceLook: null,
+      samples: 1, scale: 1, first: 0, underScale: 0, underFirst: 0, looked: false, trust: 1, surround: 0,
       mapBehind: false, parallel: false, fromClip: new THREE.Matrix4(), eye: new THREE.Vector3(), mapTurn: 0,
     });
     this.light = await this.ownLight();
     this.materials = [];
     for (const fit of this.fits) this.materials.push(this._made(await this.material(fit)));
-    this.count = 0; this.detail = 0.25; this.cost = 0; this.moves = false; this.settings = {};
+    this.settings = {};
     this.overlay = new Overlay(this);
   }
 
@@ -96,6 +97,7 @@ class ShapeViewer extends ComparingViewer {
       { name: "turn", label: "Rotation of the light map", type: "range", min: 0, max: 360, step: 1, value: 0, text: (x) => `${x}\u00b0`, when: (s) => s.light === "map" && s.view === "free" },
       { name: "behind", label: "Show the light map", type: "check", value: false, when: (s) => s.light === "map" && s.view === "free" },
       { name: "file", label: "Another light map (.hdr)", type: "file", accept: ".hdr", run: (file) => this.readLight(file), when: (s) => s.light === "map" && s.view === "free" },
+      { name: "surround", label: "Faint surround: 15 % of the light map, about as the material reflects it", type: "check", value: true, when: (s) => lights.length > 1 && s.light === "lamp" && s.view === "free" && (s.map ?? "lit") === "lit" },
       ...this.comparing(),
       { name: "exposure", label: "Exposure", type: "range", min: -stops, max: stops, step: 0.1, value: 0, text: (x) => `${x > 0 ? "+" : ""}${x.toFixed(1)} stops` },
       { name: "paper", label: "Background", type: "choice", value: "dark", options: [["dark", "Dark"], ["gray", "Gray"], ["white", "White"]] },
@@ -116,7 +118,7 @@ class ShapeViewer extends ComparingViewer {
   }
 
   changed(name) {
-    if (name === "light" || name === "view") this.cost = 0;  // each light has its own
+    if (name === "light" || name === "view") [this.cost, this.side] = [0, 16];  // each light has its own
     if (name === "environment") this.relight(this.lightFrom(this.settings.environment));
     if (name === "shape" || name === "view") this.mesh.geometry = shapeOf(this.shape());
     if (["wipe", "scale", "exposure", "paper"].includes(name)) this.redraw();
@@ -144,7 +146,6 @@ class ShapeViewer extends ComparingViewer {
   }
 
   shape() { return (this.settings.view === "picture" && this.picture(this.settings)?.shape) || this.settings.shape || this.constructor.shapes[0]; }
-  restart() { this.count = 0; this.redraw(); this.overlay?.place(); }
 
   async update(group) {
     await super.update(group);
@@ -158,14 +159,14 @@ class ShapeViewer extends ComparingViewer {
   _free(material) {
     Object.values(material.uniforms).forEach((each) => { if (each.value?.isTexture && each.own) each.value.dispose(); });
     if (material.block) this.renderer.getContext().deleteBuffer(material.block);
-    [material.seen, material.evaluator].forEach((each) => each?.dispose());
+    [material.seen, material.look, material.evaluator, material.albedos].forEach((each) => each?.dispose());
     material.dispose();
   }
 
   close() {
     this.orbit?.dispose();
     this.materials?.forEach((each) => this._free(each));
-    [...(this.targets ?? []), this.buffer].forEach((each) => each?.dispose());
+    [this.coarse, this.fine].forEach((each) => each?.free());
     Object.values(builtShapes).forEach((each) => each.dispose());  // each knows all that drew it
     this.renderer?.dispose();
     this.renderer?.forceContextLoss();
@@ -183,17 +184,18 @@ class ShapeViewer extends ComparingViewer {
     const own = {
       toClip: new THREE.Matrix4(), jitter: new THREE.Vector2(), eye: new THREE.Vector3(), towardsEye: new THREE.Vector3(0, 0, 1), parallel: false,
       light: 0, frame: 0, chunks: 1, lamp: new THREE.Vector3(), flashPower: 1, map: null, referenceMap: null, places: null, studio: null,
-      mapSize: new THREE.Vector2(), mapTotal: 1, mapScale: 1, mapTurn: 0, seen0: null, seen1: null, seen2: null,
+      mapSize: new THREE.Vector2(), mapTotal: 1, mapScale: 1, mapTurn: 0, matte: null, referenceMatte: null,
+      seen0: null, seen1: null, seen2: null,
     };
     const values = Object.fromEntries(Object.entries(own).map(([name, value]) => [name, { value }]));
     for (const [name, value] of Object.entries(uniforms)) values[name] = { value, own: true };
-    const material = this._pass(`${COMMON}\n${glsl}\n${FRAGMENT}`, {});
+    const material = this._pass(`${COMMON}\n${PIXEL}\n${glsl}\n${FRAGMENT}`, {}), look = this._pass(`${COMMON}\n${PIXEL}\n${glsl}\n${FIRST_LOOK}`, {});
     const seen = new THREE.RawShaderMaterial({
       glslVersion: THREE.GLSL3, side: THREE.DoubleSide, blending: THREE.NoBlending, fragmentShader: SEEN,
       vertexShader: VERTEX.replace("DISPLACEMENT", displacement ?? "float displacement(vec2 uv) { return 0.0; }"),
     });
-    seen.uniforms = material.uniforms = values;
-    return Object.assign(material, { glsl, seen, block: block && this._buffer(block) });
+    seen.uniforms = look.uniforms = material.uniforms = values;
+    return Object.assign(material, { glsl, seen, look, block: block && this._buffer(block) });
   }
 
   // A uniform block: shaders read many weights from one several times faster than from a texture.
@@ -226,30 +228,6 @@ class ShapeViewer extends ComparingViewer {
     return true;
   }
 
-  // Each fit has a part of the width, as large as a pane.
-  _targets() {
-    const [{ width, height }] = this.panes, size = new THREE.Vector2(this.fits.length * Math.ceil(width * this.detail), Math.ceil(height * this.detail));
-    [...(this.targets ?? []), this.buffer].forEach((each) => each?.dispose());
-    const options = { count: 2, type: THREE.FloatType, format: THREE.RGBAFormat, ...NEAREST, depthBuffer: false, generateMipmaps: false };
-    this.targets = [0, 1, 2].map(() => new THREE.WebGLRenderTarget(size.x, size.y, options));
-    this.buffer = new THREE.WebGLRenderTarget(size.x, size.y, { ...options, count: 3, depthBuffer: true });
-  }
-
-  // How many pixels are worth their time: fewer while something moves; half as many across at rest where a frame takes seconds.
-  moving(on) {
-    this.moves = on;
-    this._adapt();
-  }
-  _adapt() {
-    let wanted = this.detail === 0.5 && this.cost > 1000 || this.cost > 2000 ? 0.5 : 1;  // between them as it is: each change begins anew
-    if (!this.cost) wanted = 0.25;
-    else if (this.moves) wanted = clamp(Math.sqrt(70 / this.cost), 0.15, 1);
-    if (wanted === this.detail || (this.moves && wanted < 1 && Math.abs(wanted - this.detail) < 0.15 * this.detail)) return;
-    this.detail = wanted;
-    this._targets();
-    this.restart();
-  }
-
   // -> {matrix: world to clip, eye, parallel, towardsEye} of a column of this aspect.
   view(aspect) {
     const own = this.settings.view === "picture" ? this.picture(this.settings) : null;
@@ -272,76 +250,6 @@ class ShapeViewer extends ComparingViewer {
   lighting() {
     const own = this.settings.view === "picture" ? this.picture(this.settings) : null;
     return { light: own?.light ?? this.settings.light, lamp: own?.lamp ?? this.lampAt.clone().multiplyScalar(LAMP_DISTANCE), power: own?.power ?? Math.PI * LAMP_DISTANCE ** 2 };
-  }
-
-  most() {  // frames of a picture; under a light map as many as a minute has, where that is fewer
-    const map = clamp(Math.round(MINUTE / Math.max(this.cost * this.detail ** 2, 1)), 64, 1024);
-    return { lamp: 16, map, studio: 4 * this.chunks }[this.lighting().light];
-  }
-  get chunks() { return 16; }  // frames that share the studio's lights
-
-  draw() {
-    if (!this.panes?.length || !this.targets) return false;
-    const begin = performance.now(), { renderer } = this, whole = this.targets[0], width = whole.width / this.fits.length;
-    const measured = this.count < this.most();
-    if (measured) {
-      const view = this.view(this._aspect()), { light, lamp, power } = this.lighting();
-      const shift = light === "studio" ? Math.floor(this.count / this.chunks) : this.count;
-      const jitter = [halton(shift + 1, 2) - 0.5, halton(shift + 1, 3) - 0.5];
-      const [sample, before, after] = [whole, this.targets[1 + (this.count & 1)], this.targets[2 - (this.count & 1)]];
-      renderer.setClearColor(0, 0);
-      renderer.setRenderTarget(this.buffer);
-      renderer.clear();
-      this.materials.forEach((material, i) => {
-        const u = material.uniforms, left = i * width;
-        u.toClip.value = view.matrix; u.eye.value = view.eye; u.parallel.value = view.parallel; u.towardsEye.value = view.towardsEye;
-        u.jitter.value.set(2 * jitter[0] / width, 2 * jitter[1] / whole.height);
-        u.light.value = { lamp: 0, map: 1, studio: 2 }[light]; u.frame.value = this.count; u.chunks.value = this.chunks;
-        u.lamp.value = lamp; u.flashPower.value = power; u.studio.value = this.studio ?? null;
-        const own = this.lightOf(i);
-        u.map.value = own.map; u.referenceMap.value = own.reference; u.places.value = own.places; u.mapSize.value = own.size; u.mapTotal.value = own.total;
-        u.mapScale.value = own.scale; u.mapTurn.value = this.settings.turn / 360;
-        this.beforeDraw(u, i);
-        for (const target of [this.buffer, sample]) target.viewport.set(left, 0, width, whole.height);
-        this.mesh.material = material.seen;
-        renderer.setRenderTarget(this.buffer);
-        renderer.render(this.scene, this.camera);
-        this.buffer.textures.forEach((each, k) => { u[`seen${k}`].value = each; });
-        this._bind(material);
-        this._fill(material, sample);
-      });
-      Object.entries({ a0: before.textures[0], a1: before.textures[1], b0: sample.textures[0], b1: sample.textures[1], keep: this.count ? 1 : 0 })
-        .forEach(([name, value]) => { this.adding.uniforms[name].value = value; });
-      this._fill(this.adding, after);
-      this.count += 1;
-      this.sum = after;
-    }
-    this._show();
-    renderer.getContext().readPixels(0, 0, 1, 1, 0x1908, 0x1401, new Uint8Array(4));  // waits until all is drawn
-    if (measured) {
-      const cost = (performance.now() - begin) / this.detail ** 2;
-      if (!this.compiled) this.compiled = true;  // the first frame compiles: its time says nothing
-      else { this.cost = this.cost ? 0.7 * this.cost + 0.3 * cost : cost; this._adapt(); }
-    }
-    return Boolean(this.awaited) || !this.finished();
-  }
-  finished() { return this.count >= this.most(); }
-  _aspect() { return this.panes[0].width / this.panes[0].height; }
-  lightOf(column) { return this.light; }
-  beforeDraw(uniforms, column) {}
-
-  _fill(material, target) {
-    this.whole.material = material;
-    this.renderer.setRenderTarget(target);
-    this.renderer.render(this.wholeScene, this.camera);
-  }
-
-  _show() {
-    const { settings } = this, u = this.showing.uniforms, width = this.targets[0].width / this.fits.length, view = this.view(this._aspect());
-    u.fit.value = this.sum.textures[0]; u.reference.value = this.sum.textures[1]; u.samples.value = this.count; u.scale.value = this.detail;
-    u.mapBehind.value = settings.behind && this.lighting().light === "map"; u.parallel.value = view.parallel; u.eye.value = view.eye;
-    u.fromClip.value = view.matrix.clone().invert(); u.mapTurn.value = settings.turn / 360;
-    this._columns(this.showing, (fit) => { u.first.value = fit * width; });
   }
 
   png() { return this.renderer.domElement; }

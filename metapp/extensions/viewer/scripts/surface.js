@@ -89,6 +89,21 @@ Lobes lobes(vec3 wo) {
   float share = clamp(mirrored / (mirrored + body + 1e-4), 0.2, 0.9);
   return Lobes(vec2(fitAt.roughness * fitAt.roughness), vec2(1.0), vec3(1.0 - share, share, 0.0), 0.0);
 }
+// What a light map makes of it: blurred light, and what the gloss reflects in all (Karis 2014, of GGX).
+vec3 about(Texel m, vec3 wo, mat3 frameOf) {
+  vec3 t = normalize(vec3(1.0, 0.0, 0.0) - m.n * m.n.x), other, viewer;
+  mat3 axes = mat3(t, cross(m.n, t), m.n);
+  viewer = wo * axes;
+  viewer = normalize(vec3(viewer.xy, max(viewer.z, 1e-3)));
+  vec4 r = m.roughness * vec4(-1.0, -0.0275, -0.572, 0.022) + vec4(1.0, 0.0425, 1.04, -0.04);
+  vec2 gloss = min(r.x * r.x, exp2(-9.28 * viewer.z)) * r.x * vec2(-1.04, 1.04) + r.y * vec2(-1.04, 1.04) + r.zw;
+  return m.diffuse * (1.0 - m.specular) * matte_light(frameOf * m.n, other)
+    + (m.specular * gloss.x + gloss.y) * lobe_light(vec2(m.roughness * m.roughness), 0.0, viewer, frameOf * axes, other);
+}
+void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference) {
+  fit = about(fitAt, wo, frameOf);
+  reference = hasReference ? about(referenceAt, wo, frameOf) : fit;
+}
 vec3 value(Texel m) {
   if (shownMap == 1) return m.diffuse;
   if (shownMap == 2) return m.specular;
@@ -153,13 +168,13 @@ class SurfaceViewer extends ShapeViewer {
 
   most() { return this.settings.map === "lit" ? super.most() : 16; }
 
-  beforeDraw(u, column) {
+  beforeDraw(u, column, { width: pixels, height: rows }) {
     const fit = this.fits[column], { settings } = this, pictured = settings.view === "picture", lit = this.lit(fit);
     const [around, width, vertices] = UNROLLED[this.shape()], count = pictured ? lit.part : settings.repeats;
-    const photo = this.photo(fit), { width: pixels, height: rows } = this.targets[0], high = this.camera.position.length() * Math.tan(this.camera.fov * Math.PI / 360);
+    const photo = this.photo(fit), high = this.camera.position.length() * Math.tan(this.camera.fov * Math.PI / 360);
     u.repeats.value.set(pictured ? count : around * count, count);
     u.pictured.value = pictured;
-    u.across.value = pictured ? Math.min(pixels / this.fits.length, rows) : rows / high;
+    u.across.value = pictured ? Math.min(pixels, rows) : rows / high;
     u.heightLod.value = Math.max(Math.log2(around * count * fit.facts.shown[1] / vertices), 0);
     u.relief.value = pictured ? 0 : settings.relief * width / count;
     u.steepness.value = pictured || settings.map !== "lit" ? 0 : settings.relief;
