@@ -26,6 +26,7 @@ from metapp.storage.images import write_exr, write_png
 _SEED = 1  # the embedded sets have 0
 _PAIRS = 2000  # rows of the table of a BRDF
 _ROWS = 128  # of the environment map
+_LAMP = 0.5  # half of the sides of the box's lamp, a quarter of the ceiling
 _SIDE, _BALL = 256, 110  # px of the ball's photograph and of its radius
 
 
@@ -132,8 +133,18 @@ def _looked_up(light: Tensor, towards: NDArray[np.floating]) -> Tensor:
 
 
 def _write_transport(file: Path) -> None:
-    scene = cornell.to_xml(cornell.random_scene(_SEED))
-    write_atomically(file, lambda path: path.write_text(scene, encoding="utf-8"))
+    """A Cornell box with a red and a blue wall, two matte balls and a wide lamp, which paths often hit."""
+    scene: cornell.Scene = {"type": "scene", "sensor": cornell.sensor()}
+    scene |= cornell.walls([0.7, 0.12, 0.08], [0.1, 0.25, 0.7])
+    lamp = cornell.rectangle((0, 0.99, 0), (_LAMP, 0, 0), (0, 0, _LAMP), cornell.diffuse([0.0] * 3))
+    scene["light"] = {**lamp, "emitter": {"type": "area", "radiance": cornell.rgb([4.4, 4.0, 3.6])}}
+    for name, centre, radius, colour in (
+        ("sphere-0", (-0.4, -0.62, -0.3), 0.38, [0.75, 0.6, 0.3]),
+        ("sphere-1", (0.42, -0.7, 0.25), 0.3, [0.6, 0.35, 0.25]),
+    ):
+        scene[name] = cornell.sphere(cornell.Ball(centre, radius), cornell.diffuse(colour))
+    text = cornell.to_xml(scene)
+    write_atomically(file, lambda path: path.write_text(text, encoding="utf-8"))
 
 
 def _write_picture(values: Tensor, file: Path) -> None:
