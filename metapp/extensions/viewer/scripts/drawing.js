@@ -46,8 +46,9 @@ class DrawnViewer extends ComparingViewer {
 
   // Shares of pixels across: of a picture that is there at once, and at rest.
   _details() {
-    const { light } = this.lighting(), cost = this.moves && light === "map" ? this.lookCost : this.cost, before = this.fine?.detail;
-    const coarse = cost ? clamp(Math.sqrt(1.4 * PIECE / cost), 0.1, 1) : 0.25;
+    const { light } = this.lighting(), before = this.fine?.detail, looks = light === "map" || this.surrounded() ? this.lookCost : 0;
+    const cost = looks + (this.moves && light === "map" ? 0 : this.cost), left = Math.max(1.4 * PIECE - this.showCost, 0.4 * PIECE);
+    const coarse = this.cost ? clamp(Math.sqrt(left / cost), 0.1, 1) : 0.25;
     if (light === "lamp") return [coarse, 1];
     if (light === "studio") return [coarse, clamp(Math.sqrt(2000 / Math.max(this.cost, 1)), 0.25, 1)];
     return [coarse, this.cost > 2000 || (before === 0.5 && this.cost > 1000) ? 0.5 : 1];  // between them as it is: each change begins anew
@@ -102,7 +103,7 @@ class DrawnViewer extends ComparingViewer {
 
   // What is drawn next: the coarse picture where there is none yet, unless all pixels take no longer.
   _level() {
-    const { coarse, fine } = this, map = this.lighting().light === "map", fast = this.cost && coarse.detail > 0.7 * fine.detail;
+    const { coarse, fine } = this, map = this.lighting().light === "map", fast = this.cost && this.cost * fine.detail ** 2 < 2 * PIECE;
     if (fast || (coarse.count && !this.moves)) return fine;
     if (this.moves && map && this.cost) return coarse.looked ? null : coarse;
     if (coarse.count) return this.moves ? null : fine;
@@ -118,7 +119,8 @@ class DrawnViewer extends ComparingViewer {
     if (level.tiles.length) return;
     level.count += 1; level.tiles = null;
     const cost = level.spent / level.detail ** 2;
-    this.cost = this.cost ? 0.7 * this.cost + 0.3 * cost : cost;
+    if (!this.cost) this.cost = cost;
+    else if (level === this.fine) this.cost = 0.7 * this.cost + 0.3 * cost;  // of few pixels what does not depend on them would count
     level.spent = 0;
     this.count = this.fine.count;
     const { fine } = this;
