@@ -18,32 +18,30 @@ from tests.browser import Page, browsing
 
 WIDTH, HEIGHT, QUALITY = 1120, 660, 82
 SECONDS = 90.0  # that a picture may improve, at most
-# by the application's title as pages have it: what is set, in order
-VIEWS = {
-    "BRDF": {"light": "map", "behind": True, "show": "wipe", "exposure": -0.4},
-    "Illumination (reference)": {"view": "free", "behind": True},
-    "svBRDF non-stat. (photo)": {"shape": "plane", "relief": 1.5, "exposure": 0.3},
-    "svBRDF stat.": {"shape": "cloth", "light": "map", "repeats": 1, "exposure": 1.0},
-    "Texture": {"tiles": 2},
-    "Transport": {"show": "all"},
+# applications' titles as pages have them
+SECTIONS = {
+    "BRDF": "brdf",
+    "Illumination (reference)": "illumination",
+    "svBRDF non-stat. (photo)": "svbrdf-nonstationary",
+    "svBRDF stat.": "svbrdf-stationary",
+    "Texture": "texture",
+    "Transport": "transport",
 }
-NAMES = ("brdf", "illumination", "svbrdf-nonstationary", "svbrdf-stationary", "texture", "transport")
 
 
 def main() -> None:
-    """Write view-<name>.jpg of each application."""
+    """Write view-<name>.jpg of each application, as its page opens."""
     file, out = Path(sys.argv[1]), Path(sys.argv[2])
-    wanted = dict(each.partition(":")[::2] for each in sys.argv[3:] or NAMES)
+    wanted = dict(each.partition(":")[::2] for each in sys.argv[3:] or SECTIONS.values())
     with browsing() as browser:
         page = Page(browser, file, WIDTH, HEIGHT, adapts=True)
         groups = page.page.evaluate("DATA.groups.map((group) => [group.section, group.title])")
-        for name, (section, settings) in zip(NAMES, VIEWS.items(), strict=True):
+        for section, name in SECTIONS.items():
             if name not in wanted:
                 continue
             task = wanted[name]
             which = next(i for i, (of, title) in enumerate(groups) if of == section and task in ("", title))
             page.page.evaluate(f"metapp.open({which})")
-            page.set(**settings)
             begin = time.monotonic()
             page.page.evaluate(f"Promise.race([metapp.settled(), new Promise((r) => setTimeout(r, {1000 * SECONDS}))])")
             print(name, f"{time.monotonic() - begin:.1f} s", json.dumps(page.problems))
