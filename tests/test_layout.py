@@ -209,7 +209,7 @@ EXTENSIONS = {
     "packs": 590,
     "report": 675,
     "reruns": 670,
-    "rgl": 440,
+    "rgl": 505,
     "scene_files": 1_360,
     "several": 200,
     "side_by_side": 290,

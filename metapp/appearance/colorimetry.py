@@ -48,14 +48,13 @@ def spectra_to_rgb(wavelengths: Array) -> Array:
         To linear RGB (sRGB primaries), of a material in D65 for the CIE 1931 2 degree observer.
     """
     colour = colour_science()
-    line = np.arange(360.0, 831.0)
-    shape = colour.SpectralShape(line[0], line[-1], 1)
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
-    light = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values[:, None]
-    # each column: how much of each nanometre a measured wavelength stands for
-    share = np.stack([np.interp(line, wavelengths, row) for row in np.eye(len(wavelengths))], 1)
-    xyz = share.T @ (observer * light / (observer[:, 1:2] * light).sum())
-    result: Array = xyz @ colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB.T
+    shape = colour.SpectralShape(360, 830, 1)
+    # each row: how much of each nanometre a measured wavelength stands for
+    share = np.stack([np.interp(shape.wavelengths, wavelengths, row) for row in np.eye(len(wavelengths))])
+    with warnings.catch_warnings(action="ignore", category=colour.utilities.ColourRuntimeWarning):  # D65 is resampled
+        light = colour.SDS_ILLUMINANTS["D65"]
+        xyz = colour.msds_to_XYZ(share, illuminant=light, method="Integration", shape=shape) / 100
+    result: Array = colour.XYZ_to_RGB(xyz, "sRGB")
     white: Array = result.sum(0)
     return result / white  # D65 as tabulated is white to four digits
 

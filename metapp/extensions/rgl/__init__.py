@@ -9,8 +9,8 @@ _HERE = "metapp.extensions.rgl"
 
 RGL = """Convert RGL measurements, BRDFs, isotropic or anisotropic.
 
-A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes
-samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon. Spectral files are refused.
+A file of the RGL material database (Dupuy and Jakob 2018), _rgb.bsdf or _spec.bsdf. Mitsuba evaluates it; it becomes
+samples (angles in rad, reflectance in 1/sr, linear RGB, spectra in D65) above the horizon.
 A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
 
 Examples:

@@ -1,7 +1,7 @@
 """Files of the RGL material database (Dupuy and Jakob 2018): read by Mitsuba's `measured` BSDF, and written for it.
 
-Measurements in RGB, the files `*_rgb.bsdf` of the database: their spectral twins need another variant. They are
-tensor files.
+They are tensor files, `*_rgb.bsdf` of linear RGB or `*_spec.bsdf` of spectra, which become linear RGB: Mitsuba's own
+spectra need another variant.
 
 For each angle of the viewer there is a grid over half vectors m, in u = sqrt(2 theta_m / pi), which is dense at the
 normal, and v = phi_m / (2 pi) + 1/2, the azimuth to the viewer's. Of an anisotropic material, whose viewers have
@@ -14,6 +14,7 @@ Mitsuba samples.
 from __future__ import annotations
 
 import math
+import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -32,6 +33,7 @@ from metapp.appearance.geometry import (
     directions_to_four_angles,
     directions_to_full_circle,
 )
+from metapp.extensions.rgl.spectra import check_wavelengths, in_rgb, is_spectral
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
@@ -58,9 +60,9 @@ AXES = {
     "ndf": 2,
     "vndf": 4,
     "luminance": 4,
-    "rgb": 5,
     "jacobian": 1,
 }
+RGB_AXES, SPECTRAL_AXES = {"rgb": 5}, {"wavelengths": 1, "spectra": 5}
 UNITS = brdf_task.UNITS
 find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
@@ -181,12 +183,18 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
         anisotropic material, as Mitsuba evaluates it; ValueError where that is missing.
 
     Raises:
-        ValueError: it is damaged or spectral; Mitsuba cannot be loaded.
+        ValueError: it is damaged; its spectra do not cover visible light; Mitsuba cannot be loaded.
     """
     fields = read_tensor_file(path)
     check(path, fields)
     mitsuba = load_mitsuba()
-    bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
+    if SPECTRAL_AXES.keys() & fields.keys():  # which an RGB variant of Mitsuba refuses, also beside `rgb`
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, path.name)
+            write_tensor_file(file, in_rgb(fields))
+            bsdf = mitsuba.load_dict({"type": "measured", "filename": str(file)})
+    else:
+        bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
     if fields["phi_i"].size <= 2:
         return partial(evaluated_by, mitsuba, bsdf)
 
@@ -206,33 +214,35 @@ def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
     Raises:
         ValueError: one line.
     """
-    if "spectra" in fields and "rgb" not in fields:
-        raise ValueError(f"{path}: spectral, expected RGB; take the file of that name that ends in _rgb.bsdf.")
-    axes = {name: fields[name].ndim for name in AXES if name in fields}
-    if axes != AXES:
-        wrong = next(name for name in AXES if axes.get(name) != AXES[name])
+    wanted = AXES | (SPECTRAL_AXES if is_spectral(fields) else RGB_AXES)
+    axes = {name: fields[name].ndim for name in wanted if name in fields}
+    if axes != wanted:
+        wrong = next(name for name in wanted if axes.get(name) != wanted[name])
         raise ValueError(
-            f"{path}: field {wrong} of {axes.get(wrong, 'no')} axes, expected {AXES[wrong]}; not an RGL measurement."
+            f"{path}: field {wrong} of {axes.get(wrong, 'no')} axes, expected {wanted[wrong]}; not an RGL measurement."
         )
-    for name in AXES:
+    for name in wanted:
         kind = "u1" if name in ("description", "jacobian") else "f4"
         if fields[name].dtype != kind:
             raise ValueError(f"{path}: {name} of type {fields[name].dtype}, expected {np.dtype(kind)}.")
         if kind == "f4" and not (np.abs(fields[name]) < LARGEST).all():
             raise ValueError(f"{path}: {name} has NaN, infinite or huge values, expected below {LARGEST:g}.")
-    _check_shapes(path, {name: fields[name].shape for name in AXES})
+    _check_shapes(path, {name: fields[name].shape for name in wanted})
     _check_values(path, fields)
+    if is_spectral(fields):
+        check_wavelengths(path, fields["wavelengths"])
 
 
 def _check_shapes(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
     (phis,), (thetas,) = shapes["phi_i"], shapes["theta_i"]
-    side = shapes["rgb"][-1]
+    colours, count = ("spectra", shapes["wavelengths"][0]) if "spectra" in shapes else ("rgb", 3)
+    side = shapes[colours][-1]
     expected = {"vndf": (phis, thetas, *shapes["vndf"][2:]), "luminance": (phis, thetas, side, side),
-                "rgb": (phis, thetas, 3, side, side), "jacobian": (1,)}  # fmt: skip
+                colours: (phis, thetas, count, side, side), "jacobian": (1,)}  # fmt: skip
     for name, shape in expected.items():
         if shapes[name] != shape:
             raise ValueError(f"{path}: {name} {shapes[name]}, expected {shape}; download it again.")
-    small = [name for name in ("sigma", "ndf", "vndf", "rgb") if min(shapes[name][-2:]) < 2]
+    small = [name for name in ("sigma", "ndf", "vndf", colours) if min(shapes[name][-2:]) < 2]
     if small or not phis or thetas < 2:
         raise ValueError(f"{path}: a grid of one point or none, expected two or more; download it again.")
 
@@ -247,10 +257,11 @@ def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
             )
         if (np.diff(angles) <= 0).any():
             raise ValueError(f"{path}: {name} not ascending, expected ascending angles in rad; download it again.")
-    least, most = float(fields["rgb"].min()), float(fields["rgb"].max())
+    colours = "spectra" if is_spectral(fields) else "rgb"
+    least, most = float(fields[colours].min()), float(fields[colours].max())
     if least < -BELOW_BLACK * most or most <= 0:
         raise ValueError(
-            f"{path}: rgb from {least:.4g} to {most:.4g}, expected reflectance of 0 or more; download it again."
+            f"{path}: {colours} from {least:.4g} to {most:.4g}, expected reflectance of 0 or more; download it again."
         )
     for name in ("vndf", "luminance"):
         slices = fields[name].reshape(-1, *fields[name].shape[2:])

@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from metapp.appearance.colorimetry import colour_science
 from metapp.appearance.geometry import cosines, directions_to_full_circle
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
@@ -143,9 +144,65 @@ def test_noise_below_zero_is_taken_as_0_with_a_warning(file: Path, tmp_path: Pat
     torch.testing.assert_close(found, rgl.read_rgl(file)(angles))
 
 
-def test_spectral_files_are_refused(file: Path, tmp_path: Path) -> None:
+NANOMETRES = np.arange(380.0, 781, 5)
+
+
+def spectral(file: Path, path: Path, reflectance: np.ndarray, nanometres: np.ndarray = NANOMETRES) -> Path:
+    """Write a file as another one whose red is each wavelength's, times a reflectance [W]."""
     fields = read_tensor_file(file)
-    fields["spectra"] = fields.pop("rgb")
-    write_tensor_file(tmp_path / "a_spec.bsdf", fields)
-    with pytest.raises(ValueError, match=r"spectral, expected RGB; .*_rgb.bsdf"):
-        rgl.read_rgl(tmp_path / "a_spec.bsdf")
+    red = fields.pop("rgb")[:, :, :1]
+    spectra = (red * reflectance[:, None, None]).astype(np.float32)
+    write_tensor_file(path, fields | {"wavelengths": nanometres.astype(np.float32), "spectra": spectra})
+    return path
+
+
+@pytest.mark.filterwarnings("ignore:Aligning")
+def test_flat_spectra_are_gray_and_bands_have_the_colour_that_colour_science_gives_them(
+    file: Path, tmp_path: Path
+) -> None:
+    """The band's colour is by ASTM E308, not by the integration at each nanometre that spectra are converted by."""
+    angles = torch.tensor([[0.1, 0.4, 1.0], [0.6, 0.2, 2.0], [0.0, 1.0, 0.5]])
+    red = rgl.read_rgl(file)(angles)[:, :1]
+    flat = rgl.read_rgl(spectral(file, tmp_path / "flat_spec.bsdf", np.full(len(NANOMETRES), 0.4)))(angles)
+    torch.testing.assert_close(flat, (0.4 * red).expand(-1, 3), rtol=1e-5, atol=0)
+    band = np.exp(-(((NANOMETRES - 530) / 15) ** 2))
+    colour = colour_science()
+    spectrum = colour.SpectralDistribution(band, NANOMETRES)
+    xyz = colour.sd_to_XYZ(spectrum, illuminant=colour.SDS_ILLUMINANTS["D65"]) / 100
+    expected = torch.from_numpy(colour.XYZ_to_RGB(xyz, "sRGB")).float()
+    assert expected.argmax() == 1
+    assert expected.min() < -0.05  # outside of Rec.709: reflectance is not negative
+    found = rgl.read_rgl(spectral(file, tmp_path / "band_spec.bsdf", band))(angles)
+    torch.testing.assert_close(found, expected.clamp_min(0) * red, rtol=5e-3, atol=2e-4)
+    assert rgl.read_task(tmp_path / "band_spec.bsdf", samples=64).name == "band_spec"
+
+
+def test_colours_that_are_there_come_before_spectra(file: Path, tmp_path: Path) -> None:
+    spectra = read_tensor_file(spectral(file, tmp_path / "spec.bsdf", np.ones(len(NANOMETRES))))
+    write_tensor_file(tmp_path / "both.bsdf", spectra | read_tensor_file(file))
+    angles = torch.tensor([[0.1, 0.4, 1.0], [0.6, 0.2, 2.0]])
+    torch.testing.assert_close(rgl.read_rgl(tmp_path / "both.bsdf")(angles), rgl.read_rgl(file)(angles))
+
+
+@pytest.mark.parametrize(
+    ("nanometres", "change", "words"),
+    [
+        (np.linspace(450, 700, 20), {}, r"20 wavelengths from 450 to 700 nm, expected 4 or more that cover 420 to 680"),
+        (np.array([400.0, 550, 700]), {}, "3 wavelengths from 400 to 700 nm"),
+        (NANOMETRES[::-1], {}, "wavelengths not ascending"),
+        (NANOMETRES * np.nan, {}, "wavelengths has NaN"),
+        (NANOMETRES, {"wavelengths": NANOMETRES[1:].astype("f4")}, r"spectra .*expected .*80"),
+        (NANOMETRES, {"wavelengths": NANOMETRES}, "wavelengths of type float64"),
+        (NANOMETRES, {"wavelengths": None}, "field wavelengths of no axes"),
+    ],
+)
+def test_damaged_spectra_are_refused_in_one_line(
+    file: Path, tmp_path: Path, nanometres: np.ndarray, change: dict[str, Any], words: str
+) -> None:
+    path = spectral(file, tmp_path / "bad_spec.bsdf", np.ones(len(nanometres)), nanometres)
+    fields = read_tensor_file(path) | change
+    write_tensor_file(path, {name: values for name, values in fields.items() if values is not None})
+    with pytest.raises(ValueError, match=words) as caught:
+        rgl.read_rgl(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
