@@ -201,7 +201,7 @@ EXTENSIONS = {
     "addresses": 270,
     "assets": 830,
     "baselines": 2_550,
-    "capture": 2_410,
+    "capture": 2_500,
     "few": 1_070,
     "guided": 1_690,
     "mitsuba_bsdfs": 600,

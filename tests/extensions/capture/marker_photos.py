@@ -6,13 +6,15 @@ import functools
 import io
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from data_tools.readers.photos import FRAME_MM
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[markers]"')
 
@@ -95,10 +97,21 @@ def sheet_on_patch(opening: int = 10, bend: float = 0.0) -> tuple[np.ndarray, np
 
 
 def photograph(
-    camera: Camera, opening: int = 10, vignette: float = 0.0, noise: float = 0.0, bend: float = 0.0
+    camera: Camera,
+    opening: int = 10,
+    vignette: float = 0.0,
+    noise: float = 0.0,
+    bend: float = 0.0,
+    light: np.ndarray | None = None,
 ) -> np.ndarray:
-    """A photograph, sRGB [height, width, 3] in [0, 1], on a gray table; four samples a pixel."""
+    """A photograph, sRGB [height, width, 3] in [0, 1], on a gray table; four samples a pixel.
+
+    Under a `light`, linear RGB [3], sheet and patch are gray.
+    """
     values, to_page = sheet_on_patch(opening, bend)
+    if light is not None:
+        gray = srgb_to_linear(torch.from_numpy(values.mean(-1, keepdims=True)))
+        values = linear_to_srgb(gray * torch.from_numpy(light)).numpy()
     many = 2
     finer = np.array([[many, 0, (many - 1) / 2], [0, many, (many - 1) / 2], [0, 0, 1]])
     warp = finer @ camera.to_px() @ np.linalg.inv(to_page)
@@ -111,7 +124,7 @@ def photograph(
     return (seen + np.random.default_rng(1).normal(0, 1, seen.shape) * noise).clip(0, 1)
 
 
-def take(path: Path, camera: Camera, focal: bool = True, **look: float) -> Path:
+def take(path: Path, camera: Camera, focal: bool = True, **look: Any) -> Path:
     """Write a photograph as JPEG, or by the suffix; with the focal length in its EXIF, if wanted."""
     image = Image.fromarray((photograph(camera, **look) * 255 + 0.5).astype(np.uint8))
     exif = image.getexif()

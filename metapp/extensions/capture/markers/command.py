@@ -77,6 +77,9 @@ class Rectify:
     ruler: Annotated[
         float, typer.Option(min=5, max=20, metavar="CM", help="Measured length of the sheet's printed 10 cm ruler.")
     ] = 10
+    white: Annotated[
+        bool, typer.Option("--white", help="White balance: adapt each photo to D65 by the colour of the sheet's paper.")
+    ] = False
     quiet: Quiet = False
     as_json: Json = False
 
@@ -92,6 +95,7 @@ def rectify(options: Rectify) -> None:
 
     Examples:
       metapp data rectify photos/ --out leaf
+      metapp data rectify photos/ --white --out leaf
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
     flash = _flash(options.flash)
@@ -102,7 +106,7 @@ def rectify(options: Rectify) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
     photos, others = find_photos(options.paths)
-    settings = Settings(options.size, math.radians(options.fov), flash, options.ruler)
+    settings = Settings(options.size, math.radians(options.fov), flash, options.ruler, options.white)
     with progress("photos", len(photos), quiet=quiet) as bar:
         placed = place(photos, settings, bar.advance)
     for line in [*others, *placed.skipped]:
@@ -146,6 +150,7 @@ def _document(folder: Path, placed: Set, others: list[str]) -> dict[str, object]
             "tilt_degrees": photo.pose.tilt,
             "camera_cm": photo.camera_cm.tolist(),
             "light_cm": photo.light_cm.tolist(),
+            "white_factors": None if photo.paper is None else (1 / photo.paper).tolist(),
         }
         for number, photo in enumerate(placed.photos)
     ]

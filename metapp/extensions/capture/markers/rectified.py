@@ -23,6 +23,7 @@ from metapp.extensions.capture.markers import opencv
 from metapp.extensions.capture.markers.pose import Pose, common_focal, focal_of, pose_of
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import Sighting, find_sheet
+from metapp.extensions.capture.markers.white import adaptation, paper_colour
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
 
@@ -42,12 +43,14 @@ class Settings:
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
         flash_cm: where the flash is beside the lens: right and up in the photograph.
         ruler_cm: measured length of the printed ruler.
+        white: whether pictures are adapted to D65 by the colour of the sheet's paper.
     """
 
     size: int = LARGEST_PX
     fov_rad: float = 0.0
     flash_cm: tuple[float, float] = (0.0, 0.0)
     ruler_cm: float = RULER_CM
+    white: bool = False
 
 
 class Placed(NamedTuple):
@@ -57,12 +60,14 @@ class Placed(NamedTuple):
         sighting: the sheet in it.
         pose: of its camera, as if the sheet was printed true to scale.
         camera_cm, light_cm: where camera and flash were, to the sheet's true scale.
+        paper: colour of the sheet's paper, linear RGB [3], the greatest 1, that the picture is adapted to D65 by.
     """
 
     sighting: Sighting
     pose: Pose
     camera_cm: Floats
     light_cm: Floats
+    paper: Floats | None = None
 
 
 class Set(NamedTuple):
@@ -149,7 +154,8 @@ def _placed(sighting: Sighting, settings: Settings, focal_mm: float) -> Placed:
     scale = settings.ruler_cm / RULER_CM
     camera = pose.place_cm * scale
     right, up = settings.flash_cm
-    return Placed(sighting, pose, camera, camera + right * pose.axes[0] - up * pose.axes[1])
+    paper = paper_colour(read_pixels(sighting.path), sighting) if settings.white else None
+    return Placed(sighting, pose, camera, camera + right * pose.axes[0] - up * pose.axes[1], paper)
 
 
 def write_set(placed: Set, folder: Path, done: Callable[[str], object] = str) -> None:
@@ -165,7 +171,7 @@ def write_set(placed: Set, folder: Path, done: Callable[[str], object] = str) ->
     """
     for number, photo in enumerate(placed.photos):
         pixels = read_pixels(photo.sighting.path)
-        picture = torch.from_numpy(rectified(pixels, photo.sighting, placed.size))
+        picture = torch.from_numpy(rectified(pixels, photo.sighting, placed.size, photo.paper))
         bits = 8 if pixels.values.dtype == np.uint8 else 16
         name = f"{number:02}.png"
         write_png(picture, {"encoding": "sRGB"}, folder / name, bits)
@@ -184,10 +190,11 @@ def _write_text(path: Path, text: str) -> None:
     write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8"))
 
 
-def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float32]:
+def rectified(pixels: Pixels, sighting: Sighting, size: int, paper: Floats | None = None) -> NDArray[np.float32]:
     """The opening as a square, sRGB [size, size, 3] in [0, 1], the sheet's upper edge on top.
 
-    Means are taken in linear light over as many samples as the photograph has there.
+    Means are taken in linear light over as many samples as the photograph has there. With the paper's colour, as
+    `paper_colour` finds it, the picture is adapted to D65.
     """
     cv2 = opencv()
     corners = sighting.corners_px()
@@ -195,6 +202,8 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float
     right, bottom = np.ceil(corners.max(0)).astype(int) + 2
     part = pixels._replace(values=pixels.values[top:bottom, left:right, :3])
     linear = np.ascontiguousarray(linear_light(part, slice(None)))
+    if paper is not None:
+        linear = np.minimum(linear, paper.astype(np.float32))
     many = max(2, math.ceil(sighting.scales()[1] * sighting.opening / size))
     step = sighting.opening / (size * many)  # cm
     middle = (size * many - 1) / 2
@@ -209,6 +218,8 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float
             linear, to_part @ below, (size * many, rows * many), flags=flags, borderMode=cv2.BORDER_REPLICATE
         )
         result[row : row + rows] = cv2.resize(samples, (size, rows), interpolation=cv2.INTER_AREA)
+    if paper is not None:
+        result = (result @ adaptation(paper).T).clip(0, 1).astype(np.float32)
     return linear_to_srgb(torch.from_numpy(result)).numpy()
 
 
@@ -243,7 +254,8 @@ def _shown(pixels: Pixels, photo: Placed, name: str) -> NDArray[np.float32]:
 def summary(photo: Placed) -> str:
     """A photograph's markers and camera, in words."""
     distance = float(np.linalg.norm(photo.camera_cm))
+    white = "" if photo.paper is None else ", white x " + ", ".join(f"{factor:.2f}" for factor in 1 / photo.paper)
     return (
         f"{photo.sighting.path.name}, {len(photo.sighting.numbers)} markers, error {photo.pose.error_px:.2f} px, "
-        f"camera {distance:.1f} cm away, {photo.pose.tilt:.0f} degrees aside"
+        f"camera {distance:.1f} cm away, {photo.pose.tilt:.0f} degrees aside{white}"
     )
