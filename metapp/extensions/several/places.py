@@ -78,5 +78,7 @@ def _numbers(path: Path, line: str, width: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != width or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{path}: line {line!r}, expected finite numbers, parted by commas: {width}; mend it.")
+        raise ValueError(
+            f"{path}: line {line!r}, expected {width} finite number{'s' * (width != 1)}, parted by commas; mend it."
+        )
     return numbers

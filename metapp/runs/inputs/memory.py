@@ -63,17 +63,17 @@ def _name(source: object) -> str:
 
 def marks_of(stems: Mapping[str, str]) -> dict[str, str]:
     """What names begin with, by path, where stems are the same: the nearest folders that differ, else the suffixes."""
-    groups: dict[str, list[Path]] = {}
+    groups: dict[str, list[str]] = {}
     for place, stem in stems.items():
-        groups.setdefault(stem, []).append(Path(place))
+        groups.setdefault(stem, []).append(place)
     marks: dict[str, str] = {}
     for places in groups.values():
         own = [""] * len(places)
-        folders = itertools.zip_longest(*(reversed(place.parts[1:-1]) for place in places), fillvalue="")
-        for parts in (*folders, [place.suffix[1:] for place in places]):
+        folders = itertools.zip_longest(*(reversed(Path(place).parts[1:-1]) for place in places), fillvalue="")
+        for parts in (*folders, [Path(place).suffix[1:] for place in places]):
             if len(set(own)) < len(own) and len(set(parts)) > 1:
                 own = ["-".join(filter(None, pair)) for pair in zip(parts, own, strict=True)]
-        marks |= zip(map(str, places), own, strict=True)
+        marks |= zip(places, own, strict=True)
     return marks
 
 
