@@ -79,7 +79,8 @@ def test_the_blocks_of_a_page_run(page: Path, cache: Path, tmp_path: Path) -> No
         for block in blocks:
             code, said = bash(block.script(), clone, {**environment, "BROWSER": "true"})
             assert code == 0, f"{block}: exit code {code}\n{block.code}\n{said}"
-    print((tmp_path / "bin" / "seconds.txt").read_text(encoding="utf-8"))
+    called = tmp_path / "bin" / "seconds.txt"  # pages that have left out all blocks call nothing
+    print(called.read_text(encoding="utf-8") if called.exists() else "")
 
 
 @pytest.mark.long
