@@ -278,8 +278,8 @@ def fit_all(
 def _for_programs(message: str) -> str:
     """A message with options as programs give them, but in a command that ends it: observe="photo"."""
     text, *command = re.split(r"(?=\bmetapp )", message, maxsplit=1)
-    text = re.sub(r"--(observe|recipe|rule|size) '?([\w+-]+)'?", r'\1="\2"', text)
-    return re.sub(r"--(?!train)([a-z]+)", r"\1", text) + "".join(command)
+    text = re.sub(r"(?<!\S)--(observe|recipe|rule|size) '?([\w+-]+)'?", r'\1="\2"', text)
+    return re.sub(r"(?<!\S)--(?!train)([a-z]+)", r"\1", text) + "".join(command)
 
 
 def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:

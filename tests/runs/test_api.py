@@ -364,6 +364,11 @@ def test_errors_name_options_as_programs_give_them(app: str, options: dict[str, 
         api.fit(app, network, **options)
 
 
+def test_errors_leave_names_of_files_as_they_are() -> None:
+    with pytest.raises(ValueError, match=r"^paint--old\.binary: no such file or folder"):
+        api.fit("brdf", "paint--old.binary")
+
+
 def test_whole_numbers_are_numbers(network: Path) -> None:
     assert api.fit("brdf", network, paradigm="overfit", steps=1, seed=3).steps == 1
     with pytest.raises(ValueError, match=r"^fov: brdf has no such option"):
