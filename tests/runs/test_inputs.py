@@ -11,8 +11,7 @@ import pytest
 
 from data_tools.readers.nbrdf import SHAPES, read_nbrdf
 from metapp.learning.task import Task
-from metapp.runs.inputs.memory import marks_of, numbered
-from metapp.runs.inputs.sources import Source, sources_to_fit
+from metapp.runs.inputs.sources import Source, marks_of, numbered, sources_to_fit
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
 
@@ -36,7 +35,7 @@ def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: p
 
 
 def test_thousands_of_inputs_of_one_name_are_numbered_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.inputs.memory.say", lambda line: None)
+    monkeypatch.setattr("metapp.runs.inputs.sources.say", lambda line: None)
     begin, taken = time.process_time(), {}
     names = [numbered(name, f"{i}", taken) for i, name in enumerate(["a-3", *["a"] * 3000])]
     assert time.process_time() - begin < 5

@@ -18,8 +18,7 @@ from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter, Result
 from metapp.runs.inputs.addresses import kept
-from metapp.runs.inputs.memory import numbered
-from metapp.runs.inputs.sources import SOURCED, Source, content_of, sources_to_fit
+from metapp.runs.inputs.sources import SOURCED, Source, content_of, numbered, sources_to_fit
 from metapp.runs.outputs.files import OUTPUTS, listed, write_fit, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
 from metapp.runs.reporter import Reporter, number, progress, reporting, say

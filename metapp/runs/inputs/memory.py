@@ -1,15 +1,13 @@
-"""Objects of a program as inputs of fits, and how tasks are named, so that names of one run differ."""
+"""Objects of a program as inputs of fits, and how their tasks are named."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
 from metapp import door
 from metapp.learning.task import Task
-from metapp.runs.reporter import say
 from metapp.storage.records import file_name
 
 
@@ -59,29 +57,3 @@ def _name(source: object) -> str:
     place = getattr(source, "filename", "")
     name = Path(place).stem if isinstance(place, str | PathLike) else ""
     return str(getattr(source, "__name__", name)).strip("<>")
-
-
-def marks_of(stems: Mapping[str, str]) -> dict[str, str]:
-    """What names begin with, by path, where stems are the same: the nearest folders that differ, else the suffixes."""
-    groups: dict[str, list[str]] = {}
-    for place, stem in stems.items():
-        groups.setdefault(stem, []).append(place)
-    marks: dict[str, str] = {}
-    for places in groups.values():
-        own = [""] * len(places)
-        folders = itertools.zip_longest(*(reversed(Path(place).parts[1:-1]) for place in places), fillvalue="")
-        for parts in (*folders, [Path(place).suffix[1:] for place in places]):
-            if len(set(own)) < len(own) and len(set(parts)) > 1:
-                own = ["-".join(filter(None, pair)) for pair in zip(parts, own, strict=True)]
-        marks |= zip(places, own, strict=True)
-    return marks
-
-
-def numbered(name: str, place: str, places: dict[str, str]) -> str:
-    """A name, numbered where another of the `places` of names has it; they take note of it."""
-    numbers, own = itertools.count(2), name
-    while places.setdefault(own, place) != place:
-        own = f"{name}-{next(numbers)}"
-    if own != name:
-        say(f"warning: a second {name} is called {own}")
-    return own

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.inputs.addresses import at_address, local, place_of
 from metapp.runs.inputs.embedded import embedded_data
-from metapp.runs.inputs.memory import marks_of, numbered, tasks_of_objects
+from metapp.runs.inputs.memory import tasks_of_objects
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import merge_of, read_options, recorded_options
 from metapp.runs.requests.plan import Plan
@@ -145,14 +146,37 @@ def _sources_of_files(plan: Plan) -> list[Source]:
             sources.setdefault(address, one)
         for places, read in () if objects else _found(plan, path):
             for place in places:
-                whole = place_of(place)
-                is_named = len(places) == 1 or place == path
-                sources.setdefault(
-                    whole,
-                    Source(as_text(whole), functools.partial(read, place), stamp(place.resolve()), named=is_named),
-                )
+                whole, is_named = place_of(place), len(places) == 1 or place == path
+                one = Source(as_text(whole), functools.partial(read, place), stamp(place.resolve()), named=is_named)
+                sources.setdefault(whole, one)
     marks = marks_of({whole: _stem(whole) for whole in sources})
     return [source._replace(mark=as_text(marks[whole])) for whole, source in sources.items()]
+
+
+def marks_of(stems: Mapping[str, str]) -> dict[str, str]:
+    """What names begin with, by path, where stems are the same: the nearest folders that differ, else the suffixes."""
+    groups: dict[str, list[str]] = {}
+    for place, stem in stems.items():
+        groups.setdefault(stem, []).append(place)
+    marks: dict[str, str] = {}
+    for places in groups.values():
+        own = [""] * len(places)
+        folders = itertools.zip_longest(*(reversed(Path(place).parts[1:-1]) for place in places), fillvalue="")
+        for parts in (*folders, [Path(place).suffix[1:] for place in places]):
+            if len(set(own)) < len(own) and len(set(parts)) > 1:
+                own = ["-".join(filter(None, pair)) for pair in zip(parts, own, strict=True)]
+        marks |= zip(places, own, strict=True)
+    return marks
+
+
+def numbered(name: str, place: str, places: dict[str, str]) -> str:
+    """A name, numbered where another of the `places` of names has it; they take note of it."""
+    numbers, own = itertools.count(2), name
+    while places.setdefault(own, place) != place:
+        own = f"{name}-{next(numbers)}"
+    if own != name:
+        say(f"warning: a second {name} is called {own}")
+    return own
 
 
 def _read_object(plan: Plan, address: str) -> Task:
