@@ -142,8 +142,9 @@ def execute(plan: Plan, lines: Iterable[Request] | None = None) -> Iterator[Run 
                 recipe = one.request.recipe
                 fitter = fitters[recipe] = fitters.get(recipe) or Fitter(with_checkpoint(one), warns=True)
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
-                with kept(_folder(fitter.plan, label).path, request):
-                    done = _run(fitter, sources, label)
+                folder = _folder(fitter.plan, label)
+                with kept(folder.path, request):
+                    done = _run(fitter, sources, label, folder)
         except Exception as error:  # whatever it is, the next line is not to blame
             if lines is None:
                 raise
@@ -169,10 +170,10 @@ def with_checkpoint(plan: Plan) -> Plan:
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
+def _run(fitter: Fitter, sources: list[Source], label: str, folder: RunFolder) -> Run:
     """Fit the sources that have no record yet; where all have one and the run is not to be resumed, fit all anew."""
     plan, request = fitter.plan, fitter.plan.request
-    folder, mine = _folder(plan, label), portion_of(request.shard).of(sources)
+    mine = portion_of(request.shard).of(sources)
     if not mine:
         few = f"none of {len(sources)} inputs, expected some; take {len(sources)} parts at most"
         raise ValueError(f"--shard {request.shard}: {few}.")
