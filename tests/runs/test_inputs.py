@@ -64,3 +64,12 @@ def test_files_of_one_stem_are_told_apart_by_their_folders(places: str, marks: l
 )
 def test_a_task_that_its_reader_named_by_the_folder_is_not_marked_again(name: str, named: str) -> None:
     assert Source("/x", lambda: Task(name, {}), mark="kitchen").task().name == named
+
+
+def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
+    """A link that is given is what `metapp rerun` reads again, wherever it leads then."""
+    first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
+    first.write_text("")
+    link.symlink_to(first)
+    origin = plan(Request("brdf", "general", inputs=[link], out=tmp_path, quiet=True)).origin()
+    assert origin["inputs"] == [str(link)]

@@ -16,7 +16,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
 from metapp.runs.fits.batch_size import check_batch
-from metapp.runs.inputs.addresses import place_of
+from metapp.runs.inputs.addresses import at_address, place_of
 from metapp.runs.requests.checks import check_export, check_name, check_protocol, check_rule
 from metapp.runs.requests.choosing import chosen_recipe
 from metapp.runs.requests.naming import observe_of
@@ -141,7 +141,7 @@ class Plan:
         """The origin by which `metapp rerun` finds inputs: absolute paths as far as given, and the machine."""
         request = self.request
         places: Document = {
-            "inputs": [*map(place_of, request.inputs)],
+            "inputs": [place_of(path) if at_address(path) else str(path.absolute()) for path in request.inputs],
             "data": request.data and str(request.data.absolute()),
             "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }
