@@ -86,13 +86,12 @@ def threads_note(rows: Sequence[Row]) -> list[str]:
 
 def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:
     """A note on the rows that are of some of the tasks, with the errors of all rows on these."""
-    counts = {name: len(subject.cell(name).tasks) for name in subject.fits}
-    names = [name for name, count in counts.items() if count < len(subject.tasks)]
+    names = [name for name in subject.fits if subject.is_of_few(name)]
     if not names:
         return []
     errors = ", ".join(f"{row['paradigm']} {number(row['shared_error'], '.3f')}" for row in rows)
     where = f", where mean errors are {errors}" if errors else ""
-    few = f"{counts[names[0]]} of the {len(subject.tasks)} tasks, evenly spaced"
+    few = f"{len(subject.cell(names[0]).tasks)} of the {len(subject.tasks)} tasks, evenly spaced"
     return [f"* {', '.join(names)}: of {few}{where}; --whole measures all tasks"]
 
 

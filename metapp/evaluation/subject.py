@@ -113,6 +113,10 @@ class Subject:
             self._cells[name] = self.fit_cell(name, self.fits[name])
         return self._cells[name]
 
+    def is_of_few(self, name: str) -> bool:
+        """True if the fits behind a row of the results are of some of the tasks alone."""
+        return len(self.cell(name).tasks) < len(self.tasks)
+
     def fit_cell(self, title: str, plan: Plan, settings: Record | None = None, name: str = "") -> Cell:
         """Fits of all tasks as a cell, kept as the command of the paradigm keeps them.
 

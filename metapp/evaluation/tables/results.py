@@ -43,7 +43,7 @@ def result_row(subject: Subject, name: str) -> Row:
     rule = fit.job.rule if fit.paradigm.name == "meta" else None
     versus = against(subject, name, *COMPARED)
     entries = {"rule": rule, "steps": fit.steps, "shared_error": shared_error(subject, name)}
-    entries |= {"few": len(subject.cell(name).tasks) < len(subject.tasks)}
+    entries |= {"few": subject.is_of_few(name)}
     return row_of(subject, name, [subject.cell(name)], entries, against=versus)
 
 

@@ -128,7 +128,7 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
         "size": size(theta),
         "shared": stored(fit.checkpoint),
         "unreached": 0,
-        "few": len(subject.cell(name).tasks) < len(subject.tasks),
+        "few": subject.is_of_few(name),
     }
     return row_of(subject, name, [subject.cell(name)], entries, against=against(subject, name, "meta"))
 
