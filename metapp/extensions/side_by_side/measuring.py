@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import itertools
 import multiprocessing
 import os
 import signal
@@ -70,7 +71,9 @@ class Job(NamedTuple):
 def measure(subjects: Sequence[Subject], tables: Sequence[Table], *, quiet: bool) -> None:
     """Measure what has no record yet; a call that was ended goes on where it was."""
     names = [table.name for table in tables]
-    cells = unique([cell for subject in subjects for cell in cells_of(foreseen(subject), names)])
+    needed = [unique(cells_of(foreseen(subject), names)) for subject in subjects]
+    subjects = [subject for subject, cells in zip(subjects, needed, strict=True) if any(c.missing() for c in cells)]
+    cells = unique(list(itertools.chain(*needed)))
     steps = sum((cell.steps + 1) * len(cell.missing()) for cell in cells)
     if all(map(made, subjects)) and steps <= SMALL:
         run_cells(cells, quiet=quiet)
