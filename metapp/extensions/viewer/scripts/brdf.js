@@ -1,9 +1,9 @@
 // BRDFs: the fitted network itself in the fragment shader, on shapes; below the pointer a polar plot.
 //
 // facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, turn, darkest, alphas [[2], [2]] of the lobes, samples.
-// arrays: weights [N, 4] as metapp.apps.brdf.viewing.packed lays them out, shares [24, 3] of the lobes; perhaps residual
+// arrays: weights [N, 4] as metapp.extensions.viewer.pages.brdf.packed lays them out, shares [24, 3] of the lobes; perhaps residual
 // [phi_d, theta_d, theta_h, 4], what the samples' log(1 + f) has more than the fit's (phi_d in [0, 2 pi), of
-// reciprocal fits in [0, pi); theta_h by its square root), or of samples with phi_h the five axes of metapp.apps.brdf.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
+// reciprocal fits in [0, pi); theta_h by its square root), or of samples with phi_h the five axes of metapp.extensions.viewer.pages.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
 // shared: light, a lat-long map [H, W, 3]; studio [2, L, 4], the lights of metapp's pictures.
 
 const DRAWN = 128;       // directions that albedos of lobes are the mean of
@@ -118,7 +118,7 @@ void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference) {
 }`;
 
 // The layers with a variable for each four neurons: an array that is indexed would lie in memory. Weights lie as
-// metapp.apps.brdf.viewing.packed puts them.
+// metapp.extensions.viewer.pages.brdf.packed puts them.
 function layers(inputs4, hidden4) {
   const each = (count, text, between = " ") => Array.from({ length: count }, (_, i) => text(i)).join(between);
   const sum = (count, first, name) => each(count, (i) => `dot(weight(${first} + ${i}), ${name}${i})`, " + ");

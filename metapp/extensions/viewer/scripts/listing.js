@@ -44,7 +44,7 @@ function helpOf(button) {
 // Keys that count wherever the focus is, but in what takes keys itself.
 function listen(nav, help, page) {
   document.addEventListener("keydown", (event) => {
-    const { target, key } = event, own = target.closest("input, select, textarea, dialog[open], .lamp, .wipe, canvas");
+    const { target, key } = event, typed = target.closest("input, select, textarea, dialog[open]"), own = typed || target.closest(".lamp, .wipe, canvas");
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     const moves = { ArrowDown: 1, ArrowUp: -1, ArrowRight: 1, ArrowLeft: -1 }[key], last = DATA.groups.length - 1;
     const to = moves ? clamp(page.index() + moves, 0, last) : { Home: 0, End: last }[key];
@@ -53,8 +53,8 @@ function listen(nav, help, page) {
     else if (to !== undefined && !own && last > 0) {
       if (to !== page.index()) page.open(to);
       if (nav.contains(target)) nav.querySelectorAll("button")[to].focus();
-    } else if (key in MODES && !target.closest("input, select, textarea, dialog[open]")) page.compare(MODES[key]);
-    else if ("[]".includes(key) && !target.closest("input, select, textarea, dialog[open]")) page.expose(key === "[" ? -0.5 : 0.5);
+    } else if (key in MODES && !typed) page.compare(MODES[key]);
+    else if ("[]".includes(key) && !typed) page.expose(key === "[" ? -0.5 : 0.5);
     else return;
     event.preventDefault();
   });
