@@ -41,6 +41,7 @@ TESTS = {
     "metapp/appearance/metrics.py": ["colour"],
     "metapp/appearance/photograph.py": ["photograph"],
     "metapp/appearance/reflection.py": ["reflection"],
+    "data_tools/synthetic/interfaces.py": ["reflection"],
     "metapp/appearance/sphere.py": ["sphere"],
     "metapp/appearance/surface.py": ["planes"],
     "metapp/extensions/assets/planes.py": ["planes"],

@@ -24,8 +24,9 @@ from data_tools.synthetic.brdf_anisotropic_models import (
 )
 from data_tools.synthetic.brdf_draws import COUNTS, Draws, Material, Split, colour_name
 from data_tools.synthetic.brdf_models import CONDUCTORS, Rgb
+from data_tools.synthetic.interfaces import fresnel_conductor
 from metapp.appearance.geometry import rusinkiewicz_to_directions, turned_about_normal
-from metapp.appearance.reflection import fresnel_conductor, fresnel_schlick
+from metapp.appearance.reflection import fresnel_schlick
 
 FIRST = 100  # of families among the keys of draws, which those of the isotropic set do not reach
 

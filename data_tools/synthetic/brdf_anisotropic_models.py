@@ -53,13 +53,13 @@ def facets(alpha: Roughness, fresnel: Fresnel, kind: MicrofacetKind = "ggx") -> 
             density = 1 / (math.pi * alpha.first * alpha.second * (square + cos2) ** 2)
         else:
             density = (-square / cos2).exp() / (math.pi * alpha.first * alpha.second * cos2 * cos2)
-        masked = _masking_over_cosine(wi, alpha, kind) * _masking_over_cosine(wo, alpha, kind)
+        masked = masking_over_cosine(wi, alpha, kind) * masking_over_cosine(wo, alpha, kind)
         return (density * masked / 4)[..., None] * fresnel(cos_d)
 
     return model
 
 
-def _masking_over_cosine(direction: Tensor, alpha: Roughness, kind: MicrofacetKind) -> Tensor:
+def masking_over_cosine(direction: Tensor, alpha: Roughness, kind: MicrofacetKind) -> Tensor:
     """Smith's G1 over the cosine, of the roughness in the plane of a direction."""
     cos = direction[..., 2].clamp_min(_LEAST)
     slope = ((alpha.first * direction[..., 0]) ** 2 + (alpha.second * direction[..., 1]) ** 2).clamp_min(1e-20).sqrt()

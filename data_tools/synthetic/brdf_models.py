@@ -11,15 +11,17 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from data_tools.synthetic.interfaces import (
+    fresnel_conductor,
+    fresnel_dielectric,
+    rough_reflectance,
+    rough_transmittance,
+)
 from metapp.appearance.geometry import Cosines, gauss_legendre
 from metapp.appearance.reflection import (
     MicrofacetKind,
-    fresnel_conductor,
-    fresnel_dielectric,
     fresnel_schlick,
     microfacet_lobe,
-    rough_reflectance,
-    rough_transmittance,
 )
 
 Rgb = tuple[float, float, float]

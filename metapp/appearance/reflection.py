@@ -1,4 +1,4 @@
-"""Reflection at smooth and rough interfaces: Fresnel's equations, microfacets, and the light they reflect and pass on.
+"""Reflection by rough surfaces: microfacets, their masking, and Fresnel's equations by Schlick.
 
 Everything is differentiable and takes any leading axes, dtype and device; shapes broadcast. Cosines are with the
 surface normal unless said otherwise.
@@ -13,46 +13,10 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from metapp.appearance.geometry import Cosines, gauss_legendre
+from metapp.appearance.geometry import Cosines
 
 MicrofacetKind = Literal["ggx", "beckmann"]
 Fresnel = Callable[[Tensor], Tensor]  # cosines [..., 1] -> reflectance [..., C]
-
-
-def fresnel_dielectric(cos: Tensor, eta: Tensor | float) -> Tensor:
-    """Unpolarised reflectance in [0, 1] of a smooth dielectric interface (Fresnel), 1 under total internal reflection.
-
-    Args:
-        cos: cosine on the side the light comes from, in [0, 1].
-        eta: index of refraction of the other side over this side; below 1 seen from within.
-    """
-    transmitted_squared = 1 - (1 - cos * cos) / (eta * eta)
-    transmitted = transmitted_squared.clamp_min(torch.finfo(cos.dtype).tiny).sqrt()
-    parallel = (eta * cos - transmitted) / (eta * cos + transmitted)
-    perpendicular = (cos - eta * transmitted) / (cos + eta * transmitted)
-    return torch.where(transmitted_squared > 0, (parallel**2 + perpendicular**2) / 2, 1.0)
-
-
-def fresnel_conductor(cos: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
-    """Unpolarised reflectance in [0, 1] of a smooth conductor of complex index eta + i k (Moeller, "Optics").
-
-    Args:
-        cos: cosine with the normal, in [0, 1], on the side of air.
-        eta: real part, > 0.
-        k: extinction coefficient, >= 0.
-    """
-    cos_squared = cos * cos
-    sin_squared = 1 - cos_squared
-    product = cos.new_tensor(1.0) * (eta * k)
-    real = eta * eta - k * k - sin_squared
-    modulus = (real * real + 4 * product * product).clamp_min(torch.finfo(cos.dtype).tiny).sqrt()
-    # The textbook's a = sqrt((modulus + real) / 2) cancels for metals like silver; its product with b is eta * k.
-    larger = ((modulus + real.abs()) / 2).sqrt()
-    a = torch.where(real >= 0, larger, product / larger)
-    perpendicular = (modulus + cos_squared - 2 * cos * a) / (modulus + cos_squared + 2 * cos * a)
-    sum_ = modulus * cos_squared + sin_squared * sin_squared
-    parallel = perpendicular * (sum_ - 2 * cos * a * sin_squared) / (sum_ + 2 * cos * a * sin_squared)
-    return (perpendicular + parallel) / 2
 
 
 def fresnel_schlick(cos: Tensor, f0: Tensor | float) -> Tensor:
@@ -74,8 +38,8 @@ def beckmann_distribution(cos_h: Tensor, alpha: Tensor | float) -> Tensor:
     return torch.where(cos_h > 0, (-steepness).exp() / (math.pi * alpha * alpha * cos_squared * cos_squared), 0.0)
 
 
-def _masking_over_cosine(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKind) -> Tensor:
-    # Every use divides G1 by its cosine; this quotient stays finite at grazing angles.
+def masking_over_cosine(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKind) -> Tensor:
+    """Smith's masking G1 over the cosine `cos`, by which every use divides it: finite at grazing angles."""
     cos = cos.clamp_min(0)
     if kind == "ggx":
         return 2 / (cos + ((1 - cos) * (1 + cos) * alpha * alpha + cos * cos).sqrt())
@@ -88,17 +52,6 @@ def _masking_over_cosine(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKin
         quotient = (3.535 + 2.181 * ratio) / ((1 + 2.276 * ratio + 2.577 * ratio * ratio) * alpha * sine)
         return torch.where(masked, quotient, 1 / torch.where(masked, 1.0, cos))
     raise ValueError(f"microfacet kind: {kind!r}, expected 'ggx' or 'beckmann'")
-
-
-def smith_masking(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKind) -> Tensor:
-    """Smith's masking G1 in [0, 1], the visible share of the facets; exact for GGX, Walter's fit for Beckmann.
-
-    Args:
-        cos: cosine of the direction with the macroscopic normal; masked entirely at and below 0.
-        alpha: roughness > 0, broadcast.
-        kind: "ggx" or "beckmann".
-    """
-    return _masking_over_cosine(cos, alpha, kind) * cos.clamp_min(0)
 
 
 def microfacet_lobe(at: Cosines, alpha: Tensor | float, fresnel: Fresnel, kind: MicrofacetKind = "ggx") -> Tensor:
@@ -115,60 +68,6 @@ def microfacet_lobe(at: Cosines, alpha: Tensor | float, fresnel: Fresnel, kind: 
         the others.
     """
     density = (ggx_distribution if kind == "ggx" else beckmann_distribution)(at.half, alpha)
-    shape = density * _masking_over_cosine(at.incident, alpha, kind) * _masking_over_cosine(at.outgoing, alpha, kind)
+    shape = density * masking_over_cosine(at.incident, alpha, kind) * masking_over_cosine(at.outgoing, alpha, kind)
     shape = torch.where((at.incident > 0) & (at.outgoing > 0), shape / 4, 0.0)
     return shape[..., None] * fresnel(at.difference[..., None])
-
-
-def _visible_facets(cos: Tensor, alpha: float, kind: MicrofacetKind) -> tuple[Tensor, Tensor, Tensor]:
-    """Facets seen from a direction: cos_h and cos_d, their cosines with normal and direction, and quadrature weights.
-
-    Each [..., 64, 48], cos [...]; the weights sum to 1 but for the quadrature's error, 0 for facets seen from behind.
-    """
-    nodes, weights = (part.to(cos)[:, None] for part in gauss_legendre(64))
-    # Normals distributed as D cos_h: a quantile gives the slope; the azimuth's mirror image counts double.
-    slope_squared = nodes / (1 - nodes) if kind == "ggx" else -(1 - nodes).log()
-    cos_h = (1 + alpha * alpha * slope_squared).rsqrt()
-    sin_h = (1 - cos_h * cos_h).sqrt()
-    azimuth = (torch.arange(48, dtype=cos.dtype, device=cos.device) + 0.5) * (math.pi / 48)
-    cos = cos[..., None, None]
-    cos_d = (cos * cos_h + (1 - cos * cos).clamp_min(0).sqrt() * sin_h * azimuth.cos()).clamp_min(0)
-    return cos_h, cos_d, _masking_over_cosine(cos, alpha, kind) * cos_d / cos_h * weights / 48
-
-
-def rough_reflectance(cos: Tensor, alpha: float, fresnel: Fresnel, kind: MicrofacetKind = "ggx") -> Tensor:
-    """Share of the light from one direction that a microfacet lobe reflects, by quadrature over facet normals.
-
-    With `fresnel_dielectric` of eta > 1 this is what a rough coat reflects; of eta < 1, what it keeps inside.
-
-    Args:
-        cos: cosines of the direction, [...], in (0, 1].
-        alpha: roughness > 0.
-        fresnel: reflectance [..., C] of cosines [..., 1].
-        kind: "ggx" or "beckmann".
-
-    Returns:
-        Reflectance [..., C] in [0, 1], to about 1e-3 (less well in the last degrees before grazing).
-    """
-    cos_h, cos_d, weights = _visible_facets(cos, alpha, kind)
-    outgoing = 2 * cos_d * cos_h - cos[..., None, None]
-    share = weights * smith_masking(outgoing, alpha, kind)
-    return (share[..., None] * fresnel(cos_d[..., None])).sum((-3, -2))
-
-
-def rough_transmittance(cos: Tensor, alpha: float, eta: float, kind: MicrofacetKind = "ggx") -> Tensor:
-    """Share of the light from one direction that passes a rough dielectric interface in one event (Walter 2007).
-
-    Args:
-        cos: cosines of the direction, [...], in (0, 1].
-        alpha: roughness > 0.
-        eta: index of refraction of the far side over the near side, > 0.
-        kind: "ggx" or "beckmann".
-
-    Returns:
-        Transmittance [...] in [0, 1]; with `rough_reflectance` less than 1 in sum, by what facets mask.
-    """
-    cos_h, cos_d, weights = _visible_facets(cos, alpha, kind)
-    refracted = (1 - (1 - cos_d * cos_d) / (eta * eta)).clamp_min(0).sqrt()
-    onward = refracted * cos_h + (cos[..., None, None] - cos_d * cos_h) / eta  # cosine with the inward normal
-    return (weights * (1 - fresnel_dielectric(cos_d, eta)) * smith_masking(onward, alpha, kind)).sum((-2, -1))

@@ -10,17 +10,19 @@ import pytest
 import torch
 from torch import Tensor
 
+from data_tools.synthetic.interfaces import (
+    fresnel_conductor,
+    fresnel_dielectric,
+    rough_reflectance,
+    rough_transmittance,
+    smith_masking,
+)
 from metapp.appearance.geometry import above_horizon, direction_cosines, gauss_legendre, rusinkiewicz_to_directions
 from metapp.appearance.reflection import (
     Fresnel,
     MicrofacetKind,
-    fresnel_conductor,
-    fresnel_dielectric,
     fresnel_schlick,
     microfacet_lobe,
-    rough_reflectance,
-    rough_transmittance,
-    smith_masking,
 )
 
 RandomAngles = Callable[..., Tensor]
