@@ -204,6 +204,7 @@ EXTENSIONS = {
     "capture": 2_500,
     "few": 1_070,
     "guided": 1_690,
+    "measures": 290,
     "mitsuba_bsdfs": 600,
     "native": 730,
     "packs": 590,

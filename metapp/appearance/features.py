@@ -257,20 +257,3 @@ def distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
     pairs = zip(generated, target, strict=True)
     taps = [(g - t).abs().sum((-1, -2)) / t.abs().sum((-1, -2)).clamp_min(1e-12) for g, t in pairs]
     return torch.stack(taps).mean(0)
-
-
-DIRECTIONS = 64
-
-
-def sliced_wasserstein(maps: Tensor, target: Tensor) -> Tensor:
-    """Distance [B] of the distributions of features over pixels, along random directions (Heitz et al. 2021).
-
-    The mean distance of sorted projections over the target's mean deviation, of maps [B, C, H, W] and [1, C, H, W].
-    """
-    rng = Generator(maps.device).manual_seed(0)
-    directions = torch.randn(DIRECTIONS, maps.shape[1], generator=rng, device=maps.device, dtype=maps.dtype)
-    directions = directions / directions.norm(dim=1, keepdim=True)
-    projected, wanted = ((directions @ features.flatten(2)).sort(2).values for features in (maps, target))
-    deviation = (wanted - wanted.mean(2, keepdim=True)).abs().mean(2)
-    result: Tensor = ((projected - wanted).abs().mean(2) / deviation.clamp_min(1e-12)).mean(1)
-    return result

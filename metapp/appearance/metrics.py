@@ -25,13 +25,14 @@ def smape(pictures: Tensor, references: Tensor) -> Tensor:
 
 
 def dssim(pictures: Tensor, references: Tensor) -> Tensor:
-    """Structural dissimilarity, 1 - SSIM (Wang et al. 2004) of tone-mapped pictures at equal exposure: [T] in [0, 2].
+    """Structural dissimilarity, 1 - SSIM (Wang et al. 2004), of what `displayed` makes of pictures: [T] in [0, 2]."""
+    return 1 - ssim(*displayed(pictures, references)).flatten(1).mean(1)
 
-    Both are divided by the reference's mean before; shapes as of `mape`.
-    """
+
+def displayed(pictures: Tensor, references: Tensor) -> tuple[Tensor, Tensor]:
+    """Both tone-mapped at equal exposure, divided by the reference's mean before; shapes as of `mape`."""
     exposure = references.mean((1, 2, 3), keepdim=True).clamp_min(torch.finfo(references.dtype).tiny)
-    mapped, wanted = tone_map(pictures / exposure), tone_map(references / exposure)
-    return 1 - ssim(mapped, wanted).flatten(1).mean(1)
+    return tone_map(pictures / exposure), tone_map(references / exposure)
 
 
 def si_rmse(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:

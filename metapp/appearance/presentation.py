@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -10,6 +11,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 from torch import Tensor
 
 from metapp.appearance.surface import Surface, linear_maps
+from metapp.door import PictureMeasure, load, offers
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 
@@ -42,6 +44,33 @@ class Rendered(NamedTuple):
 
     files: dict[str, Picture]
     lines: list[str]
+
+
+class Compared(NamedTuple):
+    """Pictures of a fit and what they should be: display values [B, 3, H, W] in [0, 1].
+
+    The bool `mask` [H, W] says which pixels count; None: all.
+    """
+
+    pictures: Tensor
+    references: Tensor
+    mask: Tensor | None = None
+
+    def measures(self, app: str) -> dict[str, float]:
+        """What extensions measure of an application's pictures, by name; what lacks something is left out."""
+        values = {offer.name: load(offer.measure)(self) for offer in picture_measures(app)[0]}
+        return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def picture_measures(app: str) -> tuple[dict[PictureMeasure, str], list[str]]:
+    """The measures of an application's pictures with notes on them, and a line for each that lacks something."""
+    notes, missing = {}, []
+    for offer in (offer for offer in offers(PictureMeasure) if app in offer.apps):
+        try:
+            notes[offer] = ", ".join([offer.note, *([load(offer.source)()] if offer.source else [])])
+        except ValueError as error:
+            missing.append(f"{offer.name}: {error}")
+    return notes, missing
 
 
 class Visible(NamedTuple):
@@ -129,13 +158,19 @@ class Presentation(ABC, Generic[AnyApp]):
         surface = self.surface(theta, task)
         return {} if surface is None else linear_maps(surface)
 
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """Pictures that extensions measure, where there is a reference (no task axis in theta)."""
+        return None
+
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
 
         There may be further names, of pictures that are made without any fit; REFERENCE is of the references' own
-        error. Of measures whose name begins with SSIM more is better, of others less. Empty where there are none.
+        error. Of SSIM more is better, of others less, unless extensions say so of theirs. Empty where there are none.
         """
-        return {}
+        pairs = {name: self.compared(fit.theta, task) for name, fit in fits.items()}
+        measured = {name: pair.measures(self.app.name) for name, pair in pairs.items() if pair}
+        return {name: values for name, values in measured.items() if values}
 
     def visible(self, task: Task) -> Visible | None:
         """The amount that a fit may see of a task; None where the application does not say."""

@@ -66,6 +66,26 @@ class Watcher(NamedTuple):
     watcher: str
 
 
+class PictureMeasure(NamedTuple):
+    """A measure of pictures of fits against their references, a row of the table `image`.
+
+    Attributes:
+        name: of the row.
+        apps: the applications whose pictures it is of.
+        measure: `measure(compared) -> float` of a `metapp.appearance.presentation.Compared`; NaN where it has none.
+        note: what it is, in a few words.
+        source: `source() -> str`, by which package and version; ValueError where that is missing. "" where metapp does.
+        more_is_better: whether a higher value is better.
+    """
+
+    name: str
+    apps: tuple[str, ...]
+    measure: str
+    note: str
+    source: str = ""
+    more_is_better: bool = False
+
+
 class FitMethod(NamedTuple):
     """A method of fits in the Python API.
 

@@ -33,12 +33,13 @@ class CodedPresentation(Presentation[AnyCoded]):
     of_pictures: ClassVar[dict[str, str]]
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Those errors that are of pictures; of a task without reference none."""
-        stacked, measured = stack(self.app, [task]), {}
+        """Those errors that are of pictures, and what extensions measure; of a task without reference none."""
+        stacked, measured = stack(self.app, [task]), super().image_errors(fits, task)
         for name, fit in fits.items():
             if errors := self.app.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
                 errors["error"] = self.app.traits.scale * errors["error"]
-                measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
+                own = {title: float(errors[key]) for key, title in self.of_pictures.items()}
+                measured[name] = own | measured.get(name, {})
         return measured
 
 

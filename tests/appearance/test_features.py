@@ -29,7 +29,6 @@ from metapp.appearance.features import (
     gram,
     load_features,
     moments,
-    sliced_wasserstein,
     weights_path,
 )
 
@@ -337,16 +336,3 @@ def test_damaged_weights_are_refused(kept: float, vgg16: Path, cache: Path) -> N
             ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of VGG-16; fetch"
         ):
             read()
-
-
-def test_sliced_wasserstein(rng: Generator) -> None:
-    """0 for the same values elsewhere; of a shift, its length along directions over the deviation along them."""
-    target = torch.randn(1, 3, 8, 8, generator=rng, dtype=torch.float64)
-    moved = target.flatten(2)[:, :, torch.randperm(64, generator=rng)].unflatten(2, (8, 8))
-    torch.testing.assert_close(sliced_wasserstein(moved, target), torch.zeros(1, dtype=torch.float64))
-    single = torch.randn(1, 1, 8, 8, generator=rng, dtype=torch.float64)
-    deviation = (single - single.mean()).abs().mean()
-    both = torch.cat([single + 0.5, 3 * single])
-    found = sliced_wasserstein(both, single)
-    torch.testing.assert_close(found[0], 0.5 / deviation)
-    torch.testing.assert_close(found[1], 2 * single.abs().mean() / deviation)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 
-import numpy as np
 from torch import Tensor
 
-from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.metrics import ssim
-from metapp.appearance.presentation import Fitted, Presentation, Visible
+from metapp.appearance.presentation import Compared, Fitted, Presentation, Visible
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.apps.brdf.app import CONDITION, Brdf
 from metapp.apps.brdf.networks import network_of
@@ -23,10 +21,7 @@ class BrdfPresentation(Presentation[Brdf]):
 
     title = "BRDF"
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
-    image_measure = (
-        "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches: SSIM, and "
-        "the CIE 2000 colour difference (D65), of which about 1 is just noticeable"
-    )
+    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The sphere, on black with coverage."""
@@ -34,21 +29,21 @@ class BrdfPresentation(Presentation[Brdf]):
         fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
         return {"reference": task.data["render"], "fit": fit}
 
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """SSIM of the sphere under the environment map, mean over the pixels that it touches, and colour differences.
-
-        Empty where a data set was made before it had such pictures.
-        """
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """The sphere under the environment map; None where a data set was made before it had such pictures."""
         if "environment" not in task.data:
-            return {}
-        scene, measured = environment_scene(azimuths="phi_h" in task.data), {}
-        reference = _display(task.data["environment"])
+            return None
+        scene = environment_scene(azimuths="phi_h" in task.data)
+        fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
+        return Compared(_display(fit), _display(task.data["environment"]), scene.mask)
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """SSIM, mean over the pixels that the sphere touches, and what extensions measure of these."""
+        measured = {}
         for name, fit in fits.items():
-            picture = _display(shade_sphere(scene, functools.partial(network_of(fit.theta).evaluate, fit.theta)))
-            pixels = (each[0][:, scene.mask].T.double().numpy() for each in (picture, reference))
-            median, high = np.quantile(colour_difference(*pixels), (0.5, 0.95))
-            similarity = float(ssim(picture, reference)[0][:, scene.mask].mean())
-            measured[name] = {"SSIM": similarity, "CIE 2000, median": float(median), "CIE 2000, 95 %": float(high)}
+            if compared := self.compared(fit.theta, task):
+                similarity = ssim(compared.pictures, compared.references)[..., compared.mask].mean()
+                measured[name] = {"SSIM": float(similarity)} | compared.measures(self.app.name)
         return measured
 
     def visible(self, task: Task) -> Visible:

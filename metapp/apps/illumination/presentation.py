@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
-from metapp.appearance.presentation import Picture, Visible
+from metapp.appearance.presentation import Compared, Picture, Visible
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES
@@ -47,10 +47,20 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     @torch.no_grad()
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
+        maps, photo = self._maps(theta, task)
+        return {name: shown(each, photo) for name, each in maps.items()}
+
+    @torch.no_grad()
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """The second scene under both maps, tone-mapped."""
+        lit = {name: tone_map(relighting.relight(each)) for name, each in self._maps(theta, task)[0].items()}
+        return Compared(lit["fit"], lit["reference"]) if "reference" in lit else None
+
+    def _maps(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
+        """The map `reference`, where it is known, and that of the fit, both [1, 3, H, W], and the photograph."""
         prepared = {key: value[None] for key, value in self.app.prepare(task).items()}
         fit = self.app.answer({key: value[None] for key, value in theta.items()}, prepared)
-        both = ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}
-        return {name: shown(maps, prepared["photo"]) for name, maps in both.items()}
+        return ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}, prepared["photo"]
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:

@@ -292,9 +292,7 @@ class SvbrdfNonstationary(CodedApp):
         if "maps" not in tasks.data:
             return {}
         maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
-        pairs = _pairs(JUDGED).to(target.diffuse)[None]
-        logs, references = self._logs(maps, pairs), self._logs(target, pairs)
-        pictures, target_pictures = (expose((each.exp() - DARK).flatten(0, 1)) for each in (logs, references))
+        (logs, pictures), (references, target_pictures) = self.judged(maps), self.judged(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
@@ -307,6 +305,11 @@ class SvbrdfNonstationary(CodedApp):
             "blots": _blots(parts["diffuse"], photo, _clipping(photo)),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
+
+    def judged(self, maps: Maps) -> tuple[Tensor, Tensor]:
+        """Maps [T, ...] under JUDGED lights: logs [T, V, 3, H, W], and display values at gamma 2.2 [T * V, 3, H, W]."""
+        logs = self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
+        return logs, expose((logs.exp() - DARK).flatten(0, 1))
 
 
 def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:

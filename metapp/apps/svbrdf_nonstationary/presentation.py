@@ -10,7 +10,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render, unpack
-from metapp.appearance.presentation import Kind, Picture, Visible
+from metapp.appearance.presentation import Compared, Kind, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.confidence import deviations
@@ -56,6 +56,15 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
             target = unpack(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
             sheets = {"reference": sheet(target, photo)} | sheets
         return sheets
+
+    @torch.no_grad()
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """The renderings whose SSIM is among the errors."""
+        if "maps" not in task.data:
+            return None
+        data = {key: value[None] for key, value in self.app.prepare(task).items()}
+        fitted = self.app.maps_of({key: value[None] for key, value in theta.items()}, data["photo"])
+        return Compared(*(self.app.judged(maps)[1] for maps in (fitted, unpack(data["maps"]))))
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:

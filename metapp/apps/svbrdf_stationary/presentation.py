@@ -7,7 +7,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.appearance.flash import Maps, relightings
-from metapp.appearance.presentation import Picture
+from metapp.appearance.presentation import Compared, Picture
 from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
@@ -21,6 +21,8 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
     title = "svBRDF stat."
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
 
+    image_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
+
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
         photo = self.app.exemplar(task.data["image"][None].float() / 255)
@@ -30,6 +32,15 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         pictures = {name: picture.pixels for name, picture in self._pictures(maps, height).items()}
         displayed = {"reference": photo[0], "fit": fit} | pictures | {"height": stretched(pictures["height"])[0]}
         return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in displayed.items()}
+
+    @torch.no_grad()
+    def compared(self, theta: Params, task: Task) -> Compared:
+        """The maps under the photo's light, and under others where the task has references of that."""
+        photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
+        references = torch.cat([self.app.exemplar(each.float() / 255) for each in photos])
+        light, maps = self.app.light_of(references[:1])[0], self._maps(theta, self.once())[0]
+        pairs = [(light, light), *relightings(device=light.device).values()][: len(references)]
+        return Compared(torch.stack([self.app.photograph(maps, *pair) for pair in pairs]), references)
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.metrics import dssim, mape, smape
-from metapp.appearance.presentation import REFERENCE, Fitted
+from metapp.appearance.metrics import displayed, dssim, mape, smape
+from metapp.appearance.presentation import REFERENCE, Compared, Fitted
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.door import Plugin, load, offers
@@ -125,7 +125,8 @@ class Studio:
     def errors(self, picture: Tensor) -> dict[str, float]:
         """Measures of a picture against the reference."""
         pair = picture[None], self.reference[None]
-        return {name: float(measure(*pair)) for name, measure in (("MAPE", mape), ("SMAPE", smape), ("DSSIM", dssim))}
+        errors = {name: float(measure(*pair)) for name, measure in (("MAPE", mape), ("SMAPE", smape), ("DSSIM", dssim))}
+        return errors | Compared(*displayed(*pair)).measures("transport")
 
 
 def _timed(shoot: Callable[[], Tensor]) -> Shot:

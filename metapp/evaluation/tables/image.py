@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 
-from metapp.appearance.presentation import REFERENCE, Fitted
+from metapp.appearance.presentation import REFERENCE, Fitted, picture_measures
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import few_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
@@ -35,7 +35,8 @@ def image_cell(subject: Subject) -> Cell:
     fits, presentation = fits_of(subject), subject.presentation
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
     keys = {name: folder.key for name, folder in folders.items()}
-    settings = {"app": subject.app.name, "measure": presentation.image_measure, "fits": keys}
+    further = {offer.name: note for offer, note in picture_measures(subject.app.name)[0].items()}
+    settings = {"app": subject.app.name, "measure": [presentation.image_measure, further], "fits": keys}
     folder = subject.folder("image", settings, FORM, of_fits=True) if len(folders) == len(fits) else None
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
@@ -68,7 +69,8 @@ def rows(subject: Subject) -> list[Row]:
 def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
     figures, app = paper(), subject.app.name
-    bound, ssim, more_is_better = figures["ssim"]["at_least"], key.startswith("SSIM"), key.startswith(("SSIM", "order"))
+    bound, ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
+    more_is_better = ssim or any(offer.name == key and offer.more_is_better for offer in picture_measures(app)[0])
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)
@@ -93,7 +95,9 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         for row in all_rows
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
+    measures, missing = picture_measures(subject.app.name)
     lines = [", ".join([subject.presentation.image_measure, *of_references]), *few_note(subject)]
+    lines += [*(f"{offer.name}: {note}" for offer, note in measures.items()), *missing]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
         for row in all_rows

@@ -1,0 +1,51 @@
+"""Measures of each pixel by itself."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from metapp.appearance.colorimetry import colour_difference
+from metapp.appearance.presentation import Compared
+
+MOST = 100.0  # dB, of pictures that are equal to rounding
+
+
+def psnr(compared: Compared) -> float:
+    """Peak signal-to-noise ratio in dB, -10 log10 of the mean square error of display values; the mean over pictures.
+
+    At most MOST, which pictures have that are equal.
+    """
+    wrong = (compared.pictures - compared.references).square()
+    errors = _counted(wrong, compared).flatten(1).mean(1)
+    return float(-10 * errors.clamp_min(10 ** (-MOST / 10)).log10().mean())
+
+
+def median_difference(compared: Compared) -> float:
+    """Median over pixels of the CIE 2000 colour difference."""
+    return _quantile(compared, 0.5)
+
+
+def high_difference(compared: Compared) -> float:
+    """95th percentile over pixels of the CIE 2000 colour difference."""
+    return _quantile(compared, 0.95)
+
+
+def by() -> str:
+    """The package of colour differences."""
+    return f"by colour-science {importlib.metadata.version('colour-science')}"
+
+
+def _quantile(compared: Compared, share: float) -> float:
+    pictures, references = (
+        _counted(each, compared).transpose(1, 2).flatten(0, 1).double().numpy() for each in compared[:2]
+    )
+    return float(np.quantile(colour_difference(pictures, references), share))
+
+
+def _counted(values: Tensor, compared: Compared) -> Tensor:
+    """Values [B, 3, H, W] of the pixels that count, [B, 3, N]."""
+    return values.flatten(2) if compared.mask is None else values[..., compared.mask.to(torch.bool)]

@@ -1,0 +1,188 @@
+"""Measures of pictures: properties, closed forms, and the numbers of the authors' own programs."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Generator
+
+from metapp.appearance.features import load_features
+from metapp.appearance.presentation import Compared, picture_measures
+from metapp.door import PictureMeasure, load, offers
+from metapp.extensions.measures import perceptual, pixels
+from metapp.extensions.measures.textures import sliced_wasserstein
+from metapp.extensions.vgg.weights import shapes
+
+PERCEPTUAL = (perceptual.lpips, perceptual.dists)
+needs_weights = pytest.mark.skipif(not importlib.util.find_spec("torchmetrics"), reason="no torchmetrics")
+
+
+def waves() -> Compared:
+    """Two pictures of 72 x 88 px that any program can make."""
+    y, x = torch.meshgrid(torch.arange(72.0), torch.arange(88.0), indexing="ij")
+    c = torch.arange(3.0)[:, None, None]
+    one = 0.5 + 0.4 * torch.sin(0.35 * x + c) * torch.cos(0.2 * y - 0.5 * c)
+    other = 0.5 + 0.3 * torch.sin(0.31 * x + 0.05 * y + 1.3 * c) * torch.cos(0.23 * y)
+    return Compared(one[None], other[None])
+
+
+@pytest.fixture(scope="session")
+def drawn_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of VGG-16 by numpy's frozen generator."""
+    rng, weights = np.random.RandomState(0), {}
+    for key, shape in shapes().items():
+        drawn = rng.standard_normal(shape) * (2 / (shape[1] * 9)) ** 0.5 if key.endswith("weight") else None
+        weights[key] = torch.full(shape, 0.05) if drawn is None else torch.from_numpy(drawn.astype("f"))
+    path = tmp_path_factory.mktemp("drawn") / "vgg16.safetensors"
+    save_file(weights, path)
+    return path
+
+
+@pytest.fixture
+def drawn(drawn_weights: Path, cache: Path) -> None:
+    (cache / "vgg16.safetensors").symlink_to(drawn_weights)
+
+
+# By torch 2.14.1, torchvision 0.29.1: torchmetrics 1.9.0 (both measures), and to all digits lpips 0.1.4 and
+# DISTS-pytorch 0.1, with the weights of VGG-16 put in place of those that torchvision would fetch
+@needs_weights
+def test_numbers_of_the_authors_programs_with_drawn_weights(drawn: None) -> None:
+    assert perceptual.lpips(waves()) == pytest.approx(0.13649404, abs=2e-6)
+    assert perceptual.dists(waves()) == pytest.approx(0.09918708, abs=2e-6)
+
+
+@needs_weights
+def test_numbers_of_the_authors_programs(vgg: Path) -> None:
+    assert perceptual.lpips(waves()) == pytest.approx(0.36470923, abs=2e-6)
+    assert perceptual.dists(waves()) == pytest.approx(0.25178206, abs=2e-6)
+
+
+@needs_weights
+@pytest.mark.parametrize("measure", PERCEPTUAL)
+def test_perceptual_distances(measure: Callable[[Compared], float], drawn: None) -> None:
+    """0 for equal pictures, the same both ways, the mean over pictures, more for more noise."""
+    one, other, _ = waves()
+    assert measure(Compared(one, one)) == pytest.approx(0, abs=1e-6)
+    assert measure(Compared(other, one)) == pytest.approx(measure(Compared(one, other)), abs=1e-6)
+    both = Compared(torch.cat([one, one]), torch.cat([other, one]))
+    assert measure(both) == pytest.approx(measure(Compared(one, other)) / 2, abs=1e-6)
+    noise = torch.randn(one.shape, generator=Generator().manual_seed(0))
+    distances = [measure(Compared(one + scale * noise, one)) for scale in (0.01, 0.05, 0.2)]
+    assert 1e-6 < distances[0] < distances[1] < distances[2]
+
+
+@needs_weights
+def test_lpips_has_a_least_size(drawn: None) -> None:
+    small = Compared(*(each[..., :15, :40] for each in waves()[:2]))
+    assert math.isnan(perceptual.lpips(small))
+    assert math.isfinite(perceptual.dists(small))
+    assert math.isfinite(perceptual.lpips(Compared(*(each[..., :16, :16] for each in waves()[:2]))))
+
+
+@needs_weights
+def test_pooling_keeps_what_is_even(drawn: None) -> None:
+    """Inside, weights sum to 1; the layers are those of the features themselves."""
+    pooled = perceptual.L2Pooling()(torch.full((1, 2, 9, 8), 0.7))
+    assert pooled.shape == (1, 2, 5, 4)
+    torch.testing.assert_close(pooled[..., 1:-1, 1:], torch.full((1, 2, 3, 3), 0.7))
+    features = load_features(perceptual.TAPS, pooled)
+    soft = perceptual.softly_pooled(features)
+    assert soft.stages[1][1] is features.stages[1][1]
+    assert not any(isinstance(layer, torch.nn.MaxPool2d) for stage in soft.stages for layer in stage)
+
+
+@needs_weights
+def test_weights_are_what_torch_reads() -> None:
+    """The reader of bytes against torch's own, which takes nothing but tensors."""
+    place = importlib.util.find_spec("torchmetrics").submodule_search_locations[0]
+    heads = torch.load(f"{place}/functional/image/{perceptual.LPIPS_FILE}", map_location="cpu", weights_only=True)
+    for tap, (found, size) in enumerate(zip(perceptual.lpips_weights(), perceptual.CHANNELS, strict=True)):
+        assert torch.equal(found, heads[f"lin{tap}.model.1.weight"].reshape(size))
+        assert (found >= 0).all()
+    both = torch.load(f"{place}/functional/image/{perceptual.DISTS_FILE}", map_location="cpu", weights_only=True)
+    for found, name in zip(perceptual.dists_weights(), ("alpha", "beta"), strict=True):
+        assert torch.equal(torch.cat(found), both[name].flatten())
+
+
+def lacks(app: str = "texture") -> dict[str, str]:
+    """What is missing, by the measure."""
+    return dict(line.split(": ", 1) for line in picture_measures(app)[1])
+
+
+@needs_weights
+def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert lacks() == dict.fromkeys(("LPIPS", "DISTS"), "the weights of VGG-16 are missing: metapp data vgg")
+    assert waves().measures("texture").keys() <= {"sliced Wasserstein", "order"}
+    (cache / "vgg16.safetensors").symlink_to(drawn_weights)
+    assert lacks() == {}
+    (note,) = (note for offer, note in picture_measures("texture")[0].items() if offer.name == "LPIPS")
+    assert "VGG-16 features (unknown weights " in note
+    assert note.endswith(f"), weights of torchmetrics {importlib.metadata.version('torchmetrics')}")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    line = 'torchmetrics, which holds its weights, is not installed: pip install "metapp[measures]"'
+    assert lacks() == {"LPIPS": line, "DISTS": line}
+
+
+def test_other_files_of_the_package_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Found:
+        submodule_search_locations = (str(tmp_path),)
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: Found)
+    with pytest.raises(ValueError, match=r"vgg.pth: no such file of torchmetrics 1.9.0: pip install"):
+        perceptual.source_of_lpips()
+    file = tmp_path / "functional" / "image" / perceptual.DISTS_FILE
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"another")
+    with pytest.raises(ValueError, match=r"weights.pt: SHA-256 [0-9a-f]{16}..., expected f5e65c96230b7f6c... of torch"):
+        perceptual.source_of_dists()
+
+
+def test_psnr_is_its_definition(rng: Generator) -> None:
+    one = torch.rand(2, 3, 8, 9, generator=rng, dtype=torch.float64)
+    for wrong in (0.1, 0.01):  # a tenth of the range has a hundredth of its square
+        assert pixels.psnr(Compared(one + wrong, one)) == pytest.approx(-20 * math.log10(wrong))
+    half = torch.cat([one[:1] + 0.1, one[1:] + 0.001])
+    assert pixels.psnr(Compared(half, one)) == pytest.approx(40)  # the mean of 20 and 60
+    assert pixels.psnr(Compared(one, one)) == 100
+    mask = torch.zeros(8, 9, dtype=torch.bool)
+    mask[2:5, 3] = True
+    outside = torch.where(mask, one + 0.1, one + 0.5)
+    assert pixels.psnr(Compared(outside, one, mask)) == pytest.approx(20)
+
+
+def test_colour_differences_are_of_the_pixels_that_count() -> None:
+    gray = torch.full((1, 3, 4, 4), 0.5)
+    mask = torch.zeros(4, 4, dtype=torch.bool)
+    mask[0] = True
+    changed = torch.where(mask, gray, 1.0)
+    assert pixels.median_difference(Compared(changed, gray, mask)) == pytest.approx(0, abs=1e-9)
+    assert pixels.high_difference(Compared(changed, gray)) > 20
+
+
+def test_sliced_wasserstein(rng: Generator) -> None:
+    """0 for the same values elsewhere; of a shift, its length along directions over the deviation along them."""
+    target = torch.randn(1, 3, 8, 8, generator=rng, dtype=torch.float64)
+    moved = target.flatten(2)[:, :, torch.randperm(64, generator=rng)].unflatten(2, (8, 8))
+    torch.testing.assert_close(sliced_wasserstein(moved, target), torch.zeros(1, dtype=torch.float64))
+    single = torch.randn(1, 1, 8, 8, generator=rng, dtype=torch.float64)
+    deviation = (single - single.mean()).abs().mean()
+    both = torch.cat([single + 0.5, 3 * single])
+    found = sliced_wasserstein(both, single)
+    torch.testing.assert_close(found[0], 0.5 / deviation)
+    torch.testing.assert_close(found[1], 2 * single.abs().mean() / deviation)
+
+
+def test_measures_name_functions_of_applications_that_there_are() -> None:
+    for offer in offers(PictureMeasure):
+        assert callable(load(offer.measure)), offer.name
+        assert not offer.source or callable(load(offer.source)), offer.name
+        assert offer.note, offer.name
+        assert " ".join(offer.note.split()) == offer.note
