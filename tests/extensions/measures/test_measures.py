@@ -8,10 +8,8 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 from torch import Generator
 
 from metapp.appearance.features import load_features
@@ -19,7 +17,6 @@ from metapp.appearance.presentation import Compared, picture_measures
 from metapp.door import PictureMeasure, load, offers
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
-from metapp.extensions.vgg.weights import shapes
 
 PERCEPTUAL = (perceptual.lpips, perceptual.dists)
 needs_weights = pytest.mark.skipif(not importlib.util.find_spec("torchmetrics"), reason="no torchmetrics")
@@ -32,23 +29,6 @@ def waves() -> Compared:
     one = 0.5 + 0.4 * torch.sin(0.35 * x + c) * torch.cos(0.2 * y - 0.5 * c)
     other = 0.5 + 0.3 * torch.sin(0.31 * x + 0.05 * y + 1.3 * c) * torch.cos(0.23 * y)
     return Compared(one[None], other[None])
-
-
-@pytest.fixture(scope="session")
-def drawn_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Weights of VGG-16 by numpy's frozen generator."""
-    rng, weights = np.random.RandomState(0), {}
-    for key, shape in shapes().items():
-        drawn = rng.standard_normal(shape) * (2 / (shape[1] * 9)) ** 0.5 if key.endswith("weight") else None
-        weights[key] = torch.full(shape, 0.05) if drawn is None else torch.from_numpy(drawn.astype("f"))
-    path = tmp_path_factory.mktemp("drawn") / "vgg16.safetensors"
-    save_file(weights, path)
-    return path
-
-
-@pytest.fixture
-def drawn(drawn_weights: Path, cache: Path) -> None:
-    (cache / "vgg16.safetensors").symlink_to(drawn_weights)
 
 
 # By torch 2.14.1, torchvision 0.29.1: torchmetrics 1.9.0 (both measures), and to all digits lpips 0.1.4 and

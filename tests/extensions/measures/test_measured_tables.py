@@ -1,0 +1,89 @@
+"""The table of pictures of each application, with the extension, without it, and without what it needs."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from torch import Generator
+
+from metapp.appearance.presentation import Fitted
+from metapp.apps import presentation_of
+from metapp.door import WITHOUT
+from metapp.evaluation.notes import text_table
+from metapp.evaluation.tables import image, load_table
+from metapp.learning.app import App
+from metapp.learning.task import Task
+from tests.extensions.measures.test_measures import needs_weights
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+FLAT = {"LPIPS", "DISTS"}
+OWN = {"brdf": {"SSIM"}, "illumination": {"MAE x100", "SSIM"}, "svbrdf_nonstationary": {"log L1", "SSIM"}}
+FURTHER = {
+    "brdf": {"CIE 2000, median", "CIE 2000, 95 %", "PSNR"},
+    "illumination": {"PSNR", "LPIPS"},
+    "svbrdf_nonstationary": {"PSNR", *FLAT},
+    "svbrdf_stationary": FLAT,
+    "texture": {"sliced Wasserstein", *FLAT},
+    "transport": {"PSNR", "LPIPS"},
+}
+
+
+@pytest.fixture(autouse=True)
+def _without_scene(app: App) -> None:
+    if app.name == "transport":
+        pytest.skip("small tasks have no scene; tests/cli/test_cli_transport.py measures its pictures")
+
+
+def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], str]:
+    """The measures in the rows of a random fit, and the table with its notes."""
+    presentation, task = presentation_of(app), sources[0]
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
+    measures = presentation.image_errors({"meta": Fitted(theta, 0.1)}, task)
+    cell = SimpleNamespace(tasks=[task], records=lambda: [{"name": task.name, "error": None, "measures": measures}])
+    subject: Any = SimpleNamespace(
+        app=app,
+        presentation=presentation,
+        title=presentation.title,
+        tasks=[task],
+        fits={},
+        is_of_few=lambda name: False,
+    )
+    monkeypatch.setattr(image, "fits_of", lambda subject: {"meta": cell})
+    monkeypatch.setattr(image, "image_cell", lambda subject: cell)
+    table = load_table("image")
+    rows = table.rows(subject)
+    assert all(row["error"] is not None for row in rows if row["measure"])
+    return {row["measure"] for row in rows} - {None}, text_table(table, [(subject, rows)], "markdown")
+
+
+@needs_weights
+@pytest.mark.usefixtures("drawn")
+def test_each_table_has_its_measures(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    measures, text = printed(app, sources, monkeypatch)
+    assert measures >= FURTHER[app.name] | OWN.get(app.name, set())
+    for name in FURTHER[app.name]:
+        assert f"| {name} |" in text
+        assert f"\n- {name}: " in text
+
+
+@pytest.mark.usefixtures("drawn")
+def test_without_the_extension_tables_have_the_rest(
+    app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(WITHOUT, "measures")
+    measures, text = printed(app, sources, monkeypatch)
+    assert measures >= OWN.get(app.name, set())
+    assert not measures & set().union(*FURTHER.values())
+    assert presentation_of(app).image_measure in text
+
+
+@needs_weights
+def test_what_is_missing_is_said_below(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    measures, text = printed(app, sources, monkeypatch)
+    assert measures >= FURTHER[app.name] - FLAT
+    assert not measures & FLAT
+    for name in FURTHER[app.name] & FLAT:
+        assert f"\n- {name}: the weights of VGG-16 are missing: metapp data vgg" in text
