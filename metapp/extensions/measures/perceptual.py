@@ -98,7 +98,7 @@ class L2Pooling(nn.Module):
 def softly_pooled(features: Features) -> Features:
     """The same layers, which they share, with L2Pooling in place of the maximum."""
     stages = [
-        nn.Sequential(*(L2Pooling() if isinstance(layer, nn.MaxPool2d) else layer for layer in stage))
+        nn.Sequential(*(L2Pooling() if isinstance(layer, nn.MaxPool2d) else layer for layer in stage.children()))
         for stage in features.stages
     ]
     return Features(features.name, stages).to(features.mean)
