@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
 from metapp.apps.brdf.network import BrdfNetwork, Folded, shapes_of
-from metapp.learning.draws import normal
+from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Params
 
 WIDTHS = (6, 21, 21, 3)
@@ -21,14 +21,23 @@ KNOTS = 8  # of learned weights of samples, over theta_h
 
 @dataclass(frozen=True)
 class Nbrdf(BrdfNetwork):
-    """Weights w1..w3 [T, out, in] and biases b1..b3 [T, out, 1], of one size, all a material's own."""
+    """Weights w1..w3 [T, out, in] and biases b1..b3 [T, out, 1], of one size, all a material's own.
+
+    Attributes:
+        bound: random weights are uniform within this of 0, as Sztrajman et al. 2021 draw them; 0: Kaiming-normal.
+    """
+
+    bound: float = 0.0
 
     def init(self, rng: Generator, count: int) -> Params:
-        """Kaiming-normal weights and zero biases, [count, ...]."""
+        """Random weights and zero biases, [count, ...]."""
         theta = {}
         for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-            noise = normal(rng, count, outputs, inputs)
-            theta[f"w{layer}"] = noise * math.sqrt((2 if layer < 3 else 1) / inputs)
+            if self.bound:
+                weights = (2 * uniform(rng, count, outputs, inputs) - 1) * self.bound
+            else:
+                weights = normal(rng, count, outputs, inputs) * math.sqrt((2 if layer < 3 else 1) / inputs)
+            theta[f"w{layer}"] = weights
             theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
         return theta
 

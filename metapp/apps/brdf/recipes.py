@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
@@ -72,13 +72,16 @@ ANISOTROPIC = replace(
 )
 
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
-# alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random initialisation
+# alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random initialisation. Its distribution is that of Sztrajman
+# et al. 2021, from which the rule learns where it does not from Kaiming-normal weights; the paper does not give it, nor the
+# number of outer steps, which is the one of the authors' code (config/brdf.yaml).
 PAPER = replace(
     QUICK,
     quickft=Adam(5e-3),
+    setup=Nbrdf(bound=0.05),
     meta={
         "meta-sgd": MetaTraining(
-            steps=100_000,
+            steps=1_000_000,
             tasks=1,
             rates={"": 1e-4},
             first=Adam(1e-3),
