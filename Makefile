@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow test-cluster mutants lint types docs lock bench bench-size bench-growth bench-cluster bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow test-cluster mutants lint types docs lock bench bench-size bench-growth bench-cluster bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper paper-brdf torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -150,6 +150,9 @@ report: setup  ## all tables, figures, pictures and records as one page: runs/re
 
 paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains everything, then tables and report
 	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.apps import app_names; print(*app_names())')
+
+paper-brdf: setup  ## the paper's recipe on neural fits of MERL: make paper-brdf DATA=<folder with nbrdf/merl>; two hours of one core
+	bash tools/paper_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
 	bash tools/real_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(SEEDS)

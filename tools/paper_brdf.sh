@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# The paper's recipe on BRDFs: paper_brdf.sh METAPP DATA RUNS
+# Trains General, QuickFT's Adam and Meta (10^6 outer steps) on 64 neural fits of MERL, draws Meta's curve, and fits the
+# other 16 and the embedded test materials by all five paradigms. Interrupted, the same command goes on where it was.
+set -euo pipefail
+metapp=$1 data=$2 runs=$3
+[ -d "$data/nbrdf/merl" ] || { echo "paper-brdf: $data/nbrdf/merl is missing; name it: make paper-brdf DATA=..." >&2; exit 1; }
+fits="$runs/data/nbrdf-merl"
+[ -d "$fits" ] || "$metapp" data nbrdf "$data/nbrdf/merl" --out "$fits"
+for paradigm in general quickft meta; do
+  "$metapp" "$paradigm" brdf --recipe paper --data "$fits" --train --out "$runs"
+done
+folder=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-paper-seed0 | head -1)
+"$(dirname "$metapp")/python" tools/training_curves.py "$runs/figures/paper-brdf.png" "$folder/meta-sgd.safetensors"
+for table in results quickft; do
+  "$metapp" evaluate brdf --recipe paper --data "$fits" --whole --which "$table" --out "$runs"
+done
+"$metapp" evaluate brdf --recipe paper --whole --which results --out "$runs"   # by the checkpoints that ship

@@ -1,0 +1,58 @@
+"""Draw the validation error of trainings over outer steps: training_curves.py PICTURE CHECKPOINT...
+
+A panel for each checkpoint, on logarithmic axes: what its header holds. A broken line goes on as the last half of the
+curve falls, a straight line of least squares in these axes, as far as the recipe's number of steps.
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from metapp.evaluation.style import COLOURS, GRID, STYLE, new, save
+from metapp.storage.records import load_checkpoint
+
+
+def extrapolated(steps: NDArray[np.float64], errors: NDArray[np.float64], until: NDArray[np.float64]) -> Any:
+    """The errors at other steps, by a power law of the second half of a curve."""
+    half = steps >= steps[-1] / 2
+    slope, level = np.polyfit(np.log(steps[half]), np.log(errors[half]), 1)
+    return np.exp(level + slope * np.log(until))
+
+
+def panel(axes: Axes, path: Path) -> None:
+    """The curve of one checkpoint, and what it extrapolates to."""
+    info = load_checkpoint(path)[1]
+    curve = np.array([(step, error) for step, _, error in info["curve"][1:]])
+    steps, errors, planned = curve[:, 0], np.minimum.accumulate(curve[:, 1]), info["training"]["steps"]
+    axes.plot(steps, curve[:, 1], color=GRID, linewidth=0.8)
+    axes.plot(steps, errors, color=COLOURS["meta"])
+    axes.set(xscale="log", xlabel="outer steps", title=f"{info['app']}, {info['checkpoint']}, {info['recipe']}")
+    words = f"{path}: {errors[-1]:.3f} after {steps[-1]:,.0f} steps"
+    if steps[-1] < planned and errors.min() > 0:
+        until = np.geomspace(steps[-1], planned, 20)
+        axes.plot(until, extrapolated(steps, errors, until), "--", color=COLOURS["meta"])
+        words += f"; {extrapolated(steps, errors, until)[-1]:.3f} after {planned:,} by a power law of the second half"
+    if errors.min() > 0:
+        axes.set(yscale="log")
+        for axis in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+            axis("{x:g}")
+    print(words, file=sys.stderr)
+
+
+def main(picture: Path, *checkpoints: Path) -> None:
+    """Draw all curves side by side."""
+    with rc_context(STYLE):
+        figure, panels = new(3.2 * len(checkpoints), 2.4, columns=len(checkpoints))
+        for axes, path in zip(panels[0], checkpoints, strict=True):
+            panel(axes, path)
+        panels[0, 0].set_ylabel("validation error")
+        save(figure, picture)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
