@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, Setup, as_published
@@ -90,6 +91,11 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0, la
             prior=prior,
         ),
     )
+
+
+def smaller(paper: Recipe, setup: Callable[[int], Setup]) -> dict[str, Recipe]:
+    """The paper's recipe at sides in texels that take hours on CPUs, by name; `setup` gives the setup of a side."""
+    return {f"paper-{side}": replace(paper, setup=setup(side)) for side in (64, 128)}
 
 
 def by_protocol(quick: Recipe, photo: Recipe, *, full: Setup, paper: Setup) -> dict[str, dict[str, Recipe]]:

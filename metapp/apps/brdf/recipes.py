@@ -71,8 +71,8 @@ ANISOTROPIC = replace(
     setup=AZIMUTHS,
 )
 
-# Fischer & Ritschel 2022, section 4.1.2: 10 inner steps of 512 samples. Weights begin as those of Sztrajman et al. 2021, as
-# in the authors' code (models/brdfmodel.py): from Kaiming-normal ones the rule hardly learns.
+# Fischer & Ritschel 2022, section 4.1.2: 10 inner steps of 512 samples. Weights begin as in Sztrajman et al. 2021 and
+# the authors' code (models/brdfmodel.py): from Kaiming-normal ones the rule hardly learns.
 PAPER = as_published(replace(QUICK, quickft=Adam(5e-3)), Nbrdf(bound=0.05), tasks=1, order=2, augment=False)
 
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "anisotropic": ANISOTROPIC}

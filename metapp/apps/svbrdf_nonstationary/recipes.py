@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.recipes import by_protocol
+from metapp.networks.recipes import by_protocol, smaller
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -54,6 +54,7 @@ RECIPES = by_protocol(
     full=MaterialSetup(field_of(128, 32), read=64),
     paper=MaterialSetup(field_of(256, 64), 64),  # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
 )
+RECIPES["reference"] |= smaller(RECIPES["reference"]["paper"], lambda side: MaterialSetup(field_of(side, 64), 64))
 # Photographs at the size that people use, by an encoder with levels for it. 20 outer steps through the steps of fits
 # raised validation errors, so that the rule is a searched Adam.
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)

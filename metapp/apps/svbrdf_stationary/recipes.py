@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
-from metapp.networks.recipes import generator, pixels, pyramid
+from metapp.networks.recipes import generator, pixels, pyramid, smaller
 
 PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
 QUICK = generator(
@@ -24,3 +26,4 @@ PAPER = as_published(
     tasks=3,
 )
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
+RECIPES |= smaller(PAPER, lambda side: replace(PAPER.setup, height=side, width=side))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
-from metapp.networks.recipes import generator, pixels, pyramid
+from metapp.networks.recipes import generator, pixels, pyramid, smaller
 
 QUICK = generator(
     steps=15,
@@ -19,3 +21,4 @@ FULL = pyramid(QUICK, searched=Adam(4.4e-3, beta1=0.5, beta2=0.97, final=0.1), t
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
 PAPER = as_published(QUICK, ExemplarSetup(192, 256, UNet(32), ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")))
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
+RECIPES |= smaller(PAPER, lambda side: replace(PAPER.setup, height=side, width=side))
