@@ -14,6 +14,7 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cosines
+from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf import KNOTS
 from metapp.learning.app import stack
@@ -82,6 +83,21 @@ def test_init() -> None:
         torch.testing.assert_close(theta[f"w{layer}"].var(), torch.tensor(gain / inputs), rtol=0.02, atol=0)
         assert not theta[f"b{layer}"].any()
     assert not torch.equal(theta["w1"][0], theta["w1"][1])
+
+
+def test_init_of_the_papers_recipe() -> None:
+    """Weights uniform in +-0.05 and biases 0 (Sztrajman et al. 2021), also in what an untrained General predicts."""
+    recipe = recipes_of("brdf")["paper"]
+    app = Brdf(recipe.setup)
+    theta = app.init(Generator().manual_seed(0), 2000)
+    for layer in (1, 2, 3):
+        assert 0.0499 < theta[f"w{layer}"].abs().max() <= 0.05
+        torch.testing.assert_close(theta[f"w{layer}"].var(), torch.tensor(0.1**2 / 12), rtol=0.02, atol=0)
+        assert not theta[f"b{layer}"].any()
+    assert app.setup.init_encoder(Generator().manual_seed(0))["out.b"].abs().max() <= 0.05
+    training = recipe.meta["meta-sgd"]
+    assert (recipe.steps, recipe.batch, training.tasks, training.order) == (10, 512, 1, 2)
+    assert (training.steps, training.rates, training.decay, training.first.rate) == (1_000_000, {"": 1e-4}, 1e-6, 1e-3)
 
 
 def test_loss_by_hand(theta: Params, batch: Batch) -> None:
