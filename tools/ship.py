@@ -1,8 +1,8 @@
 """Copy trained checkpoints to where those that ship lie: ship.py TRAINED CHECKPOINTS.
 
 Encoders and long hyperparameters (rates of weights, bases) are stored in half precision there, which halves their size
-and changes no error, hyperparameters on grids on at most GRID cells a side, one where all are the same; checkpoints
-that refer to General's encoder by its digest refer to the rounded one.
+and changes no error, hyperparameters on grids on at most GRID cells a side, one where all are the same; of long
+validation curves CURVE points; checkpoints that refer to General's encoder by its digest refer to the rounded one.
 """
 
 import json
@@ -19,7 +19,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.records import load_checkpoint, tensor_digest
 
-GRID = 64
+GRID, CURVE = 64, 200
 SKIPPED = (".previous", ".interrupted", ".training", ".aside")
 
 
@@ -30,6 +30,7 @@ def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
         info: dict[str, Any] = json.loads(file.metadata()["metapp"])
     if "encoder" in info:
         info["encoder"] = rounded.get(info["encoder"], info["encoder"])
+    info["curve"] = info["curve"][:: max(1, len(info["curve"]) // CURVE)]
     tensors = {key: _on_small_grid(value) if key.startswith("alpha.") else value for key, value in tensors.items()}
     tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
     encoder = MetaParameters.unflat(tensors).encoder
