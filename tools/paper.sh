@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The paper's recipe on the embedded data, for a machine with a GPU: paper.sh METAPP RUNS APP...
-# Trains General, QuickFT's Adam and Meta (100,000 outer steps) of every application, which takes days, then fits all
+# Trains General, QuickFT's Adam and Meta (10^6 outer steps) of every application, which takes days, then fits all
 # test tasks with all of Overfit's steps and writes tables, figures and the report. Fits see what the paper's do.
 set -euo pipefail
 metapp=$1 runs=$2

@@ -15,4 +15,10 @@ folder=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-paper-seed0 | head -1)
 for table in results quickft; do
   "$metapp" evaluate brdf --recipe paper --data "$fits" --whole --which "$table" --out "$runs"
 done
-"$metapp" evaluate brdf --recipe paper --whole --which results --out "$runs"   # by the checkpoints that ship
+# the embedded materials are unlike those of training
+for paradigm in general overfit finetune quickft meta; do
+  checkpoint=(--checkpoint "$folder/general.safetensors")
+  [ "$paradigm" = meta ] && checkpoint=(--checkpoint "$folder/meta-sgd.safetensors")
+  [ "$paradigm" = overfit ] && checkpoint=()
+  "$metapp" "$paradigm" brdf --recipe paper "${checkpoint[@]}" --out "$runs"
+done

@@ -356,7 +356,7 @@ def test_options_of_other_types_are_refused_in_a_line(options: dict[str, Any], l
         ("svbrdf_nonstationary", {"observe": "fotto"}, 'observe="fotto": svbrdf_nonstationary expects one of'),
         ("texture", {"size": "1000000x1000000"}, 'size="1000000x1000000": texture expects multiples of 32 from 64 to'),
         ("brdf", {"paradigm": "overfit", "detail": 512}, "detail: brdf has no such option"),
-        ("brdf", {"recipe": "paper"}, "train one with --train"),  # no option of a program
+        ("brdf", {"recipe": "paper", "rule": "meta-encoder"}, "train one with --train"),  # no option of a program
     ],
 )
 def test_errors_name_options_as_programs_give_them(app: str, options: dict[str, Any], line: str, network: Path) -> None:
