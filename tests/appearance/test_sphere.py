@@ -10,9 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from data_tools.synthetic.interfaces import rough_reflectance
 from metapp.appearance import sphere
 from metapp.appearance.geometry import above_horizon, cosines
-from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
+from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe
 from metapp.appearance.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
 from metapp.storage import tensors
 

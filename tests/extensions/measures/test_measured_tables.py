@@ -16,8 +16,13 @@ from metapp.evaluation.tables import image, load_table
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from tests.extensions.measures.test_measures import needs_weights
+from tests.paradigms.small import KINDS
 
-pytestmark = pytest.mark.usefixtures("small_spheres")
+# small tasks of transport have no scene: tests/cli/test_cli_transport.py measures its pictures
+pytestmark = [
+    pytest.mark.usefixtures("small_spheres"),
+    pytest.mark.parametrize("app", [kind for kind in KINDS if kind != "transport"], indirect=True),
+]
 
 FLAT = {"LPIPS", "DISTS"}
 OWN = {"brdf": {"SSIM"}, "illumination": {"MAE x100", "SSIM"}, "svbrdf_nonstationary": {"log L1", "SSIM"}}
@@ -29,12 +34,6 @@ FURTHER = {
     "texture": {"sliced Wasserstein", *FLAT},
     "transport": {"PSNR", "LPIPS"},
 }
-
-
-@pytest.fixture(autouse=True)
-def _without_scene(app: App) -> None:
-    if app.name == "transport":
-        pytest.skip("small tasks have no scene; tests/cli/test_cli_transport.py measures its pictures")
 
 
 def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], str]:
