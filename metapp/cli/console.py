@@ -141,7 +141,8 @@ def what_failed(error: Exception) -> str:
         raise error
     foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
     what = str(error) or type(error).__name__
-    return what if foreseen else f"{type(error).__name__}: {_cut(what)}; {REPORT}"
+    cut = what if len(what) < 150 else f"{what[:147]}..."  # libraries say pages
+    return what if foreseen else f"{type(error).__name__}: {cut}; {REPORT}"
 
 
 def lines_of_input() -> Iterator[str]:
@@ -162,11 +163,6 @@ def _end_like_ctrl_c() -> None:
 
 
 REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
-
-
-def _cut(message: str) -> str:
-    """The beginning of what a library says, which may be pages."""
-    return message if len(message) < 150 else f"{message[:147]}..."
 
 
 def _interrupted(terminal: Reporter) -> int:

@@ -6,6 +6,7 @@ import contextlib
 import os
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 
@@ -17,7 +18,8 @@ def threads(count: int | None) -> Iterator[None]:
     """Have torch work with so many threads and by its own defaults; afterwards by the program's.
 
     Figures of some applications depend on the count of threads, which is the process's: work that needs another count
-    waits until that which runs is done. Autocast, default dtype and device, and modes without gradients are put aside.
+    waits until that which runs is done. Autocast, default dtype and device, precision of products and modes without
+    gradients are put aside.
 
     Args:
         count: of threads; None: as many as torch has where nothing of metapp runs. In a process that was forked after
@@ -34,17 +36,29 @@ def threads(count: int | None) -> Iterator[None]:
         yield
 
 
-class _State:
-    """What all threads of a process share: the count of threads and the default dtype.
+# their precision may be lowered, as by torch.set_float32_matmul_precision
+_MKLDNN: Any = torch.backends.mkldnn  # whose members are made at its import
+_PRODUCTS = (_MKLDNN.matmul, _MKLDNN.conv, torch.backends.cuda.matmul)
+_OURS = (torch.float32, ["ieee"] * len(_PRODUCTS))
 
-    Work that agrees on the count runs at the same time; the first sets dtype and count, the last the program's again.
+
+def _set_numbers(dtype: torch.dtype, precisions: list[str]) -> None:
+    torch.set_default_dtype(dtype)
+    for product, precision in zip(_PRODUCTS, precisions, strict=True):
+        product.fp32_precision = precision
+
+
+class _State:
+    """What all threads of a process share: the count of threads, the default dtype and the precision of products.
+
+    Work that agrees on the count runs at the same time; the first sets all three, the last the program's again.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._holders: list[int] = []  # threads that work
         self._count = self._outside = self._most = 1
-        self._dtype = torch.float32
+        self._program = _OURS
         self._forked = False
 
     @contextlib.contextmanager
@@ -61,7 +75,8 @@ class _State:
         me = threading.get_ident()
         with self._changed:
             if not self._holders:
-                self._outside, self._dtype = torch.get_num_threads(), torch.get_default_dtype()
+                self._outside = torch.get_num_threads()
+                self._program = torch.get_default_dtype(), [product.fp32_precision for product in _PRODUCTS]
             nested = me in self._holders
             around = self._count if nested else self._outside
             wanted = count or around
@@ -70,7 +85,7 @@ class _State:
                 wanted = 1
             self._changed.wait_for(lambda: nested or not self._holders or wanted == self._count)
             if not self._holders:
-                torch.set_default_dtype(torch.float32)
+                _set_numbers(*_OURS)
             self._holders.append(me)
             self._set(wanted)
             return around
@@ -80,7 +95,7 @@ class _State:
         with self._changed:
             self._holders.remove(me)
             if not self._holders:
-                torch.set_default_dtype(self._dtype)
+                _set_numbers(*self._program)
             if not self._holders or me in self._holders:  # or the count would change under others that still work
                 self._set(around)
             self._changed.notify_all()
@@ -96,7 +111,7 @@ class _State:
         others = [holder for holder in self._holders if holder != threading.get_ident()]
         self._holders = [holder for holder in self._holders if holder not in others]
         if others and not self._holders:
-            torch.set_default_dtype(self._dtype)
+            _set_numbers(*self._program)
 
 
 _STATE = _State()

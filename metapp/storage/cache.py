@@ -57,7 +57,7 @@ def _shared(folder: Path) -> str:
         return "a link or file"
     if state.st_uid not in (os.getuid(), 0):
         return "another user's"
-    if _others_write(state) and any(folder.iterdir()):
+    if any(_others_write(state) or path.lstat().st_uid not in (os.getuid(), 0) for path in folder.iterdir()):
         return "others could write to it"
     for parent in map(Path.stat, folder.absolute().parents):
         if parent.st_uid not in (os.getuid(), 0) or (_others_write(parent) and not parent.st_mode & stat.S_ISVTX):

@@ -33,10 +33,10 @@ def open_own(path: Path, flags: int) -> int:
     """Open a file to write to, which is made if missing; the descriptor.
 
     Raises:
-        ValueError: it is a link, or no file.
+        ValueError: it is a link, symbolic or hard, or no file.
     """
     check_plain(path)
-    if path.is_symlink():
+    if path.is_symlink() or (path.is_file() and path.stat().st_nlink > 1):
         raise _linked(path, "file")
     return _regular(path, os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666))
 

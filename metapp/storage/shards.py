@@ -128,7 +128,7 @@ class ShardWriter:
         for key, tensor in task.data.items():
             if key not in self._manifest.units:
                 raise ValueError(f"{task.name}: tensor '{key}' has no unit; add it to units.")
-            if not _is_finite(tensor):
+            if not torch.isfinite(tensor).all():
                 raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
         self._held |= set(task.data)
         # A copy of its own each: safetensors refuses tensors that share memory.
@@ -145,7 +145,8 @@ class ShardWriter:
             partial_path(self.folder / beside).write_bytes(task.data[key].cpu().numpy().tobytes().rstrip() + b"\n")
             self._files.add(beside.lower())
         digest = hashlib.sha256(payload).hexdigest()
-        self._entries.append(Entry(task.name, file, split, _base_name(source), digest, task.group, beside))
+        base = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
+        self._entries.append(Entry(task.name, file, split, base, digest, task.group, beside))
 
     def entries(self) -> tuple[Entry, ...]:
         """The tasks added so far, in that order, each in its split."""
@@ -289,10 +290,6 @@ def _files(entries: Iterable[Entry]) -> list[str]:
     return [file for entry in entries for file in (entry.file, entry.beside) if file]
 
 
-def _base_name(source: str | Path) -> str:
-    return re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
-
-
 def _file_name(name: str, taken: set[str]) -> str:
     """A file name that every file system takes, and that differs from those taken even where case does not count."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
@@ -301,10 +298,6 @@ def _file_name(name: str, taken: set[str]) -> str:
         count += 1
         file = f"{stem}-{count}{SUFFIX}"
     return file
-
-
-def _is_finite(tensor: torch.Tensor) -> bool:
-    return bool(torch.isfinite(tensor).all())
 
 
 def _read_task(folder: Path, entry: Entry) -> Task:

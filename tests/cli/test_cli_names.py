@@ -30,6 +30,18 @@ def test_a_seed_that_is_too_large_is_refused_in_a_line(metapp: Callable, command
     )
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("overfit brdf --steps", "steps: 99999999999999999999999, expected 0 to 1,000,000,000"),
+        ("general brdf --train --train-steps", "train_steps: 99999999999999999999999, expected 0 to 1,000,000,000"),
+        ("data nbrdf m --out set --samples", "'--samples': Input should be less than or equal to 10000000"),
+    ],
+)
+def test_numbers_that_nothing_can_hold_are_refused_in_a_line(metapp: Callable, command: str, said: str) -> None:
+    assert said in metapp(*command.split(), 99999999999999999999999).misuse
+
+
 def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = io.StringIO()
     monkeypatch.setattr(sys, "stderr", drawn)

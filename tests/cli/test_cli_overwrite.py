@@ -47,6 +47,12 @@ def test_a_file_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], ru
     assert out.read_bytes() != b"mine"
 
 
+def test_the_picture_beside_a_plan_is_replaced_by_overwrite_alone(metapp: Callable[..., Result]) -> None:
+    Path("plan.png").write_text("mine")
+    assert "plan.png: is there already" in metapp("plan", "brdf", "--samples", 4).misuse
+    assert (Path("plan.png").read_text(), Path("plan.csv").exists()) == ("mine", False)
+
+
 def test_a_marker_sheet_is_replaced_by_overwrite_alone(metapp: Callable[..., Result]) -> None:
     pytest.importorskip("cv2")
     Path("out.pdf").write_text("mine")
@@ -94,13 +100,21 @@ def test_files_of_an_embedded_set_are_replaced_by_overwrite_alone(metapp: Callab
     assert "materials/test: is there already" in metapp(*words).misuse
 
 
-@pytest.mark.parametrize(("split", "expected"), [("auto", ("one", "two")), ("test", ("", "one two"))])
+@pytest.mark.parametrize(
+    ("paths", "split", "expected"),
+    [
+        ("sets", "auto", ("one", "two")),
+        ("sets", "test", ("", "one two")),
+        ("sets/train sets/test", "auto", ("one", "two")),
+        ("sets/train/../test/two sets/train/one", "auto", ("one", "two")),
+    ],
+)
 def test_folders_train_and_test_stay_apart(
-    metapp: Callable[..., Result], runs: Path, split: str, expected: tuple[str, str]
+    metapp: Callable[..., Result], runs: Path, paths: str, split: str, expected: tuple[str, str]
 ) -> None:
     """Held-out materials must not be trained on, whatever `auto` would make of their names."""
     for folder, name in (("train", "one"), ("test", "two")):
         shutil.copytree(runs / "m0", Path("sets") / folder / name)
-    done = metapp("data", "nbrdf", "sets", "--samples", 512, "--split", split, "--out", "set", "--json")
+    done = metapp("data", "nbrdf", *paths.split(), "--samples", 512, "--split", split, "--out", "set", "--json")
     assert tuple(" ".join(sorted(done.document[part])) for part in ("train", "test")) == expected
     assert ("train/ and test/ keep their tasks apart" in done.err) == (split == "auto")

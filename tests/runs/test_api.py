@@ -333,7 +333,9 @@ def test_sources_are_all_paths_or_none() -> None:
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"steps": -1}, "steps: -1, expected 0 or more"),
+        ({"steps": -1}, "steps: -1, expected 0 to 1,000,000,000"),
+        ({"steps": 10**23}, "steps: 100000000000000000000000, expected 0 to 1,000,000,000"),
+        ({"seed": 2**63}, "seed: 9223372036854775808, expected 0 to 9,223,372,036,854,775,807"),
         ({"steps": "ten"}, "steps: 'ten', expected int or None"),
         ({"steps": True}, "steps: True, expected int or None"),
         ({"seed": "a"}, "seed: 'a', expected int"),

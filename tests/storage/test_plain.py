@@ -43,6 +43,13 @@ def test_a_linked_record_file_is_refused_and_its_target_as_it_was(sent: Path, ta
     assert (sent / "../../home/keys").read_text() == "first\nlast"
 
 
+def test_a_record_file_with_another_name_is_refused_and_stays_as_it_was(sent: Path) -> None:
+    (sent / "record.jsonl").hardlink_to(sent / "../../home/keys")
+    with pytest.raises(ValueError, match=r"record\.jsonl: a link, expected a file of this folder; remove it"):
+        add(sent)
+    assert (sent / "../../home/keys").read_text() == "first\nlast"
+
+
 @pytest.mark.parametrize("link", ["params", "", "."])
 def test_a_linked_folder_is_refused(sent: Path, link: str) -> None:
     folder = sent / link if link != "." else sent / "outputs"

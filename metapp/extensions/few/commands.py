@@ -64,7 +64,8 @@ def plan(options: Options) -> None:
     if options.app != "brdf":
         whole = f"expected brdf; of other applications a fit takes whole pictures.{meant(options.app, ['brdf'])}"
         raise typer.BadParameter(f"'{options.app}': {whole}")
-    check_new(out, options.overwrite)
+    for path in (out, out.with_suffix(".png")):
+        check_new(path, options.overwrite)
     detector = None if options.detector is None else math.radians(options.detector)
     limits = Limits(math.radians(options.grazing), math.radians(options.apart), detector)
     planned = plan_brdf(options.samples, limits, options.after, options.seed)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -93,18 +94,18 @@ def convert(
     return converted(conversion.app, out, entries, skipped)
 
 
-def splits_by_folder(sources: Mapping[Path, Path | None]) -> dict[Path, str]:
-    """The splits of sources that were found in folders train/ and test/, which is said; none where there are not both.
+def splits_by_folder(sources: Iterable[Path]) -> dict[Path, str]:
+    """The splits of sources in folders train/ and test/, which is said; none where there are not both.
 
-    Args:
-        sources: each with the folder that was searched for it; None where it was named.
+    Folders that all sources lie in do not count, so that it does not matter which of them were named.
     """
     from metapp.storage.manifest import SPLITS
 
+    folders = {source: os.path.abspath(source.parent) for source in sources}
+    common = os.path.commonpath(folders.values() or [""])
     splits: dict[Path, str] = {}
-    for source, searched in sources.items():
-        parts = source.relative_to(searched).parts[:-1] if searched else ()
-        if split := next((part for part in parts if part in SPLITS), ""):
+    for source, folder in folders.items():
+        if split := next((part for part in Path(folder).relative_to(common).parts if part in SPLITS), ""):
             splits[source] = split
     if set(splits.values()) != set(SPLITS):
         return {}

@@ -26,15 +26,20 @@ def check_name(app: str) -> None:
 
 
 def check_types(options: Mapping[str, object]) -> None:
-    """A usage error where general options that a program gives are of another type, or negative."""
+    """A usage error where general options that a program gives are of another type."""
     hints = get_type_hints(Request)
     for name, value in options.items():
         kinds = get_args(hints[name]) if isinstance(hints[name], UnionType) else (hints[name],)
         names = " or ".join(kind.__name__.replace("NoneType", "None") for kind in kinds)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
             raise BadOption(f"{name}: {value!r}, expected {names}.")
-        if int in kinds and isinstance(value, int) and value < 0:
-            raise BadOption(f"{name}: {value}, expected 0 or more.")
+
+
+def check_numbers(request: Request) -> None:
+    """A usage error where a number is negative or so large that nothing of that size can be held."""
+    for name, most in {"steps": 10**9, "train_steps": 10**9, "seed": 2**63 - 1}.items():
+        if not 0 <= (getattr(request, name) or 0) <= most:
+            raise BadOption(f"{name}: {getattr(request, name)}, expected 0 to {most:,}.")
 
 
 def check_protocol(protocol: str, app: str) -> None:

@@ -17,7 +17,7 @@ from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
 from metapp.runs.fits.batch_size import check_batch
 from metapp.runs.inputs.addresses import at_address, place_of
-from metapp.runs.requests.checks import check_export, check_name, check_protocol, check_rule
+from metapp.runs.requests.checks import check_export, check_name, check_numbers, check_protocol, check_rule
 from metapp.runs.requests.choosing import chosen_recipe
 from metapp.runs.requests.naming import observe_of
 from metapp.runs.requests.options import (
@@ -162,6 +162,7 @@ def plan(request: Request) -> Plan:
         )
     paradigm = by_name[request.paradigm]
     check_name(request.app)
+    check_numbers(request)
     check_protocol(request.observe, request.app)
     recipes = recipes_of(request.app, request.observe)
     options = check_options(request, request.observe or next(iter(protocols_of(request.app)), ""))

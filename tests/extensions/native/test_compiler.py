@@ -72,10 +72,10 @@ def test_the_folder_is_the_users_alone(cache: Path, tmp_path: Path) -> None:
 UNSAFE = [
     *("a folder of another user", "a linked folder", "a folder that all could write to"),
     *("a place for all", "a place of another user", "a place for a group"),
+    *("a library of another user", "a digest of another user", "another user's file beside it"),
 ]
 REPLACED = [
-    *("one's own library of another source", "a library of another user", "a digest of another user"),
-    *("a library that all can write", "a linked library"),
+    *("one's own library of another source", "a library that all can write", "a linked library"),
 ]
 
 
@@ -124,6 +124,9 @@ def spoil(attack: str, native: Path, library: Path, digest: Path) -> None:
         os.chown(library, 12345, 12345)
     elif attack == "a digest of another user":
         os.chown(digest, 12345, 12345)
+    elif attack == "another user's file beside it":
+        (native / "kernel.bin").touch()
+        os.chown(native / "kernel.bin", 12345, 12345)
     elif attack == "a library that all can write":
         library.chmod(0o777)
     elif attack == "a linked library":

@@ -84,6 +84,25 @@ def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, t
     assert {folder.name for folder in (tmp_path / "runs" / "brdf").iterdir()} == {"general", "meta", "quickft"}
 
 
+def test_names_of_tasks_are_text(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+    """Whatever a page is put together from, no name is taken for a part of it."""
+    names = ["{{picture:x}}", "{0} %s $\\frac$", "<b onload=1>&amp;'\"", "\u0646\u062d\u0627\u0633"]
+    for name in names:
+        shutil.copytree(neural_fits(1) / "m0", tmp_path / "networks" / name)
+    assert metapp("data", "nbrdf", "networks", "--split", "test", "--samples", 256, "--out", "set", "--quiet").code == 0
+    words = ("--data", "set", "--out", "runs", "--which", "quickft", "--report", "report", "--quiet", "--json")
+    assert metapp("evaluate", "brdf", *words).code == 0
+    text = (tmp_path / "report" / "index.html").read_text()
+    parsed = Page()
+    parsed.feed(text)
+    assert parsed.open == []
+    assert not any("onload" in attributes for _, attributes in parsed.tags)
+    found = json.loads(text.partition('id="records">')[2].partition("</script>")[0])
+    assert set(found["brdf"]["records"]["meta"]) == set(names)
+    alternatives = [str(image["alt"]) for image in parsed.all("img")]
+    assert all(any(each.startswith(f"{name}: ") for each in alternatives) for name in names)
+
+
 def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Path) -> None:
     assert evaluate("--no-run", "--report", tmp_path / "report", "--quiet").code == 0
     parsed = Page()
