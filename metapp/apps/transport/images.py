@@ -198,5 +198,5 @@ def _errors(
     errors = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
     spp = int(SPP * (plain - fixed) / max(shot.seconds - table, 1e-9))
     if spp >= 1:
-        errors[EQUAL_TIME] = studio.errors(shoot(spp, seed).picture)["MAPE"]
+        errors[EQUAL_TIME] = float(mape(shoot(spp, seed).picture[None], studio.reference[None]))
     return errors
