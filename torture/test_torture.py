@@ -10,6 +10,7 @@ import pytest
 
 from metapp.extensions.native import compiler
 from metapp.extensions.viewer.live import Live
+from metapp.storage import cache
 from metapp.storage.cache import cache_folder
 from torture import arrays, kills, links, servers
 from torture.report import Report, fault_of_message
@@ -78,6 +79,7 @@ def test_a_cache_of_others_is_a_finding_where_nobody_asks_whose_it_is(
     target.seeds()
     if not is_checked:
         monkeypatch.setattr(compiler, "_is_whole", lambda *_: True)
+        monkeypatch.setattr(cache, "_shared", lambda *_: "")
     faults = []
     for index in range(8):
         (tmp_path / str(index)).mkdir()
