@@ -45,7 +45,9 @@ _OURS = (torch.float32, ["ieee"] * len(_PRODUCTS))
 def _set_numbers(dtype: torch.dtype, precisions: list[str]) -> None:
     torch.set_default_dtype(dtype)
     for product, precision in zip(_PRODUCTS, precisions, strict=True):
-        product.fp32_precision = precision
+        product.fp32_precision = "none"  # as that of all products
+        if product.fp32_precision != precision:
+            product.fp32_precision = precision
 
 
 class _State:

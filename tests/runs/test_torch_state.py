@@ -57,12 +57,13 @@ def low_precision() -> Iterator[None]:
 
 @contextmanager
 def low_precision_of_all() -> Iterator[None]:
-    torch.backends.mkldnn.matmul.fp32_precision = torch.backends.mkldnn.conv.fp32_precision = "bf16"
+    torch.backends.fp32_precision = "bf16"
     try:
         yield
         assert torch.backends.mkldnn.conv.fp32_precision == "bf16"
     finally:
-        torch.backends.mkldnn.matmul.fp32_precision = torch.backends.mkldnn.conv.fp32_precision = "none"
+        torch.backends.fp32_precision = "none"
+    assert torch.backends.mkldnn.conv.fp32_precision == "none"
 
 
 SETTINGS: dict[str, Callable[[], AbstractContextManager[object]]] = {

@@ -71,6 +71,16 @@ def test_a_linked_file_is_replaced_and_its_target_as_it_was(sent: Path) -> None:
     assert target.read_text() == "first\nlast"
 
 
+@pytest.mark.parametrize("name", ["brdf", "brdf/checkpoints"])
+def test_a_training_makes_no_folder_behind_a_link(metapp: Callable, sent: Path, name: str) -> None:
+    home, link = sent.parents[1] / "home", sent.parent / name
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(home)
+    made = metapp("general", "brdf", "--train", "--train-steps", 1, "--recipe", "quick", "--out", sent.parent)
+    assert f"{link}: a link, expected a folder of this folder" in made.error
+    assert [path.name for path in home.iterdir()] == ["keys"]
+
+
 def test_the_folder_itself_may_be_a_link_of_its_user(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "runs").symlink_to("disk")

@@ -58,6 +58,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     """
     name, app, request = _name_of(plan), plan.app, plan.request
     path = trained_path(plan, name)
+    make_folder(request.out)
     make_folder(path.parent)
     folder = data_folder(app, request.data, request.quiet)
     first = _first(plan)
