@@ -97,6 +97,18 @@ def test_of_a_folder_of_runs_the_newest_is_taken(metapp: Callable, run: Path) ->
     assert "runs/brdf: the newest run" not in metapp("export", other, "nbrdf").err
 
 
+def test_a_run_behind_a_link_is_not_the_newest(metapp: Callable, run: Path) -> None:
+    """A folder that somebody sent must not lead to runs elsewhere, where files would be written."""
+    Path("sent").mkdir()
+    Path("sent/x").symlink_to(run.resolve())
+    Path("sent/y").mkdir()
+    Path("sent/y/record.jsonl").symlink_to(run.resolve() / "record.jsonl")
+    Path("sent/broken").mkdir()
+    Path("sent/broken/record.jsonl").symlink_to("nothing")
+    assert "sent: no record.jsonl with fits" in metapp("export", "sent", "nbrdf").error
+    assert not (run / "nbrdf").exists()
+
+
 def test_of_a_single_fit_files_are_named(metapp: Callable, neural_fits: Callable[[int], Path]) -> None:
     done = metapp(
         "meta", "brdf", neural_fits(1), "--rule", "meta-curvature", "--export", "nbrdf,bsdf", "--out", "my runs"

@@ -74,6 +74,7 @@ def _newest_run(folder: Path) -> Path:
     """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf/meta`; else the folder itself."""
     below = [] if (folder / "record.jsonl").is_file() else ("*/", "*/*/", "*/*/*/")
     found = [file for places in below for file in folder.glob(f"{places}record.jsonl")]
+    found = [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]  # through no link
     newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent if found else folder
     if found:
         say(f"{folder}: the newest run is {newest}")
