@@ -36,9 +36,13 @@ def open_own(path: Path, flags: int) -> int:
         ValueError: it is a link, symbolic or hard, or no file.
     """
     check_plain(path)
-    if path.is_symlink() or (path.is_file() and path.stat().st_nlink > 1):
+    if path.is_symlink():
         raise _linked(path, "file")
-    return _regular(path, os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666))
+    descriptor = _regular(path, os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666))
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        raise _linked(path, "file")
+    return descriptor
 
 
 def open_regular(path: str | Path) -> io.BufferedReader:
