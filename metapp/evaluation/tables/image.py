@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Iterator
 
 from metapp.appearance.presentation import REFERENCE, Fitted, picture_measures
+from metapp.door import PictureMeasure, offers
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import few_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
@@ -70,7 +71,7 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
     figures, app = paper(), subject.app.name
     bound, ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
-    more_is_better = ssim or any(offer.name == key and offer.more_is_better for offer in picture_measures(app)[0])
+    more_is_better = ssim or any(offer.name == key and offer.more_is_better for offer in offers(PictureMeasure))
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)

@@ -9,7 +9,6 @@ _HERE = "metapp.extensions.measures"
 _ALIGNED = ("brdf", "svbrdf_nonstationary", "illumination", "transport")
 _FLAT = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
 _COLOUR = "CIE 2000 colour difference (D65), of which about 1 is just noticeable"
-_HIGH = "the same, 95th percentile over pixels"
 _DISTANCE = "distance of the distributions of features that no fit is compared by, over their deviation"
 _ORDER = "of exemplars that repeat, the autocorrelation's peaks on their lattice, as high as the exemplar's at 1"
 OFFERS = (
