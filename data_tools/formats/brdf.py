@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from metapp.door import Converter, Export, Format, InMemory, Option
 
-_HALF = "Samples (pairs of directions) per material; the first half is for fits to see."
-SAMPLES = Option("samples", 65_536, _HALF, "N", low=2, high=10_000_000)
+SAMPLES = Option(
+    "samples",
+    65_536,
+    "Samples (pairs of directions) per material; the first half is for fits to see.",
+    "N",
+    low=2,
+    high=10_000_000,
+)
 
 MERL = """Convert MERL tables, measured BRDFs.
 

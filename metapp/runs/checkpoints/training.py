@@ -62,8 +62,8 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     make_folder(path.parent)
     folder = data_folder(app, request.data, request.quiet)
     first = _first(plan)
-    needs = name == "quickft" or (name != "general" and plan.job.recipe.training(name).from_general)
-    encoder = (general or general_of(plan, steps)).prepared if needs and not first.digest else None
+    begins = not first.digest and _needs_general(plan, name)
+    encoder = (general or general_of(plan, steps)).prepared if begins else None
     tasks = _tasks_of(plan, name, folder)
     info = _about(plan, name, folder, encoder) | ({"first": first.digest} if first.digest else {})
 
@@ -173,6 +173,10 @@ def _name_of(plan: Plan) -> str:
                 f"--train: {needs[-1]} is found by a search, which goes on from no checkpoint; leave --checkpoint out."
             )
     return needs[-1]
+
+
+def _needs_general(plan: Plan, name: str) -> bool:
+    return name == "quickft" or (name != "general" and plan.job.recipe.training(name).from_general)
 
 
 def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> Document:

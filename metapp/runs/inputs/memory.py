@@ -17,8 +17,7 @@ def in_memory(sources: Sequence[object]) -> bool:
     Raises:
         ValueError: some are paths, others are not.
     """
-    paths = [isinstance(s, PathLike) or (isinstance(s, str) and not s.lstrip().startswith("<")) for s in sources]
-    count = paths.count(False)
+    count = sum(not _is_path(source) for source in sources)
     if 0 < count < len(sources):
         raise ValueError(f"{count} of {len(sources)} sources are no paths, expected all or none of them.")
     return count > 0
@@ -40,6 +39,10 @@ def tasks_of_objects(app: str, objects: Sequence[object], how: Mapping[str, obje
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
     from_object = door.load(offers[0].task)
     return [from_object(source, name, how) for source, name in zip(objects, _names(objects), strict=True)]
+
+
+def _is_path(source: object) -> bool:
+    return isinstance(source, PathLike) or (isinstance(source, str) and not source.lstrip().startswith("<"))
 
 
 def _names(objects: Sequence[object]) -> list[str]:
