@@ -143,10 +143,10 @@ table-baselines: setup  ## baselines without a network: error, time and bytes
 	$(EVALUATE) --which baselines
 
 figures: setup  ## all figures as PNG and PDF, in runs/figures
-	$(EVALUATE) --which all --figures $(RUNS)/figures --format markdown
+	$(EVALUATE) --which all --figures $(RUNS)/figures --overwrite --format markdown
 
 report: setup  ## all tables, figures, pictures and records as one page: runs/report/index.html
-	$(EVALUATE) --which all --report $(RUNS)/report --format markdown
+	$(EVALUATE) --which all --report $(RUNS)/report --overwrite --format markdown
 
 paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains everything, then tables and report
 	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.apps import app_names; print(*app_names())')

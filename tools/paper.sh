@@ -11,4 +11,4 @@ for app in "$@"; do
   done
 done
 "$metapp" evaluate "$@" --recipe paper --whole --observe reference --which all --out "$runs" \
-  --figures "$runs/figures" --report "$runs/report"
+  --figures "$runs/figures" --report "$runs/report" --overwrite

@@ -11,7 +11,7 @@ import typer
 
 from metapp import door
 from metapp.cli import completion
-from metapp.cli.options import Json, extended, takes
+from metapp.cli.options import Json, Overwrite, check_new, extended, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
 from metapp.runs.requests.request import Request
@@ -84,7 +84,7 @@ class Evaluation:
 
 @extended(offer.option for offer in door.offers(door.Report))
 @takes(Evaluation)
-def command(options: Evaluation, **own: Path) -> None:
+def command(options: Evaluation, overwrite: Overwrite = False, **own: Path) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
 
     Example: metapp evaluate brdf --which quickft
@@ -96,6 +96,8 @@ def command(options: Evaluation, **own: Path) -> None:
 
     reported = NAMES if options.which in ("", ALL) else [options.which]
     reports = {offer: own[offer.option.name] for offer in door.offers(door.Report) if offer.option.name in own}
+    for file in (file for offer, path in reports.items() for file in path.glob(offer.files)):
+        check_new(file, overwrite)
     options = check(options)
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else [options.which]

@@ -73,7 +73,9 @@ def plain(value: object) -> object:
 
 
 def takes(options: Callable[..., Options]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Make a command of a function whose first argument is a dataclass: its fields are arguments and options.
+    """Make a command of a function whose first parameter is a dataclass: its fields are arguments and options.
+
+    Parameters that follow are options too.
 
     Args:
         options: the dataclass; its fields are annotated by `typer.Argument` and `typer.Option`.
@@ -85,7 +87,7 @@ def takes(options: Callable[..., Options]) -> Callable[[Callable[..., Result]], 
             own = {name: values.pop(name) for name in names}
             return function(options(**own), **values)
 
-        return signed(command, function, parameters_of(options))
+        return signed(command, function, [*parameters_of(options), *parameters_of(function)[1:]])
 
     return decorate
 

@@ -171,10 +171,12 @@ class Report(NamedTuple):
     Attributes:
         option: a path.
         write: `write(subjects, path, tables) -> files`, of tables by name.
+        files: a pattern of the files in that folder, of which none may be there without --overwrite.
     """
 
     option: Option
     write: str
+    files: str
 
 
 class Command(NamedTuple):

@@ -107,6 +107,8 @@ def test_files_of_an_embedded_set_are_replaced_by_overwrite_alone(metapp: Callab
         ("sets", "test", ("", "one two")),
         ("sets/train sets/test", "auto", ("one", "two")),
         ("sets/train/../test/two sets/train/one", "auto", ("one", "two")),
+        ("sets/test", "auto", ("", "two")),
+        ("sets/train/one", "auto", ("one", "")),
     ],
 )
 def test_folders_train_and_test_stay_apart(

@@ -95,21 +95,21 @@ def convert(
 
 
 def splits_by_folder(sources: Iterable[Path]) -> dict[Path, str]:
-    """The splits of sources in folders train/ and test/, which is said; none where there are not both.
+    """The splits of sources in a folder train/ or test/ that stands beside the other, which is said.
 
-    Folders that all sources lie in do not count, so that it does not matter which of them were named.
+    The innermost such folder counts, and whether only one of the two was named does not matter.
     """
     from metapp.storage.manifest import SPLITS
 
-    folders = {source: os.path.abspath(source.parent) for source in sources}
-    common = os.path.commonpath(folders.values() or [""])
     splits: dict[Path, str] = {}
-    for source, folder in folders.items():
-        if split := next((part for part in Path(folder).relative_to(common).parts if part in SPLITS), ""):
-            splits[source] = split
-    if set(splits.values()) != set(SPLITS):
-        return {}
-    say("train/ and test/ keep their tasks apart; --split puts them together.")
+    for source in sources:
+        inner = Path(os.path.abspath(source.parent))
+        for folder in (inner, *inner.parents):
+            if folder.name in SPLITS and all((folder.parent / name).is_dir() for name in SPLITS):
+                splits[source] = folder.name
+                break
+    if splits:
+        say("train/ and test/ keep their tasks apart; --split puts them together.")
     return splits
 
 

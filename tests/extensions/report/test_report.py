@@ -111,6 +111,19 @@ def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Pat
     assert "not measured yet" in (tmp_path / "report" / "index.html").read_text()
 
 
+@pytest.mark.parametrize(("option", "file"), [("--report", "index.html"), ("--figures", "brdf-plane.png")])
+def test_files_that_are_there_are_replaced_by_overwrite_alone(
+    evaluate: Callable, tmp_path: Path, option: str, file: str
+) -> None:
+    mine = tmp_path / "out" / file
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    words = ("--no-run", option, mine.parent, "--quiet")
+    assert f"{mine}: is there already, expected a new file; add --overwrite" in evaluate(*words).misuse
+    assert mine.read_text() == "mine"
+    assert evaluate(*words, "--overwrite").code == 0
+
+
 def test_without_the_extension_tables_are_printed_and_its_options_are_refused(data: Path, tmp_path: Path) -> None:
     environment = os.environ | {door.WITHOUT: "report"}
     command = [sys.executable, "-m", "metapp", "evaluate", "brdf", "--data", data, "--out", tmp_path, "--no-run"]
