@@ -24,7 +24,7 @@ class Cornell:
     """The options of `cornell`."""
 
     folder: Out
-    count: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes.")] = 10
+    count: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Scenes.")] = 10
     seed: Seed = 0
     split: SplitOption = Split.AUTO
     samples: Annotated[

@@ -42,6 +42,7 @@ def synth(
         int | None,
         typer.Option(
             min=1,
+            max=1_000_000,
             metavar="N",
             show_default="the default set's",
             help="Tasks in total, of both splits in its proportion.",

@@ -57,6 +57,7 @@ def plan(options: Options) -> None:
     from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
     from metapp.extensions.few.figure import directions
+    from data_tools.readers.measured_pairs import LEAST
     from metapp.extensions.few.gonio import write_pairs
     from metapp.extensions.few.planning import plan_brdf
 
@@ -75,7 +76,9 @@ def plan(options: Options) -> None:
     first, then = planned.expected
     if not options.quiet:
         say(f"{out}: {options.samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
-        say(f"picture: {picture}\nfill in r, g, b; then: metapp meta brdf {out}")
+        pairs = options.samples + len(before[0])
+        fit = f"metapp meta brdf {out}" if pairs >= LEAST else f"plan more --after {out}; a fit takes {LEAST} pairs"
+        say(f"picture: {picture}\nfill in r, g, b; then: {fit}")
     if options.json:
         expected = {"before": first, "after": then}
         written = {"out": str(out), "picture": str(picture)}

@@ -26,7 +26,7 @@ from metapp.storage.text import meant, path_of
 SETTINGS = {
     **{"app": str, "data": str, "recipe": str},
     **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "method")},
-    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "options?": dict, "versions?": {...: str}},
+    **{"seed?": range(1 << 63), "steps?": range(1 + 10**9), "options?": dict, "versions?": {...: str}},
 }
 ORIGIN = {**{f"{name}?": str for name in ("machine", "data", "checkpoint")}, "inputs?": [str]}
 FORM = {
