@@ -54,10 +54,10 @@ def plan(options: Options) -> None:
       metapp meta brdf paint.csv
       metapp plan brdf --samples 8 --after paint.csv --out more.csv
     """
+    from data_tools.readers.measured_pairs import LEAST
     from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
     from metapp.extensions.few.figure import directions
-    from data_tools.readers.measured_pairs import LEAST
     from metapp.extensions.few.gonio import write_pairs
     from metapp.extensions.few.planning import plan_brdf
 
