@@ -30,8 +30,8 @@ QUICK = Recipe(
     finetune=Adam(2e-3, final=0.0),
     quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
     general=OuterLoop(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
-    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
-    rule="meta-lgd",
+    meta={"meta-encoder": LEARNED},
+    rule="meta-encoder",
     setup=TransportSetup(Flow()),
 )
 # the same fits, judged by pictures of the size that people render
