@@ -62,7 +62,7 @@ def recipes_of(name: str, protocol: str = "") -> Mapping[str, Recipe]:
 
 
 def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> App:
-    """An application with the network of a recipe.
+    """An application with the network of a recipe; of the subclass `app` of it where the setup has one.
 
     Args:
         name: the application's.
@@ -70,8 +70,9 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
         protocol: what fits may see; "" for the default one.
         rule: a learned rule, which may have a network of its own.
     """
-    setup = recipe.training(rule).setup if rule else None
-    return class_of(name)(recipe.setup if setup is None else setup, protocol or next(iter(protocols_of(name)), ""))
+    setup = (recipe.training(rule).setup if rule else None) or recipe.setup
+    app: type[App] = getattr(setup, "app", None) or class_of(name)
+    return app(setup, protocol or next(iter(protocols_of(name)), ""))
 
 
 def presentation_of(app: App, **options: object) -> Presentation[App]:

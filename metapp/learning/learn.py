@@ -204,11 +204,17 @@ Augment = Callable[[Tasks, Generator], Tasks]
 def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Loss:
     """Lift a loss on given tasks to the mean over `count` random ones of a set, drawn without replacement.
 
-    `augment` is applied to the drawn tasks before anything is sampled from them.
+    Where tasks have a `kind` (0, 1, ...), as many are drawn of each on average. `augment` is applied to the drawn tasks
+    before anything is sampled from them.
     """
 
     def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
-        picked = tasks.select(torch.randperm(len(tasks), generator=rng, device=rng.device)[:count])
+        if "kind" in tasks.data:
+            kinds = tasks.data["kind"][tasks.rows]
+            rows = torch.multinomial(1 / kinds.bincount()[kinds], min(count, len(tasks)), generator=rng)
+        else:
+            rows = torch.randperm(len(tasks), generator=rng, device=rng.device)[:count]
+        picked = tasks.select(rows)
         return loss.draw(augment(picked, rng) if augment else picked, rng, done)
 
     return Loss(draw, loss.value, shared=True)

@@ -33,10 +33,10 @@ from metapp.apps.svbrdf_nonstationary.variants import (
     CROPPED,
     _cropped,
     _mixed,
-    _recoloured,
-    _restyled,
     _turned,
     photographs,
+    recoloured,
+    restyled,
     varied,
 )
 from metapp.learning.app import stack
@@ -196,7 +196,7 @@ def test_a_turned_material_looks_like_its_turned_photo_and_all_turns_occur() -> 
 
 
 def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
-    for change in (_mixed, _recoloured, _restyled):
+    for change in (_mixed, recoloured, restyled):
         maps = change(tasks.data["maps"], rng)
         torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(4, SIDE, SIDE))
         assert maps[:, 3:].amin() >= 0

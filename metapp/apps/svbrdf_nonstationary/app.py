@@ -194,7 +194,7 @@ class SvbrdfNonstationary(CodedApp):
         How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
         Where the batch names a quarter of each picture, of that alone, with the same mean over quarters.
         """
-        clipping = _clipping(batch["photo"])
+        clipping = clipping_of(batch["photo"])
         if "quarter" in batch:
             maps, theta, batch = in_quarters(self.field, theta, batch)
         else:
@@ -206,7 +206,7 @@ class SvbrdfNonstationary(CodedApp):
         cells = CELLS * target.diffuse.shape[-1] // self.field.width
         steep = (_steepness(maps, cells) / _steepness(target, cells)).log().abs().mean((1, 2, 3))
         apart = differences(maps, target)
-        hidden = _blots(apart[0], batch["photo"], clipping)
+        hidden = blots(apart[0], batch["photo"], clipping)
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
         return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
@@ -302,7 +302,7 @@ class SvbrdfNonstationary(CodedApp):
             "ssim": ssim(pictures, target_pictures).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
-            "blots": _blots(parts["diffuse"], photo, _clipping(photo)),
+            "blots": blots(parts["diffuse"], photo, clipping_of(photo)),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
 
@@ -327,12 +327,12 @@ def _clips(photo: Tensor) -> Tensor:
     return (photo > CLIPPED).any(1, keepdim=True).float()
 
 
-def _clipping(photo: Tensor) -> Tensor:
+def clipping_of(photo: Tensor) -> Tensor:
     """The share of photographs [T, 3, H, W] that clips, [T]."""
     return _clips(photo).mean((1, 2, 3))
 
 
-def _blots(diffuse: Tensor, photo: Tensor, clipping: Tensor) -> Tensor:
+def blots(diffuse: Tensor, photo: Tensor, clipping: Tensor) -> Tensor:
     """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T].
 
     Of a part of each picture, `clipping` [T] is the share of the whole one, by which parts have that mean on average.

@@ -88,17 +88,17 @@ class Encoder(NamedTuple):
         x, skips = inputs_of(base).contiguous(memory_format=torch.channels_last), []
         x = x if added is None else x + added
         for level in range(self.levels):
-            x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
+            x = block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         flash = dense(encoder, "flash", adaptive_avg_pool2d(x, LOOKED).flatten(1))
         for level in reversed(range(self.levels - 1)):
-            x = _block(encoder, f"up{level}", torch.cat([_twice(x), skips[level]], 1))
-        code = _pointwise(encoder, "code", x)
-        deviation = {"deviation": _pointwise(encoder, "deviation", x)} if self.deviations else {}
+            x = block(encoder, f"up{level}", torch.cat([twice(x), skips[level]], 1))
+        code = pointwise(encoder, "code", x)
+        deviation = {"deviation": pointwise(encoder, "deviation", x)} if self.deviations else {}
         for level, skip in enumerate(finer):
-            x = _block(encoder, f"finer{level}.up", torch.cat([_twice(x), skip], 1))
+            x = block(encoder, f"finer{level}.up", torch.cat([twice(x), skip], 1))
             larger = interpolate(code, scale_factor=2, mode="bilinear")
-            code = larger + _pointwise(encoder, f"finer{level}.code", x)
+            code = larger + pointwise(encoder, f"finer{level}.code", x)
         return deviation | {"z": code, "flash": flash}
 
     def _finer_down(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
@@ -111,22 +111,23 @@ class Encoder(NamedTuple):
             if level + 1 < len(self.finer):  # none above: as if these had nothing to tell
                 above = inputs.new_zeros(len(inputs), self.finer[level + 1], size, size)
                 inputs = torch.cat([inputs, above if x is None else avg_pool2d(x, 2)], 1)
-            x = _block(encoder, f"finer{level}.down", inputs)
+            x = block(encoder, f"finer{level}.down", inputs)
             features.append(x)
-        added = None if x is None else _pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
+        added = None if x is None else pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
         return added, features[::-1]
 
 
-def _twice(x: Tensor) -> Tensor:
+def twice(x: Tensor) -> Tensor:
+    """Maps twice as high and wide, each texel four times."""
     return interpolate(x, scale_factor=2, mode="nearest")
 
 
-def _pointwise(encoder: Params, name: str, x: Tensor) -> Tensor:
+def pointwise(encoder: Params, name: str, x: Tensor) -> Tensor:
     """A layer of `add_layer` that reads each pixel of maps [T, inputs, H, W] by itself."""
     return conv2d(x, encoder[f"{name}.kernel"][..., None, None], encoder[f"{name}.shift"])
 
 
-def _block(encoder: Params, name: str, x: Tensor) -> Tensor:
+def block(encoder: Params, name: str, x: Tensor) -> Tensor:
     """Two convolutions, the second beside a path around it, which adds what the picture's mean says."""
     first = leaky_relu(convolved(encoder, f"{name}.first", x), SLOPE)
     mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))

@@ -34,23 +34,23 @@ def varied(maps: Tensor, side: int, rng: Generator) -> Tensor:
         maps = _cropped(maps, side, rng)
     else:
         maps = torch.stack([_turned(each, rng) for each in maps])
-    maps = _some(_restyled, maps, RESTYLED[0], rng)
-    return _some(_restyled, _mixed(_recoloured(maps, rng), rng), RESTYLED[1], rng)
+    maps = some(restyled, maps, RESTYLED[0], rng)
+    return some(restyled, _mixed(recoloured(maps, rng), rng), RESTYLED[1], rng)
 
 
-def photographs(maps: Tensor, rng: Generator) -> Tensor:
-    """Linear photographs [T, 3, S, S] of 8 bits: under any flash, exposed rightly or not, with noise."""
-    uniform, normal = _draws(len(maps), rng)
+def photographs(maps: Tensor, rng: Generator, place: Tensor | None = None) -> Tensor:
+    """Linear photographs [T, 3, S, S] of 8 bits, or of their part `place`: any flash and exposure, with noise."""
+    uniform, normal = draws(len(maps), rng)
     flash = normal(FLASH) * maps.new_tensor(JITTER) * (uniform(1) > BESIDE_LENS)
     stops = STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / BRIGHT]) * stops
     tint = torch.exp(TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED))
-    display = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash))).clamp(0, 1))
+    display = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash), place)).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
 
 
-def _draws(count: int, rng: Generator) -> tuple[Draw, Draw]:
+def draws(count: int, rng: Generator) -> tuple[Draw, Draw]:
     """Functions of a shape that draw evenly from 0 to 1, and normally, for each of so many materials."""
 
     def uniform(*shape: int) -> Tensor:
@@ -62,7 +62,7 @@ def _draws(count: int, rng: Generator) -> tuple[Draw, Draw]:
     return uniform, normal
 
 
-def _some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:
+def some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:
     """A share of the materials [T, ...] after a change of them all."""
     chosen = torch.rand(len(maps), 1, 1, 1, generator=rng, device=rng.device) < share
     return torch.where(chosen, change(maps, rng), maps)
@@ -70,7 +70,7 @@ def _some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: fl
 
 def _cropped(maps: Tensor, side: int, rng: Generator) -> Tensor:
     """Crops [T, 10, side, side] of maps [T, 10, S, S], in any direction, half of them mirrored."""
-    uniform, _ = _draws(len(maps), rng)
+    uniform, _ = draws(len(maps), rng)
     angle = 2 * math.pi * uniform()
     share = CROPPED[0] + (CROPPED[1] - CROPPED[0]) * uniform()
     cosine, sine, none = angle.cos(), angle.sin(), torch.zeros_like(angle)
@@ -86,12 +86,12 @@ def _cropped(maps: Tensor, side: int, rng: Generator) -> Tensor:
     return torch.cat([of_length_1(maps[:, :3]), maps[:, 3:]], 1)
 
 
-def _restyled(maps: Tensor, rng: Generator) -> Tensor:
+def restyled(maps: Tensor, rng: Generator) -> Tensor:
     """Materials of the same pattern, steeper or flatter, darker, evenly specular, with roughness that follows it.
 
     Scanned materials are like this more often than drawn ones: where they differ from place to place, it is by little.
     """
-    uniform, normal = _draws(len(maps), rng)
+    uniform, normal = draws(len(maps), rng)
 
     def chance(share: float) -> Tensor:
         return uniform(1, 1, 1) < share
@@ -144,7 +144,7 @@ def _turned(maps: Tensor, rng: Generator) -> Tensor:
     return torch.cat([x, y, rest])
 
 
-def _recoloured(maps: Tensor, rng: Generator) -> Tensor:
+def recoloured(maps: Tensor, rng: Generator) -> Tensor:
     """Colours scaled, a third of them with channels exchanged, and roughness scaled."""
     count, device = len(maps), rng.device
     order = torch.rand(count, 3, generator=rng, device=device).argsort(1)

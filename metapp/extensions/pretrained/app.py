@@ -1,0 +1,126 @@
+"""Non-stationary svBRDFs whose General reads features of VGG-16, and how it is trained on real and drawn materials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.features import describe_features, describe_precision
+from metapp.appearance.flash import Maps, unpack
+from metapp.apps.svbrdf_nonstationary.app import (
+    FINEST,
+    HIDDEN,
+    SEEN,
+    SURE,
+    WANTED,
+    MaterialSetup,
+    SvbrdfNonstationary,
+    blots,
+    clipping_of,
+)
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, decoded, differences, inputs_of
+from metapp.extensions.pretrained.augmentation import variants
+from metapp.extensions.pretrained.encoder import FeatureEncoder
+from metapp.learning.app import Traits
+from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.networks.coded import reader_of, with_decoder
+
+WEIGHTS = (1.0, 1.0, 2.0, 2.0)  # of the maps, in the order of PARTS: photos say less of roughness and of normals
+
+
+class FromFeatures(SvbrdfNonstationary):
+    """The same materials and fits; General reads features of VGG-16 and draws no relief that a photograph hides.
+
+    Beside `maps` a training task may hold `known` [4], what the loss of each map counts, in the order of PARTS, 0 where
+    it is made up, and `kind` [1], 0 of drawn materials and 1 of real ones, of which training sees as many.
+    """
+
+    setup: PretrainedSetup
+
+    @property
+    def traits(self) -> Traits:
+        """Those of its photographs' size."""
+        return replace(super().traits, reads=FINEST)
+
+    def conditions(self) -> dict[str, str]:
+        """The features, which a checkpoint's encoder needs."""
+        return {"features": describe_features()}
+
+    def precision(self, device: torch.device) -> str:
+        """VGG in bfloat16 on CPUs that are made for it."""
+        return describe_precision(device)
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """The same, and `known` and `kind`, those of drawn materials where a task has none."""
+        known = task.data.get("known", torch.ones(len(PARTS)))
+        kind = task.data.get("kind", torch.zeros(1))[0].long()
+        return super().prepare(task) | {"known": known.float(), "kind": kind}
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """Windows of the same materials of half the field's side, photographed anew."""
+        fine, known = (tasks.data[key][tasks.rows].float() for key in ("fine", "known"))
+        return tasks.variants(variants(fine, known, self.field.height // 2, rng))
+
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        """The photographs; of windows the field's inputs, too, which say where they are."""
+        window = {"inputs": tasks.data["inputs"][tasks.rows]} if "inputs" in tasks.data else {}
+        return super().condition(tasks, rng) | window
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """Of windows a code in each of their pixels."""
+        if "inputs" not in condition:
+            return super().encode(encoder, condition)
+        own = self.setup.encoder(reader_of(encoder), condition["photo"], condition["inputs"][:, -2:])
+        own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
+        return with_decoder(own, encoder)
+
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """All of the windows."""
+        return self.sample(tasks, rng, count)
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
+
+        Nothing asks for normals as steep as the truth's: their squared error, over the deviation that General predicts,
+        has the conditional mean as its minimum, which is flat where the photograph does not tell.
+        """
+        inputs = batch["inputs"] if "inputs" in batch else inputs_of(batch["photo"])
+        known, target = batch["known"], unpack(batch["maps"])
+        batch = batch | {"place": inputs[:, -2:]}
+        maps = self._made_of(theta, inputs)
+        apart = differences(maps, target)
+        scale = scales(theta)[:, -1:].detach()
+        squared = apart[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
+        off = torch.stack([part.abs().mean((1, 2, 3)) for part in (*apart[:-1], squared)], 1)
+        wanted = (off * known * off.new_tensor(WEIGHTS)).sum(1)
+        hidden = known[:, 0] * blots(apart[0], batch["photo"], clipping_of(batch["photo"]))
+        rough = torch.where(known[:, 2, None, None, None] > 0, maps.roughness, target.roughness)
+        seen = maps._replace(roughness=rough)
+        logs, references = (self._logs(each, batch["pairs"], batch["place"]) for each in (seen, target))
+        pictures = (logs - references).abs().mean((1, 2, 3, 4))
+        loss = known[:, 3] * (pictures + SEEN * self._photo_loss(theta, seen, batch, {}))
+        sure = surprise(apart, theta) * known.amin(1)
+        return loss + WANTED * wanted + HIDDEN * hidden + SURE * sure
+
+    def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
+        """The maps [T, C, h, w] of a code in each texel, of the field's inputs [T, 8, h, w]."""
+        height, width = inputs.shape[-2:]
+        field = self.field._replace(height=height, width=width, rows=theta["z"].shape[-2], columns=theta["z"].shape[-1])
+        return decoded(field(theta, inputs))
+
+
+@dataclass(frozen=True)
+class PretrainedSetup(MaterialSetup):
+    """The sizes of fits whose General reads features of VGG-16; always says how sure it is."""
+
+    sure: bool = True
+    app: ClassVar[type[FromFeatures]] = FromFeatures
+
+    @property
+    def encoder(self) -> FeatureEncoder:  # type: ignore[override]
+        """The encoder that fits it."""
+        return FeatureEncoder(self.field.code, FLASH, len(PARTS))
