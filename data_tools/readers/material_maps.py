@@ -37,19 +37,7 @@ from metapp.learning.task import Task
 from metapp.storage.plain import read_bytes
 from metapp.storage.shards import split_auto
 
-__all__ = [
-    "UNITS",
-    "Material",
-    "find",
-    "find_materials",
-    "material_of",
-    "materials_in",
-    "read_task",
-    "recognises",
-    "role_of",
-    "split_materials",
-    "task_name",
-]
+__all__ = ["UNITS", "find", "read_task", "recognises", "task_name"]
 
 _ROLES = {
     "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
@@ -225,6 +213,11 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
     material = material_of(source)
     if material is None:
         raise ValueError(f"{source}: no map under a usual name, {_EXPECTED}; rename it.")
+    return read_material(material, size, normals, least)
+
+
+def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
+    """The same of a material that was found."""
     chosen = _choose(material)
     size = side_of(max(map(_side, chosen.values())), size, least) if least else size
     shapes: dict[str, tuple[int, int]] = {}

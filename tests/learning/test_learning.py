@@ -193,6 +193,16 @@ def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> N
     assert {name for _ in range(20) for name in loss.draw(subset, rng, 1.0).names} == {"chalk", "paper"}
 
 
+def test_over_tasks_draws_as_many_of_each_kind(tasks: Tasks, rng: Generator) -> None:
+    """One of five is of another kind: it is one of two that are drawn."""
+    several = replace(tasks, data=tasks.data | {"kind": torch.tensor([int(name == "chalk") for name in NAMES])})
+    loss = over_tasks(EXACT, count=1)
+    names = [loss.draw(several, rng, 1.0).names[0] for _ in range(400)]
+    assert abs(names.count("chalk") - 200) < 5 * 10
+    assert set(names) == set(NAMES)
+    assert sorted(over_tasks(EXACT, count=9).draw(several, rng, 1.0).names) == list(NAMES)
+
+
 def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> None:
     def augment(picked: Tasks, rng: Generator) -> Tasks:
         names = tuple(f"twice {name}" for name in picked.picked_names)

@@ -2,7 +2,36 @@
 
 from __future__ import annotations
 
-from metapp.door import Recipe
+from data_tools.formats.pictures import MAPS_SPLIT, NORMALS, SIZE
+from metapp.door import Converter, Format, Recipe
 
 _HERE = "metapp.extensions.pretrained"
-OFFERS = (Recipe("svbrdf_nonstationary", "pretrained", f"{_HERE}.recipe:PRETRAINED", "photo"),)
+
+MATERIALS = """Convert real materials for training, with drawn ones beside them.
+
+As `metapp data maps`, but a set may lack its roughness: one is made up, and losses of what is made up count nothing.
+A specular map without a roughness is an old game's, with shading in its colours: such sets count less. Folders of data
+sets, as of `metapp data synth svbrdf_nonstationary --size 512`, are drawn materials; of these and of real ones the
+recipe pretrained sees as many, whatever their numbers. Give maps room for crops: 512 px or more.
+
+Examples:
+  metapp data materials scans drawn --split train --out mixed
+  metapp data materials scans/rock scans/bark games --size 512 --out real
+"""
+
+OFFERS = (
+    Recipe("svbrdf_nonstationary", "pretrained", f"{_HERE}.recipe:PRETRAINED", "photo"),
+    Format(
+        "materials",
+        "svbrdf_nonstationary",
+        f"{_HERE}.materials",
+        command=Converter(
+            MATERIALS,
+            "material",
+            "FOLDERS...",
+            "Folders of maps, searched at any depth, and data sets.",
+            (SIZE._replace(default=512), NORMALS),
+            MAPS_SPLIT,
+        ),
+    ),
+)

@@ -98,8 +98,10 @@ class FromFeatures(SvbrdfNonstationary):
         off = torch.stack([part.abs().mean((1, 2, 3)) for part in (*apart[:-1], squared)], 1)
         wanted = (off * known * off.new_tensor(WEIGHTS)).sum(1)
         hidden = known[:, 0] * blots(apart[0], batch["photo"], clipping_of(batch["photo"]))
-        rough = torch.where(known[:, 2, None, None, None] > 0, maps.roughness, target.roughness)
-        seen = maps._replace(roughness=rough)
+        shown = known[:, 1:3, None, None, None] > 0  # of what is made up, pictures say nothing
+        specular = torch.where(shown[:, 0], maps.specular, target.specular)
+        roughness = torch.where(shown[:, 1], maps.roughness, target.roughness)
+        seen = maps._replace(specular=specular, roughness=roughness)
         logs, references = (self._logs(each, batch["pairs"], batch["place"]) for each in (seen, target))
         pictures = (logs - references).abs().mean((1, 2, 3, 4))
         loss = known[:, 3] * (pictures + SEEN * self._photo_loss(theta, seen, batch, {}))

@@ -1,0 +1,130 @@
+"""Real materials for training, whatever maps they lack, beside drawn ones: the format `materials`.
+
+A set of maps without roughness gets one of ROUGHNESS, and a specular reflectance of dielectrics; the task says that
+both are made up, and the loss of these maps counts nothing. A specular map without a roughness is that of an old game,
+whose colours have shading baked in: such a set counts less. Tasks of data sets that are named are drawn materials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+from data_tools.readers.material_maps import (
+    find,
+    find_materials,
+    material_of,
+    read_material,
+    recognises,
+    split_materials,
+)
+from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
+from data_tools.readers.svbrdf_task import svbrdf_task
+from metapp.apps import class_of
+from metapp.door import Conversion, Label
+from metapp.learning.task import Task
+from metapp.storage.manifest import MANIFEST, read_manifest
+from metapp.storage.shards import read_shard
+
+__all__ = ["UNITS", "conversion", "find", "read_task", "recognises"]
+
+APP = "svbrdf_nonstationary"
+UNITS = {
+    **OF_MAPS,
+    "known": "float32 [4], what the loss of diffuse, specular, roughness and normals counts; 0: the map is made up",
+    "kind": "uint8 [1], 1 of real materials, 0 of drawn ones",
+}
+ROUGHNESS = 0.6  # where there is none
+OLD = 0.3  # what sets with shading in their colours count
+_ROUGH = ("roughness", "gloss")
+_PLAIN = "plain"  # the role of a colour of old games, as `material_maps` has it
+
+
+class _Drawn(NamedTuple):
+    """A task of a data set, and where it belongs."""
+
+    task: Task
+    label: Label
+
+
+def read_task(source: Path, size: int, normals: str) -> Task:
+    """The material that a map belongs to, with what is known of it.
+
+    Args:
+        source: one of its maps.
+        size: side in px.
+        normals: as of `data_tools.readers.material_maps.read_task`.
+
+    Raises:
+        ValueError: as there, but for a missing roughness.
+    """
+    material = material_of(source)
+    assert material is not None, source  # it was found by its name
+    files = material.files
+    has = any(role in files for role in _ROUGH)
+    old = _PLAIN in files or ("specular" in files and not has)
+    if has:
+        task = read_material(material, size, normals)
+    else:
+        # any map stands for the one that is missing until its values are known
+        other = next((maps for role, maps in files.items() if role.startswith("normal")), ())
+        kept = {role: maps for role, maps in files.items() if role != "specular"}
+        stand_in = {"roughness": other} if other else {}
+        read = read_material(material._replace(files=kept | stand_in), size, normals)
+        maps = read.data["maps"].float()
+        maps[6] = ROUGHNESS
+        task = svbrdf_task(read.name, maps)
+    weight, made_up = OLD if old else 1.0, 1.0 if has else 0.0
+    return _with(task, weight * torch.tensor([1.0, made_up, made_up, 1.0]), 1)
+
+
+def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
+    """Conversion of sets of maps, and of drawn materials as they are."""
+    paths = list(paths)
+    drawn = {source: one for path in paths if _is_set(path) for source, one in _drawn(path, size).items()}
+    folders = [path for path in paths if not _is_set(path)]
+    labels: Mapping[Path, Label] = split_materials(find_materials(folders)[0]) if folders else {}
+
+    def found(some: Iterable[Path]) -> tuple[list[Path], list[str]]:
+        some = list(some)
+        folders = [path for path in some if not _is_set(path)]
+        sources, skipped = find(folders) if folders else ([], [])
+        return [*sources, *(source for source in drawn if source.parent in some)], skipped
+
+    def read(source: Path) -> Task:
+        return _with(drawn[source].task, torch.ones(4), 0) if source in drawn else read_task(source, size, normals)
+
+    def label(source: Path) -> Label:
+        return drawn[source].label if source in drawn else labels[source.resolve()]
+
+    notes = {"made_by": "metapp data materials", "size": size, "normals": normals}
+    return Conversion(APP, "material", UNITS, found, read, notes, label)
+
+
+def _with(task: Task, known: torch.Tensor, kind: int) -> Task:
+    return task._replace(data=task.data | {"known": known, "kind": torch.tensor([kind], dtype=torch.uint8)})
+
+
+def _is_set(path: Path) -> bool:
+    return (path / MANIFEST).is_file()
+
+
+def _drawn(folder: Path, size: int) -> dict[Path, _Drawn]:
+    """The tasks of a data set by their files.
+
+    Raises:
+        ValueError: as `read_shard`; maps of another size; photos alone.
+    """
+    drawn = {}
+    entries = read_manifest(folder).tasks
+    for entry, task in zip(entries, read_shard(folder, app=APP, holds=class_of(APP).holds), strict=True):
+        side = task.data["maps"].shape[-1] if "maps" in task.data else 0
+        if side != size:
+            found = f"maps of {side} px" if side else "a photo without maps"
+            raise ValueError(f"{folder / entry.file}: {found}, expected maps of {size} px; set --size, or draw others.")
+        task = task._replace(data={key: task.data[key] for key in OF_MAPS})
+        drawn[folder / entry.file] = _Drawn(task, Label(entry.name, entry.group, entry.split))
+    return drawn

@@ -1,0 +1,201 @@
+"""General over features of VGG-16: what it reads, what it is trained on and by; made-up weights of VGG."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Generator, Tensor
+
+from data_tools.readers.svbrdf_task import svbrdf_task
+from metapp.appearance.features import BLOCKS
+from metapp.appearance.flash import Maps, positions, unpack
+from metapp.apps import app_of, recipes_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
+from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
+from metapp.extensions.pretrained.augmentation import crossed, drawn_window, inputs_in, pieces
+from metapp.extensions.pretrained.encoder import FeatureEncoder, _balanced
+from metapp.extensions.pretrained.recipe import PRETRAINED
+from metapp.learning.app import stack
+from metapp.learning.learn import descend, last
+from metapp.learning.rules import outer_adam
+from metapp.learning.task import Batch, Tasks
+from metapp.paradigms import Job
+from metapp.paradigms.general import outer_problem
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
+from tests.apps.test_svbrdf_nonstationary import material
+
+APP = "svbrdf_nonstationary"
+SIDE = 32
+RECIPE = replace(PRETRAINED, setup=PretrainedSetup(field_of(SIDE, 8)))
+
+
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Random weights of VGG-16 up to relu4_3."""
+    rng, weights, inputs = Generator().manual_seed(2), {}, 3
+    for i, outputs in enumerate([width for block in BLOCKS[:4] for width in block]):
+        weights[f"conv{i}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * (2 / (9 * inputs)) ** 0.5
+        weights[f"conv{i}.bias"] = torch.zeros(outputs)
+        inputs = outputs
+    path = tmp_path_factory.mktemp("vgg") / "vgg16.safetensors"
+    save_file(weights, path)
+    return path
+
+
+@pytest.fixture
+def weights(made_up: Path, cache: Path) -> None:
+    os.link(made_up, cache / made_up.name)
+
+
+@pytest.fixture
+def app() -> FromFeatures:
+    found = app_of(APP, RECIPE, "photo")
+    assert isinstance(found, FromFeatures)
+    return found
+
+
+@pytest.fixture
+def tasks(app: FromFeatures) -> Tasks:
+    return stack(app, [svbrdf_task(f"material-{seed}", material(seed, 2 * SIDE)) for seed in range(4)])
+
+
+def test_only_its_recipe_is_of_the_subclass() -> None:
+    kinds = {name: type(app_of(APP, recipe, "photo")) for name, recipe in recipes_of(APP, "photo").items()}
+    assert {name for name, kind in kinds.items() if kind is FromFeatures} == {"pretrained"}
+    assert kinds["full"] is SvbrdfNonstationary
+
+
+@pytest.mark.usefixtures("weights")
+def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
+    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    parameters = encoder.init(rng)
+    for side in (32, 64):
+        read = encoder(parameters, torch.rand(2, 3, side, side, generator=rng))
+        assert read["z"].shape == (2, 5, side, side)
+        assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
+        assert read["flash"].shape == (2, FLASH)
+    with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
+        encoder(parameters, torch.rand(1, 3, 44, 44))
+
+
+def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
+    """The rest of what is known of a photo, and what VGG sees, stays as it is; these move by as much."""
+    photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), positions(16, 16)[None]
+    gains = torch.tensor([1.3, 1.0, 0.6])[:, None, None]
+    (seen, known), (again, others) = _balanced(photo, place), _balanced(photo * gains, place)
+    torch.testing.assert_close(again, seen)
+    torch.testing.assert_close(others[:, :-4], known[:, :-4])
+    change = (others - known)[0, -4:, 0, 0]
+    torch.testing.assert_close((3 * change[:1] + change[1:]).exp(), gains.flatten())
+
+
+def test_pieces_turn_normals_with_what_they_are_of(rng: Generator) -> None:
+    """Of planes of known heights: normals lean as the heights fall, in any direction, mirrored or not."""
+    across, up = positions(64, 64)
+    slopes = torch.randn(12, 2, generator=rng)
+    heights = slopes[:, 0, None, None] * across + slopes[:, 1, None, None] * up
+    normal = torch.nn.functional.normalize(torch.cat([-slopes, torch.ones(12, 1)], 1), dim=1)
+    maps = torch.cat([normal[:, :, None, None].expand(-1, -1, 64, 64), heights[:, None].expand(-1, 7, -1, -1)], 1)
+    for share in (0.5, 1.0):
+        piece = pieces(maps, 16, share, rng)
+        fall_x = piece[:, 3, 8, 7] - piece[:, 3, 8, 8]
+        fall_y = piece[:, 3, 8, 8] - piece[:, 3, 7, 8]
+        fall = torch.nn.functional.normalize(torch.stack([fall_x, fall_y], 1), dim=1)
+        lean = torch.nn.functional.normalize(piece[:, :2, 8, 8], dim=1)
+        torch.testing.assert_close(lean, fall, atol=1e-3, rtol=0)
+        torch.testing.assert_close(piece[:, 2, 8, 8], normal[:, 2])
+    assert piece[:, 3].std() > 0.1
+
+
+def test_a_window_is_seen_as_in_the_whole_photo(rng: Generator) -> None:
+    side, margin = 64, 2
+    whole = torch.rand(3, 3, 2 * side, 2 * side, generator=rng)
+    inputs = inputs_of(whole)
+    windows = [drawn_window(3, side, rng) for _ in range(20)]
+    assert {window.share for window in windows} == {0.5, 1.0}
+    window = next(window for window in windows if window.share < 1)
+    for i, place in enumerate(window.place):
+        row, column = (int((inputs[0, -2 + axis] - place[axis, 0, 0]).abs().flatten().argmin()) for axis in (1, 0))
+        row //= 2 * side
+        part = (slice(row, row + side), slice(column, column + side))
+        here = inputs_in(whole[i : i + 1, :, *part], place[None], window.share)
+        inner = slice(margin, -margin)
+        torch.testing.assert_close(here[0, :, inner, inner], inputs[i, :, *part][:, inner, inner])
+    all_of_it = next(window for window in windows if window.share == 1)
+    small = whole[..., ::2, ::2]
+    torch.testing.assert_close(inputs_in(small, all_of_it.place, 1.0), inputs_of(small))
+
+
+def test_relief_beside_other_colours_keeps_what_is_known_of_it(rng: Generator) -> None:
+    maps = torch.arange(40.0)[:, None, None, None].expand(-1, 10, 2, 2)
+    known = torch.arange(40.0)[:, None].expand(-1, 4)
+    mixed, of_mixed = crossed(maps, known, rng)
+    assert torch.equal(mixed[:, 3:], maps[:, 3:])
+    assert torch.equal(mixed[:, 0, 0, 0], of_mixed[:, 3])
+    assert 0.1 < float((mixed[:, 0, 0, 0] != maps[:, 0, 0, 0]).float().mean()) < 0.6
+
+
+def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """The outer losses of such predicted maps, of which General is equally sure."""
+    count, side = maps.diffuse.shape[0], maps.diffuse.shape[-1]
+    theta = {"deviation": torch.full((count, 4, side // 4, side // 4), -2.0), "flash": torch.zeros(count, FLASH)}
+    monkeypatch.setattr(FromFeatures, "_made_of", lambda app, theta, inputs: maps)
+    return app.outer_loss(theta, batch, {})
+
+
+def test_what_is_made_up_counts_nothing(
+    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = app.outer_sample(app.augment(tasks, rng), rng, 1)
+    batch["known"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
+    parts = [part.clone().requires_grad_() for part in unpack(0.9 * batch["maps"] + 0.01)]
+    value = losses(app, Maps(*parts), batch, monkeypatch)
+    value.sum().backward()
+    moved = [part.grad.abs().amax((1, 2, 3)) > 0 for part in parts]  # type: ignore[union-attr]
+    diffuse, specular, roughness, normal = (each.tolist() for each in moved)
+    assert diffuse == normal == [True, True, True, False]
+    assert specular == roughness == [True, False, False, False]
+
+
+def test_relief_that_a_photo_does_not_tell_is_best_left_out(
+    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where slopes may as well go the other way, flat maps are better than either; where they are known, the truth."""
+    batch = app.outer_sample(app.augment(tasks, rng), rng, 1)
+    truth = unpack(batch["maps"])
+    turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
+    flat = truth._replace(normal=torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(truth.normal))
+    right, wrong, none = (losses(app, maps, batch, monkeypatch).mean() for maps in (truth, turned, flat))
+    assert right < none < (right + wrong) / 2
+
+
+@pytest.mark.usefixtures("weights")
+def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
+    phi, loss = outer_problem(Job(app, replace(RECIPE, general=training), ""), rng)
+    drawn = loss.draw(tasks, rng, 0.0).batch
+    same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
+    end = last(descend(phi.flat(), outer_adam(training, phi.flat()), tasks, same, steps=12, rng=rng)).theta
+    before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flat(), end))
+    assert after < 0.9 * before
+    encoder = {key.removeprefix("encoder."): value for key, value in end.items()}
+    assert set(app.errors(app.encode(encoder, app.condition(tasks, rng)), tasks)) >= {"error", "normal"}
+
+
+def test_without_the_weights_it_says_how_to_get_them(metapp: Callable, tmp_path: Path, cache: Path) -> None:
+    photo = ("general", APP, "--observe", "photo", "--train", "--train-steps", "1", "--out", tmp_path / "runs")
+    assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
+    done = metapp(*photo, "--recipe", "pretrained", "--data", tmp_path / "set")
+    assert done.code == 1
+    assert "get them by metapp data vgg, or fit by --recipe full" in " ".join(done.err.split())
+    assert "Traceback" not in done.err
+    assert plan(Request(APP, "general", observe="photo")).request.recipe == "full"
