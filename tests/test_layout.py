@@ -208,7 +208,7 @@ EXTENSIONS = {
     "mitsuba_bsdfs": 600,
     "native": 730,
     "packs": 590,
-    "pretrained": 560,
+    "pretrained": 580,
     "report": 675,
     "reruns": 670,
     "rgl": 505,

@@ -22,14 +22,15 @@ from metapp.apps.svbrdf_nonstationary.app import (
     clipping_of,
 )
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, decoded, differences, inputs_of
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, differences, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
 from metapp.extensions.pretrained.encoder import FeatureEncoder
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import reader_of, with_decoder
 
-WEIGHTS = (1.0, 1.0, 2.0, 2.0)  # of the maps, in the order of PARTS: photos say less of roughness and of normals
+WEIGHTS = (1.0, 1.0, 2.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
+FLAT = 0.1  # of the slopes of untrained fields
 
 
 class FromFeatures(SvbrdfNonstationary):
@@ -60,6 +61,13 @@ class FromFeatures(SvbrdfNonstationary):
         kind = task.data.get("kind", torch.zeros(1))[0].long()
         return super().prepare(task) | {"known": known.float(), "kind": kind}
 
+    def init_encoder(self, rng: Generator) -> Params:
+        """The same, of maps that are nearly flat: training begins where nothing is known of relief."""
+        encoder = super().init_encoder(rng)
+        for part in ("kernel", "code"):
+            encoder[f"decoder.out.{part}"][: RAW[0]] *= FLAT
+        return encoder
+
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Windows of the same materials of half the field's side, photographed anew."""
         fine, known = (tasks.data[key][tasks.rows].float() for key in ("fine", "known"))
@@ -85,8 +93,9 @@ class FromFeatures(SvbrdfNonstationary):
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
 
-        Nothing asks for normals as steep as the truth's: their squared error, over the deviation that General predicts,
-        has the conditional mean as its minimum, which is flat where the photograph does not tell.
+        Nothing asks for normals as steep as the truth's, and pictures are of the true ones: normals learn from their
+        squared error alone, over the deviation that General predicts, whose minimum is the conditional mean, flat where
+        the photograph does not tell.
         """
         inputs = batch["inputs"] if "inputs" in batch else inputs_of(batch["photo"])
         known, target = batch["known"], unpack(batch["maps"])
@@ -101,7 +110,8 @@ class FromFeatures(SvbrdfNonstationary):
         shown = known[:, 1:3, None, None, None] > 0  # of what is made up, pictures say nothing
         specular = torch.where(shown[:, 0], maps.specular, target.specular)
         roughness = torch.where(shown[:, 1], maps.roughness, target.roughness)
-        seen = maps._replace(specular=specular, roughness=roughness)
+        # and nothing of normals: the median of a highlight lies at a slope, though the mean slope be 0
+        seen = Maps(maps.diffuse, specular, roughness, target.normal)
         logs, references = (self._logs(each, batch["pairs"], batch["place"]) for each in (seen, target))
         pictures = (logs - references).abs().mean((1, 2, 3, 4))
         loss = known[:, 3] * (pictures + SEEN * self._photo_loss(theta, seen, batch, {}))
