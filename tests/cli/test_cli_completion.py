@@ -39,7 +39,7 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         ("metapp plan ", ["brdf"]),
         ("metapp examples t", ["texture", "transport"]),
         ("metapp data synth sv", ["svbrdf_nonstationary", "svbrdf_stationary"]),
-        ("metapp meta svbrdf_nonstationary --recipe ", ["quick", "full", "paper", "several"]),
+        ("metapp meta svbrdf_nonstationary --recipe ", ["quick", "full", "paper", "pretrained", "several"]),
         ("metapp meta --recipe ani", ["anisotropic"]),
         ("metapp meta brdf --rule meta-", [name for name in rule_names() if name.startswith("meta-")]),
         ("metapp meta brdf --rule adam+cu", ["adam+curvature"]),
