@@ -25,15 +25,16 @@ def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
 
 @each_network
 def test_phi_h_counts_where_a_network_says_so(network: BrdfNetwork) -> None:
-    # at one shape, where products of matrices are the same to the bit
     rng = Generator().manual_seed(2)
     theta = {
         key: value[0] + 0.1 * torch.randn(value.shape[1:], generator=rng) for key, value in network.init(rng, 1).items()
     }
     angles = torch.tensor([0.3, 0.5, 1.0, 0.0]).repeat(2, 3, 1)
     angles[1, :, 3] = 0.7
-    first, turned = (network.evaluate(theta, each) for each in angles.split(1))
-    assert first.shape == (1, 3, 3)
+    values = network.evaluate(theta, angles)
+    assert values.shape == (2, 3, 3)
+    # one at a time: the rows of one product of matrices need not be the same to the bit
+    first, turned = (network.evaluate(theta, each) for each in angles)
     assert torch.equal(first, turned) != network.anisotropic
-    torch.testing.assert_close(network.evaluate(theta, angles[0, :, :3]), first[0])
+    torch.testing.assert_close(network.evaluate(theta, angles[0, :, :3]), values[0])
     assert (network.folded(theta).turn is not None) == network.anisotropic

@@ -73,17 +73,24 @@ def _cropped(maps: Tensor, side: int, rng: Generator) -> Tensor:
     uniform, _ = draws(len(maps), rng)
     angle = 2 * math.pi * uniform()
     share = CROPPED[0] + (CROPPED[1] - CROPPED[0]) * uniform()
-    cosine, sine, none = angle.cos(), angle.sin(), torch.zeros_like(angle)
-    across = torch.stack([cosine, -sine, none], -1)
-    down = torch.stack([sine, cosine, none], -1)
-    grid = affine_grid(share[:, None, None] * torch.stack([across, down], 1), [len(maps), 1, side, side], False)
-    x, y, rest = grid_sample(maps, grid, padding_mode="reflection", align_corners=False).split((1, 1, 8), 1)
+    return turned_crops(maps, side, angle, share, maps.new_zeros(len(maps), 2), uniform(1, 1, 1) < 0.5, "reflection")
+
+
+def turned_crops(
+    maps: Tensor, side: int, angle: Tensor, share: Tensor, centre: Tensor, mirrored: Tensor, padding: str
+) -> Tensor:
+    """Crops [T, 10, side, side] of maps [T, 10, S, S], turned by `angle` [T], with the normals that these then have.
+
+    `share` [T] is a crop's side over the maps', `centre` [T, 2] from -1 to 1, `mirrored` [T, 1, 1, 1] true or false.
+    """
+    cosine, sine = angle.cos(), angle.sin()
+    turn = share[:, None, None] * torch.stack([cosine, -sine, sine, cosine], 1).unflatten(1, (2, 2))
+    grid = affine_grid(torch.cat([turn, centre[:, :, None]], 2), [len(maps), 1, side, side], False)
+    x, y, rest = grid_sample(maps, grid, padding_mode=padding, align_corners=False).split((1, 1, 8), 1)
     cosine, sine = cosine[:, None, None, None], sine[:, None, None, None]
-    turned = torch.cat([cosine * x - sine * y, sine * x + cosine * y], 1)  # rows go down, y goes up
-    mirrored = uniform(1, 1, 1) < 0.5
-    flipped = torch.cat([-turned[:, :1], turned[:, 1:], rest], 1).flip(3)
-    maps = torch.where(mirrored, flipped, torch.cat([turned, rest], 1))
-    return torch.cat([of_length_1(maps[:, :3]), maps[:, 3:]], 1)
+    x, y = cosine * x - sine * y, sine * x + cosine * y  # rows go down, y goes up
+    crops = torch.where(mirrored, torch.cat([-x, y, rest], 1).flip(3), torch.cat([x, y, rest], 1))
+    return torch.cat([of_length_1(crops[:, :3]), crops[:, 3:]], 1)
 
 
 def restyled(maps: Tensor, rng: Generator) -> Tensor:

@@ -7,11 +7,19 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, pad
+from torch.nn.functional import avg_pool2d, pad
 
 from metapp.appearance.flash import positions
-from metapp.apps.svbrdf_nonstationary.maps import inputs_of, of_length_1
-from metapp.apps.svbrdf_nonstationary.variants import RESTYLED, draws, photographs, recoloured, restyled, some
+from metapp.apps.svbrdf_nonstationary.maps import inputs_of
+from metapp.apps.svbrdf_nonstationary.variants import (
+    RESTYLED,
+    draws,
+    photographs,
+    recoloured,
+    restyled,
+    some,
+    turned_crops,
+)
 from metapp.learning.task import Batch
 
 PATCH = (0.4, 0.7)  # the side of a photographed patch, of the side of a material's maps
@@ -57,15 +65,7 @@ def pieces(maps: Tensor, side: int, share: float, rng: Generator) -> Tensor:
     angle = 2 * math.pi * uniform()
     room = 1 - math.sqrt(2) * extent
     centre = room[:, None] * (2 * uniform(2) - 1)
-    cosine, sine = angle.cos(), angle.sin()
-    turn = extent[:, None, None] * torch.stack([cosine, -sine, sine, cosine], 1).unflatten(1, (2, 2))
-    grid = affine_grid(torch.cat([turn, centre[:, :, None]], 2), [len(maps), 1, side, side], False)
-    x, y, rest = grid_sample(maps, grid, padding_mode="border", align_corners=False).split((1, 1, 8), 1)
-    cosine, sine = cosine[:, None, None, None], sine[:, None, None, None]
-    x, y = cosine * x - sine * y, sine * x + cosine * y  # rows go down, y goes up
-    mirrored = uniform(1, 1, 1) < 0.5
-    result = torch.where(mirrored, torch.cat([-x, y, rest], 1).flip(3), torch.cat([x, y, rest], 1))
-    return torch.cat([of_length_1(result[:, :3]), result[:, 3:]], 1)
+    return turned_crops(maps, side, angle, extent, centre, uniform(1, 1, 1) < 0.5, "border")
 
 
 def crossed(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
