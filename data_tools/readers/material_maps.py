@@ -56,7 +56,7 @@ _ROLES = {
 }  # fmt: skip
 _ROLE = {word: role for role, words in _ROLES.items() for word in words}
 _BODY = ("diffuse", "diff")
-_PLAIN = "plain"  # a colour by its place beside the others
+PLAIN = "plain"  # a colour by its place beside the others
 _NORMALS = ("normal (OpenGL)", "normal", "normal (DirectX)")
 _WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
 _RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192", re.IGNORECASE)
@@ -167,7 +167,7 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
     for name, file in plain:
         maps = roles.get(name.lower(), {})
         if maps and "base colour" not in maps:
-            maps[_PLAIN] = (*maps.get(_PLAIN, ()), file)
+            maps[PLAIN] = (*maps.get(PLAIN, ()), file)
         elif not maps:
             others.append(file)
     return [Material(folder, names[key], roles[key]) for key in sorted(roles)], others
@@ -223,14 +223,14 @@ def read_material(material: Material, size: int = SIZE, normals: str = "auto", l
     shapes: dict[str, tuple[int, int]] = {}
     maps = {role: _read(file, size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
-    colour = maps["base colour"] if "base colour" in maps else maps[_PLAIN]
+    colour = maps["base colour"] if "base colour" in maps else maps[PLAIN]
     if "metallic" in maps:
         diffuse, specular = from_metallic(colour, _gray(maps["metallic"]))
     else:
         diffuse, specular = colour, maps.get("specular", torch.full_like(colour, DIELECTRIC))
     if "roughness" in maps:
         roughness = _gray(maps["roughness"])
-    elif _PLAIN in maps:  # that of a GGX lobe whose peak is as bright
+    elif PLAIN in maps:  # that of a GGX lobe whose peak is as bright
         roughness = (DIELECTRIC / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
     else:
         roughness = 1 - _gray(maps["gloss"])
@@ -294,7 +294,7 @@ def _choose(material: Material) -> dict[str, Path]:
     roles = _specular_workflow(material.files)
     found = ", ".join(sorted(file.name for file in material.maps))
     needed = {
-        "base colour": ("base colour", _PLAIN),
+        "base colour": ("base colour", PLAIN),
         "normal": _NORMALS,
         "roughness or gloss": ("roughness", "gloss"),
         "": ("metallic", "specular"),
@@ -340,7 +340,7 @@ def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) 
     pixels = read_pixels(file)
     height, width = pixels.values.shape[:2]
     shapes[role] = height, width
-    is_colour = role in ("base colour", _PLAIN, "specular")
+    is_colour = role in ("base colour", PLAIN, "specular")
     values = pixels.values[..., :3]  # alpha holds opacity or something else again
     square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR))
     linear = resample(square, size)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import torch
 
 from data_tools.readers.material_maps import (
+    PLAIN,
     find,
     find_materials,
     material_of,
@@ -40,7 +41,6 @@ UNITS = {
 ROUGHNESS = 0.6  # where there is none
 OLD = 0.3  # what sets with shading in their colours count
 _ROUGH = ("roughness", "gloss")
-_PLAIN = "plain"  # the role of a colour of old games, as `material_maps` has it
 
 
 class _Drawn(NamedTuple):
@@ -65,7 +65,7 @@ def read_task(source: Path, size: int, normals: str) -> Task:
     assert material is not None, source  # it was found by its name
     files = material.files
     has = any(role in files for role in _ROUGH)
-    old = _PLAIN in files or ("specular" in files and not has)
+    old = PLAIN in files or ("specular" in files and not has)
     if has:
         task = read_material(material, size, normals)
     else:
