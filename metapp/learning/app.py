@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.recipe import Setup
-from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
+from metapp.learning.task import RESERVED, Batch, Held, Linear, Params, Task, Tasks
 
 Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
 
@@ -238,7 +238,7 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
     """
     if not tasks:
         raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
-    prepared = [app.prepare(task) for task in tasks]
+    prepared = [app.prepare(task) | {key: task.data[key] for key in RESERVED if key in task.data} for task in tasks]
     # a task may lack what is optional
     common = [key for key in prepared[0] if all(key in tensors for tensors in prepared)]
     for task, tensors in zip(tasks, prepared, strict=True):

@@ -27,7 +27,7 @@ from metapp.learning.adjoint import (
     same,
 )
 from metapp.learning.app import App, OuterLoss, OuterSample, Staged
-from metapp.learning.task import Params, Rng, Tasks, drawn
+from metapp.learning.task import KIND, Params, Rng, Tasks, drawn
 
 
 class MetaParameters(NamedTuple):
@@ -204,14 +204,13 @@ Augment = Callable[[Tasks, Generator], Tasks]
 def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Loss:
     """Lift a loss on given tasks to the mean over `count` random ones of a set, drawn without replacement.
 
-    Where tasks have a `kind` (0, 1, ...), as many are drawn of each on average. `augment` is applied to the drawn tasks
-    before anything is sampled from them.
+    Of tasks of several kinds as many are drawn of each on average. `augment` is applied to the drawn tasks before
+    anything is sampled from them.
     """
 
     def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
-        if "kind" in tasks.data:
-            kinds = tasks.data["kind"][tasks.rows]
-            rows = torch.multinomial(1 / kinds.bincount()[kinds], min(count, len(tasks)), generator=rng)
+        if KIND in tasks.data:
+            rows = torch.multinomial(tasks.weights(), min(count, len(tasks)), generator=rng)
         else:
             rows = torch.randperm(len(tasks), generator=rng, device=rng.device)[:count]
         picked = tasks.select(rows)

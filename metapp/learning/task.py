@@ -68,6 +68,8 @@ class Held(NamedTuple):
     optional: bool = False
 
 
+KIND = "kind"  # tensor of tasks of any application: which of several kinds, of which training draws as many of each
+RESERVED = {KIND: Held((1,), "uint8", optional=True)}
 _KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torch.uint8,)}
 
 
@@ -82,7 +84,7 @@ def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
     problems = [f"tensor '{key}' is missing, expected {_said(holds[key])}" for key in missing]
     sizes: dict[str, int] = {}
     for key, tensor in task.data.items():
-        held = holds.get(key)
+        held = holds.get(key) or RESERVED.get(key)
         if tensor.is_floating_point() and tensor.dtype not in _KINDS["float"]:
             problems.append(f"tensor '{key}' is {_of(tensor)}, expected floats of 16, 32 or 64 bits")
         elif held and (tensor.dtype not in _KINDS[held.kind] or not _has_shape(tensor, held.shape, sizes)):
@@ -138,6 +140,13 @@ class Tasks:
     def picked_names(self) -> tuple[str, ...]:
         """The names of the tasks in this view, in order."""
         return tuple(self.names[row] for row in self.rows.tolist())
+
+    def weights(self) -> Tensor:
+        """What each task of this view counts, [T], so that all kinds count alike; 1 where there are none."""
+        if KIND not in self.data:
+            return torch.ones(len(self), device=self.rows.device)
+        kinds = self.data[KIND][self.rows, 0].long()
+        return 1 / kinds.bincount()[kinds]
 
     def variants(self, data: dict[str, Tensor]) -> Tasks:
         """Augmented tasks, one of each in this view, in order: tensors [T, ...]."""

@@ -35,10 +35,12 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
 def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges.
 
+    All kinds of tasks count alike.
+
     Learned rules fit without their guard: the best state is that of the best rule, not that of the best fallback.
     """
     paradigm = paradigm._replace(guard=lambda job: None)
-    total, seeds = 0.0, 1 if job.app.traits.deterministic else 2
+    total, weights, seeds = 0.0, tasks.weights(), 1 if job.app.traits.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for some in torch.arange(len(tasks)).split(AT_ONCE):
@@ -47,5 +49,5 @@ def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tas
                 theta = paradigm.fit(job, prepared, part, rng)
             except FloatingPointError:
                 return float("inf")
-            total += float(job.app.errors(theta, part)["error"].sum())
-    return job.app.traits.scale * total / (seeds * len(tasks))
+            total += float((weights[some] * job.app.errors(theta, part)["error"]).sum())
+    return job.app.traits.scale * total / (seeds * float(weights.sum()))

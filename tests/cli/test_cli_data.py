@@ -143,6 +143,9 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable) -> None:
     assert (document["train"], document["test"]) == (["tin"], ["ink"])
     assert [task.name for task in read_shard(Path("joint"), "test", "brdf")] == ["ink"]
     assert check_shard(Path("joint")) == []
+    assert join("train", "test", "--alike").done["train"] == ["tin"]
+    assert {task.name: task.data["kind"].tolist() for task in read_shard(Path("joint"))} == {"tin": [0], "ink": [1]}
+    assert check_shard(Path("joint")) == []
     assert "two tasks of this name" in join("train", "train").error
     assert join("joint", "test").error
     assert join("none").error

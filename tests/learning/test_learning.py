@@ -195,7 +195,7 @@ def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> N
 
 def test_over_tasks_draws_as_many_of_each_kind(tasks: Tasks, rng: Generator) -> None:
     """One of five is of another kind: it is one of two that are drawn."""
-    several = replace(tasks, data=tasks.data | {"kind": torch.tensor([int(name == "chalk") for name in NAMES])})
+    several = replace(tasks, data=tasks.data | {"kind": torch.tensor([[name == "chalk"] for name in NAMES])})
     loss = over_tasks(EXACT, count=1)
     names = [loss.draw(several, rng, 1.0).names[0] for _ in range(400)]
     assert abs(names.count("chalk") - 200) < 5 * 10
@@ -278,6 +278,16 @@ def test_stacked_tasks_keep_what_they_show_together() -> None:
     stacked = stack(Plain(), [Task("a", data, "wood"), Task("b", data, "wood"), Task("c", data)])
     assert stacked.names == ("a", "b", "c")
     assert stacked.groups == ("wood", "wood", "c")
+    assert stacked.weights().tolist() == [1, 1, 1]
+
+
+def test_stacked_tasks_keep_their_kinds() -> None:
+    """Of two kinds, each task of the rarer one counts more."""
+    data = {"angles": torch.rand(8, 3), "reflectance": torch.rand(8, 3)}
+    kinds = [torch.tensor([kind], dtype=torch.uint8) for kind in (0, 3, 0, 0)]
+    stacked = stack(Plain(), [Task(str(i), data | {"kind": kind}) for i, kind in enumerate(kinds)])
+    assert stacked.weights().tolist() == pytest.approx([1 / 3, 1, 1 / 3, 1 / 3])
+    assert stacked.select([0, 2]).weights().tolist() == [0.5, 0.5]
 
 
 # Clipping

@@ -50,6 +50,7 @@ def test_nothing_is_wrong_with_what_is_as_it_must_be(further: dict[str, Tensor])
         ({"more": torch.zeros(2, dtype=torch.uint8)}, "'more' is uint8 [2], expected float [n]"),
         ({"unknown": torch.zeros(2, dtype=torch.bfloat16)}, "'unknown' is bfloat16 [2], expected floats of 16"),
         ({"unknown": torch.tensor([0.0, math.nan])}, "'unknown' holds NaN or infinite values"),
+        ({"kind": torch.tensor([0.0])}, "'kind' is float32 [1], expected uint8 [1]"),
         ({"map": torch.full((4, 5), 1.5)}, "'map' holds 1.5 to 1.5, expected 0 to 1"),
         ({"map": torch.full((4, 5), -0.5)}, "'map' holds -0.5 to -0.5, expected 0 to 1"),
     ],

@@ -46,6 +46,18 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
     assert {name[0] for name in validate.picked_names} == set("abcd")
 
 
+@pytest.mark.parametrize("app", ["brdf"], indirect=True)
+def test_validation_counts_kinds_alike(job: Job, tasks: Tasks) -> None:
+    """One material of another kind counts as much as all others."""
+    start = MetaParameters(encoder=job.app.init_encoder(rng(0)))
+    apart = [error_of("general", job, start, tasks.select(rows)) for rows in ([0], range(1, len(tasks)))]
+    kinds = torch.tensor([[i == 0] for i in range(len(tasks.names))])
+    mixed = replace(tasks, data=tasks.data | {"kind": kinds})
+    # what the encoder reads is drawn for all tasks at once
+    assert error_of("general", job, start, mixed) == pytest.approx(sum(apart) / 2, rel=1e-3)
+    assert error_of("general", job, start, tasks) != pytest.approx(sum(apart) / 2, rel=1e-2)
+
+
 OTHERS = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport")
 EVERY = pytest.mark.parametrize(
     ("app", "name"),

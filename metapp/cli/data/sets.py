@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +15,7 @@ from metapp.runs.inputs.convert import converted
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
-    from metapp.learning.task import Held, Task
+    from metapp.learning.task import Task
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,7 @@ def cornell(options: Cornell) -> None:
 def join(
     folders: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Data sets of one application.")],
     folder: Out,
+    alike: Annotated[bool, typer.Option("--alike", help="Training draws as many of each, whatever they hold.")] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -77,22 +77,28 @@ def join(
 
     What not all tasks hold, such as reference relightings of synthetic materials, is left out.
 
-    Example:
+    Examples:
       metapp data join synthetic merl --out joint
+      metapp data join drawn photographed --alike --out joint
     """
+    import torch
+
+    from metapp.apps import class_of
+    from metapp.learning.task import KIND
     from metapp.storage.manifest import read_manifest
     from metapp.storage.shards import ShardWriter, read_shard
 
     if folder.resolve() in [source.resolve() for source in folders]:
         raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
     manifests = [read_manifest(source) for source in folders]
-    name = manifests[0].app
-    sets = [{task.name: task for task in read_shard(source, app=name, holds=holds_of(name))} for source in folders]
+    app = class_of(name := manifests[0].app)
+    sets = [{task.name: task for task in read_shard(source, app=name, holds=app.holds)} for source in folders]
     every = [task.data for tasks in sets for task in tasks.values()]
     shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
+    units |= {KIND: "uint8 [1], which of the joined data sets"} if alike else {}
 
-    def shared(task: Task) -> Task:
+    def shared(task: Task, kind: int) -> Task:
         data = {key: task.data[key] for key in shapes}
         for key, shape in shapes.items():
             if data[key].shape != shape:
@@ -100,30 +106,17 @@ def join(
                     f"{task.name}: {key} {tuple(data[key].shape)}, expected {tuple(shape)} as in the others; "
                     "convert all with the same --samples or --size."
                 )
-        return task._replace(data=data)
+        return task._replace(data=data | ({KIND: torch.tensor([kind], dtype=torch.uint8)} if alike else {}))
 
-    pairs = [
-        (entry, tasks[entry.name]) for tasks, manifest in zip(sets, manifests, strict=True) for entry in manifest.tasks
-    ]
+    pairs = [(entry, shared(sets[i][entry.name], i)) for i in range(len(sets)) for entry in manifests[i].tasks]
     notes = {"made_by": "metapp data join", "of": [source.name for source in folders]}
     new = ShardWriter(folder, name, units, notes, overwrite=overwrite)
     with new as writer, progress(name, len(pairs), quiet=quiet) as bar:
         for entry, task in pairs:
-            writer.add(shared(task)._replace(group=entry.group), entry.split, entry.source)
+            writer.add(task._replace(group=entry.group), entry.split, entry.source)
             bar.advance(entry.name)
         done = converted(name, folder, writer.entries())
     report(done, quiet, as_json)
-
-
-def holds_of(name: str) -> Mapping[str, Held]:
-    """The tensors that tasks of an application must hold.
-
-    Raises:
-        ValueError: there is no such application.
-    """
-    from metapp.apps import class_of
-
-    return class_of(name).holds
 
 
 def check(
@@ -139,13 +132,13 @@ def check(
     Example:
       metapp data check merl
     """
+    from metapp.apps import class_of
     from metapp.storage.manifest import read_manifest
     from metapp.storage.shards import check_shard
 
-    problems = []
     try:
         manifest = read_manifest(folder)
-        problems = check_shard(folder, holds_of(manifest.app))
+        problems = check_shard(folder, class_of(manifest.app).holds)
     except ValueError as error:
         if not as_json:
             raise
@@ -158,10 +151,8 @@ def check(
         document = {"app": manifest.app, "folder": str(folder), **counts, "bytes": size, "units": manifest.units}
         print_json({**document, "problems": problems})
     else:
-        lines = [
-            f"{folder}: {manifest.app}, {counts['train']} train + {counts['test']} test tasks, {size / 1e6:,.1f} MB"
-        ]
-        lines += [f"  {key}: {unit}" for key, unit in manifest.units.items()]
+        head = f"{folder}: {manifest.app}, {counts['train']} train + {counts['test']} test tasks, {size / 1e6:,.1f} MB"
+        lines = [head] + [f"  {key}: {unit}" for key, unit in manifest.units.items()]
         out().print("\n".join(lines), soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")

@@ -37,7 +37,7 @@ class FromFeatures(SvbrdfNonstationary):
     """The same materials and fits; General reads features of VGG-16 and draws no relief that a photograph hides.
 
     Beside `maps` a training task may hold `known` [4], what the loss of each map counts, in the order of PARTS, 0 where
-    it is made up, and `kind` [1], 0 of drawn materials and 1 of real ones, of which training sees as many.
+    it is made up.
     """
 
     setup: PretrainedSetup
@@ -56,10 +56,9 @@ class FromFeatures(SvbrdfNonstationary):
         return describe_precision(device)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """The same, and `known` and `kind`, those of drawn materials where a task has none."""
+        """The same, and `known`, that of drawn materials where a task has none."""
         known = task.data.get("known", torch.ones(len(PARTS)))
-        kind = task.data.get("kind", torch.zeros(1))[0].long()
-        return super().prepare(task) | {"known": known.float(), "kind": kind}
+        return super().prepare(task) | {"known": known.float()}
 
     def init_encoder(self, rng: Generator) -> Params:
         """The same, of maps that are nearly flat: training begins where nothing is known of relief."""
