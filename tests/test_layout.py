@@ -214,6 +214,7 @@ EXTENSIONS = {
     "rgl": 505,
     "scene_files": 1_360,
     "several": 200,
+    "shaders": 400,
     "side_by_side": 290,
     "vgg": 350,
     "viewer": 1_650,

@@ -45,7 +45,7 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         ("metapp meta brdf --rule adam+cu", ["adam+curvature"]),
         ("metapp meta texture --export ", list(exports_of("texture"))),
         ("metapp meta svbrdf_stationary --export gltf,b", ["gltf,blender"]),
-        ("metapp export runs/brdf/meta/gold m", ["merl", "mitsuba"]),
+        ("metapp export runs/brdf/meta/gold m", ["materialx", "merl", "mitsuba"]),
         ("metapp meta illumination --observe ", ["reference", "photo"]),
         ("metapp general texture --device c", ["cpu", "cuda"]),
         ("metapp baseline texture --method ", ["nearest", "quilting", "gpdm", "patches"]),

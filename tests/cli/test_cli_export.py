@@ -22,6 +22,10 @@ FILES = {
     "merl": ["{}.binary"],
     "bsdf": ["{}.bsdf"],
     "mitsuba": ["{}/{}.xml", "{}/{}_builtin.xml", "{}/{}.safetensors", "{}/{}.bsdf"],
+    "materialx": ["{0}/{0}.mtlx", "{0}/{0}.glsl", "{0}/{0}.osl"],
+    "cpp": ["{0}.h"],
+    "osl": ["{0}.osl"],
+    **{form: [f"{{0}}.{form}", f"{{0}}_half.{form}"] for form in ("glsl", "hlsl", "slang", "wgsl")},
 }
 
 
@@ -75,7 +79,7 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
 
 def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
     for words, said in (
-        ((run, "blend"), "expects one of bsdf, merl, mitsuba, nbrdf"),
+        ((run, "blend"), "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, osl, slang, wgsl"),
         ((run, "gltf"), "expects one of"),
         ((run, "merl", "--size", "64x64"), "--size"),
     ):
@@ -120,7 +124,10 @@ def test_of_a_single_fit_files_are_named(metapp: Callable, neural_fits: Callable
     assert f"written as bsdf: {run}/bsdf/m0.bsdf" in said
     assert f"written as nbrdf: {run}/nbrdf/m0: b1.npy, b2.npy, b3.npy, fc1.npy, fc2.npy, fc3.npy" in said
     assert f"fit: {run}/params/m0.safetensors" in said
-    for line, words in (("to look at: ", ["view"]), ("other forms (merl, mitsuba): ", ["export", "merl"])):
+    for line, words in (
+        ("to look at: ", ["view"]),
+        ("other forms (cpp, glsl, hlsl, materialx, merl, mitsuba, osl, slang, wgsl): ", ["export", "cpp"]),
+    ):
         (found,) = [each.removeprefix(line) for each in said if each.startswith(line)]
         assert shlex.split(found) == ["metapp", words[0], str(run), *words[1:]]
 

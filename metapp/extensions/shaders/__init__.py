@@ -1,0 +1,12 @@
+"""Fitted BRDFs as source code of shaders: one file without data beside it, with eval, sample and pdf."""
+
+from __future__ import annotations
+
+from metapp.door import Export
+
+_HERE = "metapp.extensions.shaders.files"
+NBRDF = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 weights; other networks are distilled into it
+OFFERS = tuple(
+    Export(name, ("brdf",), f"{_HERE}:write_{name}", holds=NBRDF)
+    for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "slang", "wgsl")
+)

@@ -1,0 +1,118 @@
+"""Shader code of BRDFs: what it computes, by whatever can run it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator
+
+from metapp.appearance.geometry import directions_to_full_circle
+from metapp.apps import app_of, recipes_of
+from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.extensions.shaders import files
+from metapp.learning.task import Params
+from tests.extensions.shaders.running import RUNS, Array
+
+NAME = "red paint-2"
+APP = app_of("brdf", recipes_of("brdf")["quick"])
+LANGUAGES = sorted(RUNS)
+
+
+@pytest.fixture(scope="module")
+def theta() -> Params:
+    """A random network, brighter where directions mirror each other."""
+    theta = {key: value[0] for key, value in NBRDF.init(Generator().manual_seed(4), 1).items()}
+    theta["w1"][:, 2] += 1
+    theta["b3"] -= 1
+    return theta
+
+
+@pytest.fixture(scope="module")
+def written(theta: Params, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("code")
+    for language in ("cpp", "glsl", "hlsl", "materialx", "osl", "slang", "wgsl"):
+        getattr(files, f"write_{language}")(APP, theta, folder / NAME)
+    return folder
+
+
+def code(folder: Path, language: str) -> str:
+    return (folder / f"{NAME}.{files.LANGUAGES[language].suffix}").read_text()
+
+
+def hemisphere(count: int, seed: int) -> Array:
+    """Directions above the surface, evenly, a few along the normal."""
+    rng = np.random.default_rng(seed)
+    z, phi = 1 - 0.99 * rng.random(count), 2 * np.pi * rng.random(count)
+    z[:10] = 1
+    sine = np.sqrt(1 - z * z)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), z], 1).astype(np.float32)
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_values_are_those_of_the_network(language: str, theta: Params, written: Path, tmp_path: Path) -> None:
+    light, viewer = hemisphere(10_000, 0), hemisphere(10_000, 1)
+    found = RUNS[language](code(written, language), files.identifier(NAME), light, viewer, tmp_path)[:, :3]
+    angles = directions_to_full_circle(torch.from_numpy(light).double(), torch.from_numpy(viewer).double())
+    exact = NBRDF.evaluate({key: value.double() for key, value in theta.items()}, angles).numpy()
+    np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-4 * exact.mean())
+    below = light * np.float32([1, 1, -1])
+    nothing = RUNS[language](code(written, language), files.identifier(NAME), below, viewer, tmp_path)
+    assert not nothing[:, :4].any()
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, 69.0, 85.0])
+def test_samples_have_their_density(angle: float, written: Path, tmp_path: Path) -> None:
+    """The mean of any density over that of samples is 1, to a few standard errors."""
+    theta, count = np.radians(angle), 400_000
+    viewer = np.tile(np.float32([np.sin(theta), 0, np.cos(theta)]), (count, 1))
+    numbers = np.random.default_rng(2).random((count, 3), dtype=np.float32)
+    run, name = RUNS["cpp"], files.identifier(NAME)
+    light = np.ascontiguousarray(run(code(written, "cpp"), name, numbers, viewer, tmp_path)[:, 4:])
+    assert (light[:, 2] > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(light, axis=1), 1, atol=1e-4)
+    density = run(code(written, "cpp"), name, light, viewer, tmp_path)[:, 3].astype(float)
+    cosine = light[:, 2].astype(float)
+    mirrored = np.clip(light @ np.float32([-np.sin(theta), 0, np.cos(theta)]), 0, 1).astype(float)
+    around = mirrored**60 + np.clip(mirrored - 2 * cosine * np.cos(theta), 0, 1) ** 60  # of both sides of the surface
+    for other in (cosine / np.pi, np.full(count, 1 / (2 * np.pi)), around * 61 / (2 * np.pi)):
+        ratio = other / density
+        assert abs(ratio.mean() - 1) < 5 * ratio.std() / np.sqrt(count) + 1e-4
+
+
+def test_glsl_compiles(written: Path, tmp_path: Path) -> None:
+    """Both precisions, by the reference compiler."""
+    compiler = shutil.which("glslangValidator")
+    if compiler is None:
+        pytest.skip("no glslangValidator")
+    for half in ("", "_half"):
+        text = (written / f"{NAME}{half}.glsl").read_text()
+        (tmp_path / "a.comp").write_text(f"#version 450\n{text}\nvoid main() {{}}\n")
+        subprocess.run([compiler, "-V", "-o", "a.spv", "a.comp"], cwd=tmp_path, check=True)
+
+
+def test_a_node_of_materialx(written: Path) -> None:
+    """Its implementations are there, with the functions that it names, and the document is valid."""
+    document = written / NAME / f"{NAME}.mtlx"
+    found = ET.parse(document).getroot().findall("implementation")
+    assert [each.attrib["target"] for each in found] == ["genglsl", "genosl"]
+    for each in found:
+        assert f"void {each.attrib['function']}(" in (document.parent / each.attrib["file"]).read_text()
+    mx = pytest.importorskip("MaterialX")
+    read = mx.createDocument()
+    mx.readFromXmlFile(read, str(document))
+    libraries = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), libraries)
+    read.importLibrary(libraries)
+    valid, said = read.validate()
+    assert valid, said
+
+
+def test_names_are_identifiers() -> None:
+    assert files.identifier("gold__paint.v2") == "brdf_gold_paint_v2"
+    assert files.identifier("漆") == "brdf"
