@@ -235,3 +235,10 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     again = metapp("meta", "brdf", "--data", data, "--out", tmp_path)
     assert f"{trained} is used with --recipe quick alone; here the recipe is full" in again.err
     assert f"from {trained}" in metapp("meta", "brdf", "--data", data, "--out", tmp_path, "--recipe", "quick").err
+
+
+@pytest.mark.parametrize("name", app_names())
+def test_every_recipe_of_an_application_is_offered(name: str) -> None:
+    table = importlib.import_module(f"metapp.apps.{name}.recipes").RECIPES
+    for protocol, recipes in (table if "reference" in table else {"": table}).items():
+        assert recipes.keys() <= recipes_of(name, protocol).keys()

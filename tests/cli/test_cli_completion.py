@@ -30,6 +30,9 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     return complete
 
 
+SMALLER = ["paper-64", "paper-128"]
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -39,7 +42,8 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         ("metapp plan ", ["brdf"]),
         ("metapp examples t", ["texture", "transport"]),
         ("metapp data synth sv", ["svbrdf_nonstationary", "svbrdf_stationary"]),
-        ("metapp meta svbrdf_nonstationary --recipe ", ["quick", "full", "paper", "pretrained", "several"]),
+        ("metapp meta svbrdf_nonstationary --recipe ", ["quick", "full", "paper", *SMALLER, "pretrained", "several"]),
+        ("metapp meta texture --recipe ", ["quick", "full", "paper", *SMALLER]),
         ("metapp meta --recipe ani", ["anisotropic"]),
         ("metapp meta brdf --rule meta-", [name for name in rule_names() if name.startswith("meta-")]),
         ("metapp meta brdf --rule adam+cu", ["adam+curvature"]),

@@ -29,4 +29,5 @@ OFFERS = (
     *recipes_in(
         "svbrdf_nonstationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")
     ),
+    *recipes_in("svbrdf_nonstationary", f"{_HERE}.recipes:RECIPES", "paper-64", "paper-128", protocols=("reference",)),
 )

@@ -25,5 +25,5 @@ OFFERS = (
         files="data_tools.synthetic.examples:write_example",
         needs_vgg=True,
     ),
-    *recipes_in("svbrdf_stationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
+    *recipes_in("svbrdf_stationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-64", "paper-128"),
 )

@@ -22,5 +22,5 @@ OFFERS = (
         files="data_tools.synthetic.examples:write_example",
         needs_vgg=True,
     ),
-    *recipes_in("texture", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
+    *recipes_in("texture", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-64", "paper-128"),
 )
