@@ -207,6 +207,7 @@ EXTENSIONS = {
     "measures": 290,
     "mitsuba_bsdfs": 600,
     "native": 730,
+    "onnx_files": 310,
     "packs": 590,
     "pretrained": 580,
     "report": 675,

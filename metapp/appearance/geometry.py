@@ -142,7 +142,7 @@ def half_difference_incident(angles: Tensor) -> Tensor:
     places, vectors = angles.new_empty(len(angles), 7), half_difference(angles)
     half_x, half_y, half_z, x, _, z = vectors.unbind(1)
     places[:, :6] = vectors
-    places[:, 6] = z * half_z - x * (half_x if angles.shape[1] == 3 else torch.hypot(half_x, half_y))
+    places[:, 6] = z * half_z - x * (half_x if angles.shape[1] == 3 else (half_x * half_x + half_y * half_y).sqrt())
     return places
 
 

@@ -24,6 +24,7 @@ FILES = {
     "mitsuba": ["{}/{}.xml", "{}/{}_builtin.xml", "{}/{}.safetensors", "{}/{}.bsdf"],
     "materialx": ["{0}/{0}.mtlx", "{0}/{0}.glsl", "{0}/{0}.osl"],
     "cpp": ["{0}.h"],
+    "onnx": ["{0}.onnx"],
     "osl": ["{0}.osl"],
     **{form: [f"{{0}}.{form}", f"{{0}}_half.{form}"] for form in ("glsl", "hlsl", "slang", "wgsl")},
 }
@@ -79,7 +80,7 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
 
 def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
     for words, said in (
-        ((run, "blend"), "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, osl, slang, wgsl"),
+        ((run, "blend"), "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"),
         ((run, "gltf"), "expects one of"),
         ((run, "merl", "--size", "64x64"), "--size"),
     ):
@@ -126,7 +127,7 @@ def test_of_a_single_fit_files_are_named(metapp: Callable, neural_fits: Callable
     assert f"fit: {run}/params/m0.safetensors" in said
     for line, words in (
         ("to look at: ", ["view"]),
-        ("other forms (cpp, glsl, hlsl, materialx, merl, mitsuba, osl, slang, wgsl): ", ["export", "cpp"]),
+        ("other forms (cpp, glsl, hlsl, materialx, merl, mitsuba, onnx, osl, slang, wgsl): ", ["export", "cpp"]),
     ):
         (found,) = [each.removeprefix(line) for each in said if each.startswith(line)]
         assert shlex.split(found) == ["metapp", words[0], str(run), *words[1:]]

@@ -1,0 +1,98 @@
+"""Models of ONNX: traced by torch, with what they are in their metadata."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from metapp.storage.files import write_atomically
+
+OPSET = 18
+LARGE = 1024  # numbers of a weight that is stored in half precision
+MISSING = 'needs onnx and onnxscript: pip install "metapp[export]"'
+
+
+def require() -> None:
+    """Refuse to go on without the packages.
+
+    Raises:
+        ValueError: they are not installed.
+    """
+    if not all(map(importlib.util.find_spec, ("onnx", "onnxscript"))):
+        raise ValueError(f"ONNX {MISSING}.")
+
+
+def write_model(
+    module: torch.nn.Module,
+    inputs: Mapping[str, Tensor],
+    outputs: Sequence[str],
+    sizes: Mapping[str, Mapping[int, Any]],
+    about: Mapping[str, str],
+    path: Path,
+    *,
+    half: bool = False,
+) -> None:
+    """Write a module as a model.
+
+    Args:
+        module: its parameters are the weights; takes the inputs in order and gives the outputs.
+        inputs: examples, by name.
+        outputs: names.
+        sizes: of each input the axes of any size, as of torch.export.
+        about: kept as metadata.
+        path: with its suffix.
+        half: store large weights in half precision.
+
+    Raises:
+        ValueError: packages are missing.
+    """
+    require()
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            module.eval(),
+            tuple(inputs.values()),
+            dynamo=True,
+            input_names=list(inputs),
+            output_names=list(outputs),
+            dynamic_shapes=dict(sizes) or None,
+            opset_version=OPSET,
+            verbose=False,
+        )
+    assert program is not None
+    model = program.model_proto
+    for node in model.graph.node:
+        del node.metadata_props[:]  # where in the source it comes from
+    if half:
+        _halve(model.graph)
+    del model.metadata_props[:]
+    for key, text in about.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, text
+    content = model.SerializeToString()
+    write_atomically(path, lambda target: target.write_bytes(content))
+
+
+def _halve(graph: Any) -> None:
+    """Store large weights in 16 bits; a cast makes 32 of them, when a model is loaded."""
+    import numpy as np
+    from onnx import TensorProto, helper, numpy_helper
+
+    casts = []
+    for weight in graph.initializer:
+        if weight.data_type != TensorProto.FLOAT or np.prod(weight.dims) < LARGE:
+            continue
+        name, values = weight.name, numpy_helper.to_array(weight)
+        weight.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
+        casts.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)

@@ -1,0 +1,73 @@
+"""General of flash photographs as an ONNX model: one photograph to the maps of its material."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.colour import srgb_to_linear
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.maps import decoded, inputs_of
+from metapp.extensions.onnx_files.models import write_model
+from metapp.learning.task import Params
+
+OUTPUTS = ("diffuse", "specular", "roughness", "normal")
+STEP = 8  # sides are a multiple of it
+ABOUT = {
+    "photo": "sRGB values 0 to 1, [1, 3, H, W], of a flat patch under the flash beside the lens",
+    "diffuse": "linear RGB, [1, 3, H, W]",
+    "specular": "F0, linear RGB, [1, 3, H, W]",
+    "roughness": "GGX, alpha is its square, [1, 1, H, W]",
+    "normal": "unit vectors, x to the right, y up, z to the viewer, [1, 3, H, W]",
+}
+FEATURES = "VGG-16 of Simonyan and Zisserman 2014, weights of the Visual Geometry Group under CC BY 4.0"
+
+
+class Material(torch.nn.Module):
+    """The maps that General reads from a photograph."""
+
+    def __init__(self, app: SvbrdfNonstationary, encoder: Params) -> None:
+        super().__init__()
+        self.app = app
+        self.names = {name.replace(".", "-"): name for name in encoder}
+        weights = {short: encoder[name].float() for short, name in self.names.items()}
+        self.encoder = torch.nn.ParameterDict(weights)
+
+    def forward(self, photo: Tensor) -> tuple[Tensor, ...]:
+        """OUTPUTS of a photograph [1, 3, H, W]."""
+        linear = srgb_to_linear(photo)
+        inputs = inputs_of(linear)
+        encoder = {name: self.encoder[short] for short, name in self.names.items()}
+        theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
+        code = self.app.field.gain * theta["z"]  # one in each pixel
+        maps = decoded(self.app.field.decoded(theta, code, inputs))
+        return tuple(getattr(maps, name) for name in OUTPUTS)
+
+    def any_size(self) -> bool:
+        """Whether it reads photographs of other sizes than the field's."""
+        with torch.no_grad():
+            try:
+                return bool(self(torch.rand(1, 3, 2 * STEP, 3 * STEP))[0].shape[-1] == 3 * STEP)
+            except RuntimeError:
+                return False
+
+
+def write_photographs(app: SvbrdfNonstationary, encoder: Params, about: dict[str, str], path: Path) -> bool:
+    """Write a model.
+
+    Returns:
+        Whether it takes photographs of any size whose sides are multiples of STEP; else those of the field's alone.
+
+    Raises:
+        ValueError: packages are missing.
+    """
+    model, side = Material(app, encoder), app.field.height
+    any_size = model.any_size()
+    shape = (side, side - 8 * STEP) if any_size else (side, side)  # of two numbers, so that they are told apart
+    largest = 4096 // STEP
+    axes = {2 + i: STEP * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
+    sizes = {"photo": axes} if any_size else {}
+    write_model(model, {"photo": torch.rand(1, 3, *shape)}, OUTPUTS, sizes, about | ABOUT, path, half=True)
+    return any_size

@@ -1,0 +1,83 @@
+"""ONNX models: what onnxruntime makes of them is what Python does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import normalize
+
+from metapp.apps import app_of, recipes_of
+from metapp.apps.brdf.featured import Featured
+from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.brdf.network import BrdfNetwork
+from metapp.extensions.onnx_files import brdf, photographs
+from metapp.learning.task import Params
+from tests.marked import long
+
+pytest.importorskip("onnxscript")
+ort = pytest.importorskip("onnxruntime")
+APP = app_of("brdf", recipes_of("brdf")["quick"])
+NETWORKS = {"nbrdf": NBRDF, "featured": Featured(), "anisotropic": Featured(anisotropic=True)}
+
+
+def session(path: Path) -> Any:
+    return ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+
+
+def theta_of(network: BrdfNetwork) -> Params:
+    theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 1).items()}
+    if "last" in theta:
+        theta["last"] = 0.1 * torch.randn(theta["last"].shape, generator=Generator().manual_seed(2))
+    return theta
+
+
+@pytest.mark.parametrize("name", ["nbrdf", long("featured"), long("anisotropic")])
+def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path) -> None:
+    theta = theta_of(NETWORKS[name])
+    brdf.write_onnx(APP, theta, tmp_path / "paint")
+    wi, wo = (normalize(torch.randn(5000, 3, generator=Generator().manual_seed(seed)), dim=1) for seed in (3, 4))
+    wo[:, 2] = wo[:, 2].abs()
+    (found,) = session(tmp_path / "paint.onnx").run(["reflectance"], {"wi": wi.numpy(), "wo": wo.numpy()})
+    with torch.no_grad():
+        exact = brdf.Reflectance(theta)(wi, wo).numpy()
+    assert not found[wi[:, 2] < 0].any()
+    np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-3 * exact.mean())
+    assert exact.max() > 0
+
+
+@pytest.mark.long
+def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
+    """The one that ships, on random pixels, up to weights in half precision; the command says what it takes."""
+    document = metapp("export-model", "svbrdf_nonstationary", "--out", "material.onnx", "--json").done
+    assert document["opset"] == 18
+    assert document["bytes"] < 20e6
+    photo = torch.rand(1, 3, 256, 256, generator=Generator().manual_seed(5)) ** 2
+    found = session(Path("material.onnx")).run(list(photographs.OUTPUTS), {"photo": photo.numpy()})
+    exact = _maps(photo)
+    for name, values, expected in zip(photographs.OUTPUTS, found, exact, strict=True):
+        assert np.abs(values - expected.numpy()).mean() < 1e-3, name
+
+
+def _maps(photo: Tensor) -> tuple[Tensor, ...]:
+    from metapp.runs.checkpoints.finding import find_checkpoint
+    from metapp.runs.requests.plan import plan
+    from metapp.runs.requests.request import Request
+
+    found = find_checkpoint(plan(Request("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
+    with torch.no_grad():
+        result: tuple[Tensor, ...] = photographs.Material(found.app, found.checkpoint.prepared.encoder)(photo)
+    return result
+
+
+def test_what_cannot_be_written_is_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "expected svbrdf_nonstationary" in metapp("export-model", "texture").misuse
+    Path("material.onnx").touch()
+    assert "--overwrite" in metapp("export-model", "svbrdf_nonstationary").misuse
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert "pip install" in metapp("export-model", "svbrdf_nonstationary", "--overwrite").error
