@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
-from metapp.appearance.geometry import cosines, half_difference
+from metapp.appearance.geometry import cosines, half_difference, half_difference_incident
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import INPUTS, Featured, inputs_of
 from metapp.apps.brdf.recipes import RECIPES
@@ -56,6 +56,26 @@ def test_inputs_are_finite_everywhere(where: torch.Tensor) -> None:
     assert inputs.shape == (1, INPUTS, 502)
     assert bool(torch.isfinite(inputs).all())
     assert float(inputs.abs().max()) < 5
+
+def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
+    """To rounding, in float64; where the half vector is the normal whatever phi_d is, and smooth where signs change."""
+    angles = torch.rand(2000, 3, generator=rng, dtype=torch.float64) * torch.tensor([1.5, 1.5, math.tau])
+
+    def inputs(angles: Tensor) -> Tensor:
+        return inputs_of(half_difference_incident(angles).T[None])
+
+    theta_h, theta_d, phi_d = angles.unbind(-1)
+    for same in (-phi_d, phi_d + math.pi, math.pi - phi_d):
+        torch.testing.assert_close(inputs(torch.stack([theta_h, theta_d, same], -1)), inputs(angles))
+    normal = torch.zeros_like(theta_h)
+    at_normal = inputs(torch.stack([normal, theta_d, phi_d], -1))
+    torch.testing.assert_close(at_normal, inputs(torch.stack([normal, theta_d, normal], -1)))
+    for edge in (0.0, math.pi / 2):
+        step = torch.full_like(phi_d, 1e-5)
+        before, after = (inputs(torch.stack([theta_h, theta_d, edge + sign * step], -1)) for sign in (-1, 1))
+        torch.testing.assert_close(before, after)
+        apart = inputs(torch.stack([theta_h, theta_d, edge + 2 * step], -1)) - after
+        assert float(apart.abs().max()) < 1e-5  # a slope of 0 there, and no corner
 
 
 def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tensor) -> None:

@@ -14,7 +14,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
 
-from metapp.appearance.geometry import outgoing_cosine, turned_about_normal
+from metapp.appearance.geometry import turned_about_normal
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
@@ -23,6 +23,8 @@ from metapp.learning.task import Batch, Linear, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 INPUTS = 15
+TURNS = 0.01  # theta_h^2 in rad^2 about which what depends on phi_d grows from 0
+SMOOTH, GRAZING = 1e-4, 1e-6  # of squares, of vectors and of cosines: where signs change, inputs have a slope of 0
 TURN = "turn"  # of an anisotropic material, its own: the azimuth of its axes
 
 
@@ -144,15 +146,20 @@ FEATURED, ANISOTROPIC = Featured(), Featured(anisotropic=True)
 
 
 def inputs_of(where: Tensor) -> Tensor:
-    """The network's input [T, INPUTS, N] of half vector, difference vector and cos theta_i, [T, 7, N].
+    """The network's input [T, INPUTS, N] of half vector and difference vector, [T, 7, N].
 
-    Beside these: cos theta_o, logarithms of both cosines, and functions of theta_h in which narrow and broad lobes
-    are equally wide.
+    All are the same at phi_d, -phi_d (the mirror image of an isotropic material) and phi_d + pi (light and viewer
+    swapped), and do not depend on phi_d where the half vector is the normal, about which it turns: theta_h, theta_d,
+    how far the difference vector points along and across the plane of half vector and normal, both cosines, and
+    functions of theta_h in which narrow and broad lobes are equally wide.
     """
-    half_x, _, half_z, x, y, _, incident = where.unbind(1)
-    outgoing = outgoing_cosine(where)
+    half_x, nothing, half_z, x, y, z, _ = where.unbind(1)
     angle = torch.atan2(half_x, half_z)
     square = angle * angle
-    logs = torch.stack([square + 1e-4, square + 1e-2, incident.clamp_min(1e-3), outgoing.clamp_min(1e-3)], 1).log()
-    more = torch.stack([outgoing, angle.sqrt(), 1 / (1 + 100 * square), x * x - y * y], 1)
-    return torch.cat([where, more, 0.4 * logs + 1], 1)
+    both, apart = x * x + y * y, square / (square + TURNS) * (x * x - y * y)
+    along, across = ((both + apart) / 2 + SMOOTH).sqrt(), ((both - apart) / 2 + SMOOTH).sqrt()
+    common, differ = half_z * z, ((half_x * x).square() + GRAZING).sqrt()
+    lower, higher = common - differ, common + differ
+    logs = torch.stack([square + 1e-4, square + 1e-2, lower.clamp_min(1e-3), higher.clamp_min(1e-3)], 1).log()
+    plain = [half_x, nothing, half_z, along, across, z, lower, higher, angle.sqrt(), 1 / (1 + 100 * square), apart]
+    return torch.cat([torch.stack(plain, 1), 0.4 * logs + 1], 1)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from metapp.appearance.lobes import LAST, NODES, Lobes, fit_lobes
+from metapp.apps.brdf.featured import GRAZING, SMOOTH, TURNS
 from metapp.extensions.mitsuba_bsdfs.material import Material, read_material
 from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering import types as mt
@@ -47,8 +48,7 @@ class Network:
             inputs = anisotropic_features(*(turned(each, -self.turn) for each in (light, viewer)))
         else:
             half, difference = half_difference(light, viewer)
-            inputs = [*half, *difference]
-            inputs += features(half, difference, light.z, viewer.z) if self.featured else []
+            inputs = features(half, difference) if self.featured else [*half, *difference]
         if self._constants and not dr.grad_enabled(self.weights, self.biases):
             # a call, though it always goes the same way: evaluated twice in a kernel, a network is compiled once
             last = dr.switch(self._zero, [self._by_constants, lambda *_: [mi.Float(0)] * 3], *inputs)
@@ -156,14 +156,18 @@ def turned(direction: Vector3, angle_rad: float) -> Vector3:
     )
 
 
-def features(half: Vector3, difference: Vector3, incident: Float, outgoing: Float) -> list[Float]:
-    """The inputs that `metapp.apps.brdf.featured.inputs_of` adds to the vectors, of these and both cosines."""
+def features(half: Vector3, difference: Vector3) -> list[Float]:
+    """`metapp.apps.brdf.featured.inputs_of` of half vector, phi_h 0, and difference vector."""
     angle = dr.atan2(half.x, half.z)
     square = angle * angle
-    logs = (square + 1e-4, square + 1e-2, dr.maximum(incident, 1e-3), dr.maximum(outgoing, 1e-3))
-    lying = difference.x * difference.x - difference.y * difference.y
-    more = [incident, outgoing, dr.sqrt(angle), 1 / (1 + 100 * square), lying]
-    return [*more, *(0.4 * dr.log(value) + 1 for value in logs)]
+    first, second = dr.square(difference.x), dr.square(difference.y)
+    both, apart = first + second, square / (square + TURNS) * (first - second)
+    along, across = dr.sqrt((both + apart) / 2 + SMOOTH), dr.sqrt((both - apart) / 2 + SMOOTH)
+    common, differ = half.z * difference.z, dr.sqrt(dr.square(half.x * difference.x) + GRAZING)
+    lower, higher = common - differ, common + differ
+    logs = (square + 1e-4, square + 1e-2, dr.maximum(lower, 1e-3), dr.maximum(higher, 1e-3))
+    plain = [*half, along, across, difference.z, lower, higher, dr.sqrt(angle), 1 / (1 + 100 * square), apart]
+    return [*plain, *(0.4 * dr.log(value) + 1 for value in logs)]
 
 
 def anisotropic_features(light: Vector3, viewer: Vector3) -> list[Float]:

@@ -42,9 +42,12 @@ vec3 fitted(Half at, float incident, float outgoing) {
 #if KIND == 0
   x[0] = vec4(at.sine, 0.0, at.cosine, d.x); x[1] = vec4(d.y, d.z, 0.0, 0.0);
 #elif KIND == 1
-  x[0] = vec4(at.sine, 0.0, at.cosine, d.x); x[1] = vec4(d.y, d.z, incident, outgoing);
-  x[2] = vec4(sqrt(angle), 1.0 / (1.0 + 100.0 * square), d.x * d.x - d.y * d.y, 0.4 * log(square + 1e-4) + 1.0);
-  x[3] = vec4(0.4 * log(vec3(square + 1e-2, max(incident, 1e-3), max(outgoing, 1e-3))) + 1.0, 0.0);
+  float both = d.x * d.x + d.y * d.y, apart = square / (square + 1e-2) * (d.x * d.x - d.y * d.y);
+  float mean = at.cosine * d.z, differ = sqrt(at.sine * at.sine * d.x * d.x + 1e-6);
+  x[0] = vec4(at.sine, 0.0, at.cosine, sqrt((both + apart) / 2.0 + 1e-4));
+  x[1] = vec4(sqrt((both - apart) / 2.0 + 1e-4), d.z, mean - differ, mean + differ);
+  x[2] = vec4(sqrt(angle), 1.0 / (1.0 + 100.0 * square), apart, 0.4 * log(square + 1e-4) + 1.0);
+  x[3] = vec4(0.4 * log(vec3(square + 1e-2, max(mean - differ, 1e-3), max(mean + differ, 1e-3))) + 1.0, 0.0);
 #else
   float along = angle * at.cos_phi, across = angle * at.sin_phi;
   vec3 squares = vec3(square, along * along, across * across);
