@@ -57,6 +57,7 @@ def test_inputs_are_finite_everywhere(where: torch.Tensor) -> None:
     assert bool(torch.isfinite(inputs).all())
     assert float(inputs.abs().max()) < 5
 
+
 def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
     """To rounding, in float64; where the half vector is the normal whatever phi_d is, and smooth where signs change."""
     angles = torch.rand(2000, 3, generator=rng, dtype=torch.float64) * torch.tensor([1.5, 1.5, math.tau])

@@ -80,7 +80,10 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
 
 def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
     for words, said in (
-        ((run, "blend"), "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"),
+        (
+            (run, "blend"),
+            "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, ",
+        ),
         ((run, "gltf"), "expects one of"),
         ((run, "merl", "--size", "64x64"), "--size"),
     ):
