@@ -204,8 +204,7 @@ Augment = Callable[[Tasks, Generator], Tasks]
 def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Loss:
     """Lift a loss on given tasks to the mean over `count` random ones of a set, drawn without replacement.
 
-    Of tasks of several kinds as many are drawn of each on average. `augment` is applied to the drawn tasks before
-    anything is sampled from them.
+    Of several kinds as many are drawn of each on average. `augment` is applied to the drawn tasks before sampling.
     """
 
     def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:

@@ -35,8 +35,7 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
 def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges.
 
-    All kinds of tasks count alike. Learned rules fit without their guard: the best state is that of the best rule, not
-    that of the best fallback.
+    Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
     """
     paradigm = paradigm._replace(guard=lambda job: None)
     total, weights, seeds = 0.0, tasks.weights(), 1 if job.app.traits.deterministic else 2

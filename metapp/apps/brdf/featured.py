@@ -148,18 +148,14 @@ FEATURED, ANISOTROPIC = Featured(), Featured(anisotropic=True)
 def inputs_of(where: Tensor) -> Tensor:
     """The network's input [T, INPUTS, N] of half vector and difference vector, [T, 7, N].
 
-    All are the same at phi_d, -phi_d (the mirror image of an isotropic material) and phi_d + pi (light and viewer
-    swapped), and do not depend on phi_d where the half vector is the normal, about which it turns: theta_h, theta_d,
-    how far the difference vector points along and across the plane of half vector and normal, both cosines, and
-    functions of theta_h in which narrow and broad lobes are equally wide.
+    The same at phi_d, -phi_d and phi_d + pi, and for any phi_d where the half vector is the normal. Beside the vectors
+    both cosines, and functions of theta_h in which narrow and broad lobes are equally wide.
     """
     half_x, nothing, half_z, x, y, z, _ = where.unbind(1)
-    angle = torch.atan2(half_x, half_z)
-    square = angle * angle
+    square = (angle := torch.atan2(half_x, half_z)).square()
     both, apart = x * x + y * y, square / (square + TURNS) * (x * x - y * y)
     along, across = ((both + apart) / 2 + SMOOTH).sqrt(), ((both - apart) / 2 + SMOOTH).sqrt()
-    common, differ = half_z * z, ((half_x * x).square() + GRAZING).sqrt()
-    lower, higher = common - differ, common + differ
+    lower, higher = (half_z * z + sign * ((half_x * x).square() + GRAZING).sqrt() for sign in (-1, 1))
     logs = torch.stack([square + 1e-4, square + 1e-2, lower.clamp_min(1e-3), higher.clamp_min(1e-3)], 1).log()
     plain = [half_x, nothing, half_z, along, across, z, lower, higher, angle.sqrt(), 1 / (1 + 100 * square), apart]
     return torch.cat([torch.stack(plain, 1), 0.4 * logs + 1], 1)

@@ -77,8 +77,7 @@ def join(
 
     What not all tasks hold, such as reference relightings of synthetic materials, is left out.
 
-    Examples:
-      metapp data join synthetic merl --out joint
+    Example:
       metapp data join drawn photographed --alike --out joint
     """
     import torch

@@ -20,7 +20,13 @@ Examples:
 """
 
 OFFERS = (
-    Recipe("svbrdf_nonstationary", "pretrained", f"{_HERE}.recipe:PRETRAINED", "photo"),
+    Recipe(
+        "svbrdf_nonstationary",
+        "pretrained",
+        f"{_HERE}.recipe:PRETRAINED",
+        "photo",
+        checkpoints=f"{_HERE}.checkpoints",
+    ),
     Format(
         "materials",
         "svbrdf_nonstationary",
