@@ -53,10 +53,11 @@ def test_a_fit_is_saved_and_exported(network: Path, tmp_path: Path) -> None:
     fit.export("nbrdf", tmp_path / "again")
     again = api.fit("brdf", tmp_path / "again", paradigm="general")
     assert again.name == "again"
-    for name in ("gold.bsdf", "gold.1"):  # the suffix may be given; what follows another dot is none
-        fit.export("bsdf", tmp_path / "files" / name)
-    assert {path.name for path in (tmp_path / "files").iterdir()} == {"gold.bsdf", "gold.1.bsdf"}
-    with pytest.raises(ValueError, match=r"--export 'blend': brdf expects one of bsdf, merl, mitsuba, nbrdf"):
+    for form in ("bsdf", "osl"):
+        for name in (f"gold.{form}", "gold.1"):  # the suffix may be given; what follows another dot is none
+            fit.export(form, tmp_path / form / name)
+        assert {path.name for path in (tmp_path / form).iterdir()} == {f"gold.{form}", f"gold.1.{form}"}
+    with pytest.raises(ValueError, match=r"--export 'blend': brdf expects one of bsdf, .*merl, mitsuba, nbrdf"):
         fit.export("blend", tmp_path / "x")
 
 

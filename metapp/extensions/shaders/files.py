@@ -40,7 +40,8 @@ def code_of(theta: Params, name: str) -> str:
 
 def write(language: str, app: Brdf, theta: Params, path: Path) -> None:
     """Write a fit in one of LANGUAGES."""
-    of, name = LANGUAGES[language], path.name
+    of = LANGUAGES[language]
+    name = path.name.removesuffix(f".{of.suffix}")
     source = code_of(theta, name)
     for half in (False, True) if of.half else (False,):
         about = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"

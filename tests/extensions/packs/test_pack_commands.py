@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import torch
 
+from metapp.extensions.packs import pack
 from metapp.extensions.packs.file import PackFile, write_pack
 from metapp.extensions.packs.pack import GROWTH
 from metapp.runs.checkpoints.shipped import shipped_path
@@ -102,10 +103,21 @@ def test_an_unpacked_run_is_a_run(metapp: Callable, fitted: Callable) -> None:
     assert Path("a/nbrdf/m3/b3.npy").is_file()
 
 
+def test_a_pack_without_finite_errors_is_refused(
+    metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where so few bits make a network overflow."""
+    run = fitted("meta", "--rule", "ridge")
+    restored = pack.restored
+    infinite = lambda steps, base: {key: value + math.inf for key, value in restored(steps, base).items()}  # noqa: E731
+    monkeypatch.setattr(pack, "restored", infinite)
+    assert "no finite error at 2 bits a number; give more --bits" in metapp("pack", run, "--bits", "2", "-q").error
+    assert not list(run.glob("*.pack"))
+
+
 def test_the_shared_network_is_not_in_the_file(metapp: Callable, fitted: Callable) -> None:
     """85,000 weights are those of the checkpoint, bit for bit, and cost next to nothing."""
     run = fitted("meta", "--rule", "ridge")
-    assert "no finite error at 2 bits a number; give more --bits" in metapp("pack", run, "--bits", "2", "-q").error
     metapp("pack", run, "--out", "a.pack", "--bits", "4", "--quiet")
     assert Path("a.pack").stat().st_size < 2000
     assert metapp("unpack", "a.pack", "--quiet").code == 0
