@@ -82,7 +82,7 @@ def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
     for words, said in (
         (
             (run, "blend"),
-            "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, ",
+            "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl",
         ),
         ((run, "gltf"), "expects one of"),
         ((run, "merl", "--size", "64x64"), "--size"),

@@ -34,8 +34,8 @@ class Options:
 def export_model(options: Options) -> None:
     """Write General of flash photographs as an ONNX model: one photograph in, the maps of its material out.
 
-    Input photo, sRGB 0 to 1, [1, 3, H, W]; outputs diffuse, specular, roughness, normal. Units, licences and how it
-    was trained are in the file's metadata. Large weights are in half precision.
+    Input photo, sRGB 0 to 1, [1, 3, H, W]; outputs diffuse, specular, roughness, normal. Units, licences, the recipe
+    and the checkpoint's digest are in the file's metadata. Large weights are in half precision.
 
     Example:
       metapp export-model svbrdf_nonstationary --out material.onnx
