@@ -6,7 +6,6 @@ _HERE = "metapp.cli"
 
 OFFERS = (
     Command("examples", f"{_HERE}.examples:command"),
-    Command("doctor", f"{_HERE}.doctor:command"),
     Command("evaluate", f"{_HERE}.evaluate:command"),
     Command("export", f"{_HERE}.export:command"),
     Command("synth", f"{_HERE}.data.synth:synth", under="data", bare_is_help=True),

@@ -1,0 +1,28 @@
+"""What `metapp doctor` says there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+
+def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
+    document = metapp("doctor", "--json").document
+    assert document["versions"]["torch"] == metadata.version("torch")
+    assert document["cache"] == str(cache)
+    assert document["checkpoints"]["texture full"] == "general, meta-axes, quickft"
+    assert "brdf full" not in document["checkpoints"]  # of the quick recipe's size, in its folder
+    out = metapp("doctor").out
+    assert out.startswith("versions")
+    assert "; texture full: general, meta-axes, quickft; " in out
+
+
+def test_doctor_misses_a_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(Path.cwd()))
+    for _ in ("missing", "broken"):
+        assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
+        Path("g++").write_text("#!/bin/sh\nexit 1\n")
+        Path("g++").chmod(0o755)
