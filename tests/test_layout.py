@@ -202,6 +202,7 @@ EXTENSIONS = {
     "assets": 830,
     "baselines": 2_550,
     "capture": 2_500,
+    "examples": 85,
     "few": 1_070,
     "guided": 1_690,
     "measures": 290,

@@ -5,7 +5,6 @@ from metapp.door import Command
 _HERE = "metapp.cli"
 
 OFFERS = (
-    Command("examples", f"{_HERE}.examples:command"),
     Command("evaluate", f"{_HERE}.evaluate:command"),
     Command("export", f"{_HERE}.export:command"),
     Command("synth", f"{_HERE}.data.synth:synth", under="data", bare_is_help=True),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from metapp.apps import app_names, application_of
-from metapp.cli.examples import FOLDER, lines_of
+from metapp.extensions.examples.commands import FOLDER, lines_of
 from tests.needs_mitsuba import skip_without_mitsuba
 
 
