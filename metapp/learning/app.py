@@ -215,6 +215,14 @@ class Doubtful(Protocol):
 
 
 @runtime_checkable
+class Finishing(Protocol):
+    """An application that changes fits at their end."""
+
+    def finished(self, theta: Params) -> Params:
+        """Fits [T, ...] as they are kept."""
+
+
+@runtime_checkable
 class Remarked(Protocol):
     """An application that has more to say of a task, or of its fit, than errors."""
 

@@ -11,9 +11,9 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import cosines, half_difference, half_difference_incident
 from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.augmentation import MEASURED_RAD, within_reach
 from metapp.apps.brdf.featured import INPUTS, Featured, inputs_of
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.extensions.few.noise import MEASURED_RAD, within_reach
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam

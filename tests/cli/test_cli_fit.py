@@ -76,7 +76,7 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     assert sorted(document) == sorted([*keys, "guarded"])
     assert (document["app"], document["paradigm"], document["rule"]) == ("brdf", "meta", "meta-sgd")
     assert document["steps"] == 10
-    assert sorted(document["tasks"][0]) == ["error", "name", "seconds"]
+    assert sorted(document["tasks"][0]) == ["error", "name", "note", "seconds"]  # it reflects more than all
     assert document["error"] == pytest.approx(np.mean([task["error"] for task in document["tasks"]]))
     assert Path(document["out"]).is_dir()
 
@@ -346,3 +346,15 @@ def test_a_fit_is_no_input_and_what_takes_it_is_said(metapp: Callable, tmp_path:
     file = tmp_path / "fit.safetensors"
     file.write_bytes(b"")
     assert metapp("meta", "brdf", file).error.endswith("; of a fit, metapp export takes the run's folder.")
+
+
+def test_records_say_what_brdfs_reflect(fit: Callable) -> None:
+    done = fit("meta", "--conserve", "--json")
+    assert done.code == 0, done.err
+    record = read_records(Path(done.document["out"]) / "record.jsonl")[0]
+    assert len(record["albedo"]) == 16
+    assert max(record["albedo"]) <= 1
+    assert "conserve" in done.document["out"]
+    refused = fit("meta", "--recipe", "few", "--conserve")
+    assert refused.code == 2
+    assert "expected networks of isotropic BRDFs, as of --recipe full or quick" in " ".join(refused.err.split())

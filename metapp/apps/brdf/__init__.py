@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, Chosen, Network, Recipe, recipes_in
+from metapp.door import Application, Chosen, Network, Option, Recipe, recipes_in
 
 _HERE = "metapp.apps.brdf"
 OFFERS = (
@@ -24,6 +24,15 @@ OFFERS = (
             ),
         ),
         files="data_tools.synthetic.examples:write_example",
+        options=(
+            Option(
+                "conserve",
+                False,
+                "Limit fits to reflecting no more light than they receive.",
+                panel="Fit",
+                adapt=f"{_HERE}.energy:with_conservation",
+            ),
+        ),
     ),
     *recipes_in("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
     Recipe(

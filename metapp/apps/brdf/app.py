@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +14,15 @@ from torch import Generator, Tensor
 from metapp.appearance.geometry import half_difference_incident, spread_angles
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
-from metapp.apps.brdf.nbrdf import NBRDF, sample_weights
+from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
+from metapp.apps.brdf.featured import Featured
+from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, samples_at
 from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 CONDITION = 1024  # samples that General's encoder reads
+EXCESSIVE = 1.01  # the share of light that a fit may be said to reflect without a note
 SPARSE = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
@@ -105,6 +109,11 @@ class Brdf(App):
         """Mixtures of these materials, with samples as the network learns from them."""
         return tasks.variants(self.setup.augment(mixed(tasks, rng), rng))
 
+    def finished(self, theta: Params) -> Params:
+        """Limited to reflecting no more than all, where that is asked for."""
+        network = self.setup
+        return network.conserved(theta) if isinstance(network, Nbrdf | Featured) and network.conserve else theta
+
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
@@ -113,13 +122,24 @@ class Brdf(App):
         return errors | {name: self.traits.scale * values for name, values in expected.items()}
 
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """That no sample was held out, where a measurement has few; that phi_h counts for nothing."""
+        """That no sample was held out, where a measurement has few; that phi_h counts for nothing; energy.
+
+        `albedo`, of isotropic fits: the share of light that is reflected, the greatest of the channels', from each of
+        the angles of `metapp.apps.brdf.energy.INCIDENT_RAD`.
+        """
         notes, half = [], len(task.data["angles"]) // 2
         if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
             notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
         if "phi_h" in task.data and not self.setup.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take metapp meta --recipe anisotropic")
-        return {"note": "; ".join(notes)} if notes else {}
+        remarks: dict[str, object] = {}
+        if not self.setup.anisotropic:
+            shares = albedo(functools.partial(self.reflectance, theta)).amax(1)
+            remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
+            if (most := float(shares.amax())) > EXCESSIVE:
+                angle = math.degrees(INCIDENT_RAD[shares.argmax()])
+                notes.append(f"reflects {most:.2f} of the light from {angle:.0f} degrees; --conserve limits it")
+        return remarks | ({"note": "; ".join(notes)} if notes else {})
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of reflectance [T, 3, M] at the held-out samples, linear RGB in 1/sr, >= 0."""

@@ -16,6 +16,8 @@ from torch.nn.functional import silu
 
 from metapp.appearance.geometry import turned_about_normal
 from metapp.apps.brdf import anisotropic
+from metapp.apps.brdf.augmentation import within_reach
+from metapp.apps.brdf.energy import conserving, quadrature
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
 from metapp.learning.draws import normal, uniform
@@ -38,6 +40,7 @@ class Featured(BrdfNetwork):
         code: numbers of the code.
         encoder: width of the set encoder.
         anisotropic: whether it reads phi_h, in axes that it finds in the samples (`metapp.apps.brdf.anisotropic`).
+        conserve: whether fits are brought to reflect no more than they receive.
     """
 
     width: int = 96
@@ -45,6 +48,7 @@ class Featured(BrdfNetwork):
     code: int = 12
     encoder: int = 64
     anisotropic: bool = False
+    conserve: bool = False
 
     @property
     def inputs(self) -> int:
@@ -119,8 +123,21 @@ class Featured(BrdfNetwork):
         weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
         return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
 
+    def conserved(self, theta: Params) -> Params:
+        """With a last layer that reflects no more than all."""
+        features = self.features_of(theta, quadrature().where.expand(len(theta["last"]), -1, -1))
+        last = [conserving(*each) for each in zip(features, theta["last"], strict=True)]
+        return theta | {"last": torch.stack(last)}
+
     def augment(self, data: Params, rng: Generator) -> Params:
-        """Turn anisotropic materials about the normal."""
+        """Samples of some materials within an angle, among those that fits see; anisotropic materials turned."""
+        seen = within_reach(data["where"][:, : data["where"].shape[1] // 2], rng)
+        others = torch.multinomial(seen + 1e-9, seen.shape[1], replacement=True, generator=rng)
+        rows = torch.where(seen, torch.arange(seen.shape[1], device=rng.device), others)[..., None]
+        data = {
+            key: torch.cat([value.gather(1, rows.expand(-1, -1, value.shape[-1])), value[:, seen.shape[1] :]], 1)
+            for key, value in data.items()
+        }
         if not self.anisotropic:
             return data
         turn = 2 * math.pi * uniform(rng, len(data["where"]), 1)

@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
+from metapp.apps.brdf.energy import conserving, quadrature
 from metapp.apps.brdf.network import BrdfNetwork, Folded, shapes_of
 from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Params
@@ -25,9 +26,11 @@ class Nbrdf(BrdfNetwork):
 
     Attributes:
         bound: random weights are uniform within this of 0, as Sztrajman et al. 2021 draw them; 0: Kaiming-normal.
+        conserve: whether fits are brought to reflect no more than they receive.
     """
 
     bound: float = 0.0
+    conserve: bool = False
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights and zero biases, [count, ...]."""
@@ -56,10 +59,15 @@ class Nbrdf(BrdfNetwork):
         }
 
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
-        x = where[:, :6]
-        for layer in (1, 2):
-            x = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
-        return torch.expm1(torch.baddbmm(theta["b3"], theta["w3"], x))
+        return torch.expm1(torch.baddbmm(theta["b3"], theta["w3"], hidden(theta, where)))
+
+    def conserved(self, theta: Params) -> Params:
+        """With a last layer that reflects no more than all."""
+        x = hidden(theta, quadrature().where.expand(len(theta["w3"]), -1, -1))
+        features = torch.cat([x, torch.ones_like(x[:, :1])], 1)
+        layers = torch.cat([theta["w3"], theta["b3"]], 2)
+        last = torch.stack([conserving(*each) for each in zip(features, layers, strict=True)])
+        return theta | {"w3": last[..., :-1].contiguous(), "b3": last[..., -1:].contiguous()}
 
     def loss_parameters(self, steps: int) -> Params:
         """Smoothing and log weights of samples."""
@@ -71,6 +79,14 @@ class Nbrdf(BrdfNetwork):
 
 
 NBRDF = Nbrdf()
+
+
+def hidden(theta: Params, where: Tensor) -> Tensor:
+    """The last hidden layer, [T, 21, N] of places [T, 7, N]."""
+    x = where[:, :6]
+    for layer in (1, 2):
+        x = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
+    return x
 
 
 def sample_weights(where: Tensor, learned: Params) -> Tensor:

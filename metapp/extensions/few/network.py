@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
+from metapp.apps.brdf.augmentation import within_reach
 from metapp.apps.brdf.featured import INPUTS
 from metapp.apps.brdf.network import BrdfNetwork, Folded, samples_at
 from metapp.extensions.few import gaussian
 from metapp.extensions.few.design import Posterior, expected_errors
 from metapp.extensions.few.gaussian import DARKEST, opponent, slope_of
-from metapp.extensions.few.noise import factors, within_reach
+from metapp.extensions.few.noise import factors
 from metapp.learning.task import Batch, Linear, Params, Tasks
 
 MOST = 1024  # samples of which a material has few at most

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Generator
 
-from metapp.learning.app import Doubtful, Remarked, stack
+from metapp.learning.app import Doubtful, Finishing, Remarked, stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usual
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
@@ -114,6 +114,9 @@ class Fitter:
         self._warm_up(tasks[0])
         fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
         theta = fit.theta
+        if isinstance(app, Finishing):
+            clock = Stopwatch(plan.device)
+            theta, seconds = app.finished(theta), seconds + clock()
         for watching in self.watching:
             watching.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)

@@ -1,0 +1,85 @@
+"""How much light BRDFs reflect: closed forms; fits that reflect no more than they receive."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import metapp
+from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
+from metapp.apps.brdf.energy import INCIDENT_RAD, albedo, conserving, quadrature
+from metapp.apps.brdf.networks import network_of
+
+
+def grey(value: Tensor) -> Tensor:
+    return value[..., None].expand(*value.shape, 3)
+
+
+def test_a_white_diffuse_surface_reflects_all() -> None:
+    shares = albedo(lambda angles: grey(torch.full(angles.shape[:-1], 1 / math.pi)))
+    torch.testing.assert_close(shares, torch.ones(16, 3, dtype=torch.float64), atol=1e-3, rtol=0)
+
+
+def test_shares_of_a_product_of_cosines() -> None:
+    def product(angles: Tensor) -> Tensor:
+        c = cosines(angles.double())
+        return grey(c.incident * c.outgoing)
+
+    expected = grey(INCIDENT_RAD.cos() * 2 * math.pi / 3)
+    torch.testing.assert_close(albedo(product), expected, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("power", [400.0, 40_000.0])
+def test_narrow_lobes_reflect_all(power: float) -> None:
+    """Half vectors with the density cos^n theta_h (n + 1) / (2 pi), in normal light."""
+
+    def lobe(angles: Tensor) -> Tensor:
+        c = cosines(angles.double())
+        density = (power + 1) / (2 * math.pi) * c.half**power
+        return grey(density / (4 * c.difference * torch.minimum(c.incident, c.outgoing).clamp_min(1e-6)))
+
+    assert float(albedo(lobe)[0, 0]) == pytest.approx(1, abs=1e-3)
+
+
+def test_only_what_is_too_bright_changes() -> None:
+    """A diffuse layer that is twice as bright as white, and one below: with what rises towards grazing angles."""
+    angles, _, outgoing = quadrature()
+    steep = torch.maximum(outgoing, INCIDENT_RAD[:, None]).flatten()
+    features = torch.stack([torch.ones_like(steep), (steep / 1.5) ** 4, (steep / 1.5) ** 8])
+    diffuse = math.log1p(0.9 / math.pi)
+    dark = torch.tensor([[diffuse, 0.0, 0.0]] * 3)
+    assert torch.equal(conserving(features, dark), dark)
+    rising = torch.tensor([[diffuse, 0.0, 2.0], [diffuse / 2, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    limited = conserving(features, rising)
+
+    def shares(layer: Tensor) -> Tensor:
+        values = torch.expm1(layer.double() @ features).T.unflatten(0, angles.shape[:2])
+        return albedo(lambda _: values)
+
+    assert float(shares(rising).amax()) > 2
+    assert 0.97 < float(shares(limited).amax()) <= 1
+
+
+@pytest.fixture
+def bright() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of directions and a diffuse reflectance of 1.3 under a gloss."""
+    angles = spread_angles(4096).double()
+    wi, wo = rusinkiewicz_to_directions(angles)
+    values = 1.3 / math.pi + 0.5 * torch.exp(-((angles[:, 0] / 0.2) ** 2))
+    return wi.numpy(), wo.numpy(), grey(values).numpy()
+
+
+@pytest.mark.parametrize(("paradigm", "recipe"), [("meta", "full"), ("meta", "quick"), ("overfit", "quick")])
+def test_fits_conserve_energy_where_asked(bright: tuple, paradigm: str, recipe: str) -> None:
+    options = {"paradigm": paradigm, "recipe": recipe} | ({"steps": 200} if paradigm == "overfit" else {})
+    fits = [metapp.fit("brdf", bright, conserve=conserve, **options) for conserve in (False, True)]
+    most = [
+        float(albedo(functools.partial(network_of(fit.parameters).evaluate, fit.parameters)).amax()) for fit in fits
+    ]
+    assert most[0] > 1.2
+    assert 0.9 < most[1] <= 1.001
