@@ -213,7 +213,7 @@ EXTENSIONS = {
     "pretrained": 580,
     "report": 675,
     "reruns": 670,
-    "rgl": 505,
+    "rgl": 740,
     "scene_files": 1_360,
     "several": 200,
     "shaders": 400,

@@ -17,10 +17,12 @@ from metapp.storage.images import write_png
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
+FORMS = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
 FILES = {
     "nbrdf": ["{}/fc1.npy"],
     "merl": ["{}.binary"],
     "bsdf": ["{}.bsdf"],
+    "bsdf-spectral": ["{}_spec.bsdf"],
     "mitsuba": ["{}/{}.xml", "{}/{}_builtin.xml", "{}/{}.safetensors", "{}/{}.bsdf"],
     "materialx": ["{0}/{0}.mtlx", "{0}/{0}.glsl", "{0}/{0}.osl"],
     "cpp": ["{0}.h"],
@@ -80,10 +82,7 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
 
 def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
     for words, said in (
-        (
-            (run, "blend"),
-            "expects one of bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl",
-        ),
+        ((run, "blend"), f"expects one of {FORMS}"),
         ((run, "gltf"), "expects one of"),
         ((run, "merl", "--size", "64x64"), "--size"),
     ):
@@ -130,7 +129,7 @@ def test_of_a_single_fit_files_are_named(metapp: Callable, neural_fits: Callable
     assert f"fit: {run}/params/m0.safetensors" in said
     for line, words in (
         ("to look at: ", ["view"]),
-        ("other forms (cpp, glsl, hlsl, materialx, merl, mitsuba, onnx, osl, slang, wgsl): ", ["export", "cpp"]),
+        (f"other forms ({FORMS.replace('bsdf, ', '').replace('nbrdf, ', '')}): ", ["export", "bsdf-spectral"]),
     ):
         (found,) = [each.removeprefix(line) for each in said if each.startswith(line)]
         assert shlex.split(found) == ["metapp", words[0], str(run), *words[1:]]

@@ -57,7 +57,7 @@ def test_a_fit_is_saved_and_exported(network: Path, tmp_path: Path) -> None:
         for name in (f"gold.{form}", "gold.1"):  # the suffix may be given; what follows another dot is none
             fit.export(form, tmp_path / form / name)
         assert {path.name for path in (tmp_path / form).iterdir()} == {f"gold.{form}", f"gold.1.{form}"}
-    forms = "bsdf, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
+    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
     with pytest.raises(ValueError, match=f"--export 'blend': brdf expects one of {forms}"):
         fit.export("blend", tmp_path / "x")
 

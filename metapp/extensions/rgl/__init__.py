@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from data_tools.formats.brdf import SAMPLES
-from metapp.door import Converter, Export, Format
+from metapp.door import Command, Converter, Export, Format
 
 _HERE = "metapp.extensions.rgl"
 
@@ -27,5 +27,7 @@ OFFERS = (
         command=Converter(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
     ),
     Export("bsdf", ("brdf",), f"{_HERE}.rgl:export"),
+    Export("bsdf-spectral", ("brdf",), f"{_HERE}.rgl:export_spectral"),
     Export("mitsuba", ("brdf",), f"{_HERE}.scene:export"),
+    Command("convert", f"{_HERE}.commands:convert", under="data", bare_is_help=True),
 )

@@ -33,7 +33,7 @@ from metapp.appearance.geometry import (
     directions_to_four_angles,
     directions_to_full_circle,
 )
-from metapp.extensions.rgl.spectra import check_wavelengths, in_rgb, is_spectral
+from metapp.extensions.rgl.spectra import check_wavelengths, in_rgb, in_spectra, is_spectral
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
@@ -48,6 +48,7 @@ TURNS, FEWER_NODES, FEWER = 17, 20, 96  # azimuths of the viewer, angles and hal
 LAST_DEGREES = 89.5
 LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
 SUFFIX = ".bsdf"
+COLOURS, SPECTRAL = "_rgb", "_spec"  # ends of the database's names, before the suffix
 BELOW_ZERO = 1e-6  # of the greatest value of a density: values that little below 0 are noise
 BELOW_BLACK = 0.1  # of the greatest reflectance: saturated colours of measurements, outside of Rec.709, have so much
 LARGEST = 1e9  # of any number; measurements are below 1e6
@@ -84,15 +85,21 @@ def half_vectors(side: int = GRID) -> Tensor:
 
 
 def write_rgl(
-    path: str | Path, evaluate: Callable[[Tensor], Tensor], description: str, *, azimuths: bool = False
+    path: str | Path,
+    evaluate: Callable[[Tensor], Tensor],
+    description: str,
+    *,
+    azimuths: bool = False,
+    spectral: bool = False,
 ) -> None:
-    """Tabulate a BRDF as a file that `measured` loads in RGB variants, whole or not at all.
+    """Tabulate a BRDF as a file that `measured` loads in RGB variants, or in spectral ones; whole or not at all.
 
     Args:
-        path: the file, 6 MB; 50 MB of an anisotropic BRDF.
+        path: the file, 16 MB, or 57 MB of spectra; three times as much of an anisotropic BRDF.
         evaluate: linear RGB [N, 3] in 1/sr, of angles (theta_h, theta_d, phi_d) [N, 3] in rad, or with phi_h [N, 4].
         description: kept in the file.
         azimuths: whether the BRDF is anisotropic and takes phi_h.
+        spectral: whether it is for spectral variants, with spectra as of `in_spectra`.
 
     Raises:
         ValueError: a value that is not finite.
@@ -118,7 +125,7 @@ def write_rgl(
         "rgb": tables.astype(np.float32),
         "jacobian": np.zeros(1, np.uint8),
     }
-    write_tensor_file(path, fields)
+    write_tensor_file(path, in_spectra(fields) if spectral else fields)
 
 
 def _directions(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -156,9 +163,15 @@ def export(app: Brdf, theta: Params, path: Path) -> None:
     write_fit(app, theta, suffixed(path, SUFFIX), path.name)
 
 
-def write_fit(app: Brdf, theta: Params, file: Path, name: str) -> None:
+def export_spectral(app: Brdf, theta: Params, path: Path) -> None:
+    """Write a fitted network as <path>_spec.bsdf, for spectral variants of Mitsuba."""
+    write_fit(app, theta, path.with_name(f"{path.name}{SPECTRAL}{SUFFIX}"), path.name, spectral=True)
+
+
+def write_fit(app: Brdf, theta: Params, file: Path, name: str, *, spectral: bool = False) -> None:
     """Write a fitted network as `write_rgl`, with its name in the description."""
-    write_rgl(file, partial(app.reflectance, theta), f"{name}: a fit of metapp", azimuths=app.setup.anisotropic)
+    evaluate, anisotropic = partial(app.reflectance, theta), app.setup.anisotropic
+    write_rgl(file, evaluate, f"{name}: a fit of metapp", azimuths=anisotropic, spectral=spectral)
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:

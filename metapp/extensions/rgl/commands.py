@@ -1,0 +1,77 @@
+"""`metapp data convert`: measured BRDFs from one form into another, without a fit."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metapp.cli.console import print_json
+from metapp.cli.data.convert import Out, Quiet
+from metapp.cli.options import Json, Overwrite, check_new, takes
+from metapp.runs.reporter import progress, say
+
+
+class Kind(enum.StrEnum):
+    """What is written."""
+
+    MERL = "merl"
+    BSDF = "bsdf"
+    SPECTRAL = "bsdf-spectral"
+
+
+@dataclass(frozen=True)
+class Options:
+    """The arguments and options of `convert`."""
+
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="FILES...", help="MERL tables, RGL files, NBRDF networks; folders of them.")
+    ]
+    kind: Annotated[
+        Kind,
+        typer.Option(
+            "--to",
+            help="merl: NAME.binary; bsdf: NAME.bsdf for RGB variants of Mitsuba; bsdf-spectral: NAME_spec.bsdf for "
+            "spectral ones.",
+        ),
+    ]
+    folder: Out
+    overwrite: Overwrite = False
+    quiet: Quiet = False
+    as_json: Json = False
+
+
+@takes(Options)
+def convert(options: Options) -> None:
+    """Convert measured BRDFs to MERL tables or RGL files, without a fit.
+
+    RGL files are evaluated by Mitsuba at the centres of MERL's bins; colours and spectra of RGL files become each
+    other on the file's own grid. Spectra that are made of colours are the smoothest of that colour in D65. Mitsuba's
+    `measured` takes colours in RGB variants alone, and spectra in spectral variants alone.
+    Samples of a goniometer are fitted first: metapp meta brdf paint.csv --export bsdf,bsdf-spectral,merl.
+
+    Examples:
+      metapp data convert chm_orange_rgb.bsdf --to merl --out merl
+      metapp data convert felt_spec.bsdf --to bsdf --out rgb
+      metapp data convert gold.binary --to bsdf-spectral --out rgl
+    """
+    from metapp.extensions.rgl import convert as forms
+
+    sources, skipped = forms.find(options.paths)
+    targets = forms.targets(sources, options.kind.value, options.folder)
+    for target in targets.values():
+        check_new(target, options.overwrite)
+    for line in skipped:
+        say(f"warning: {line}")
+    with progress("convert", len(targets), quiet=options.quiet) as bar:
+        for done, (source, target) in enumerate(targets.items(), 1):
+            forms.convert(source, options.kind.value, target)
+            bar.at(done, len(targets), target.name)
+    if not options.quiet:
+        say(f"{options.kind.value}: {len(targets)} file{'' if len(targets) == 1 else 's'} in {options.folder}")
+    if options.as_json:
+        files = [{"source": str(source), "file": str(target)} for source, target in targets.items()]
+        print_json({"to": options.kind.value, "out": str(options.folder), "files": files})

@@ -1,0 +1,98 @@
+"""Measured BRDFs from one form into another, without a fit: MERL tables, RGL files in RGB and with spectra, NBRDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from torch import Tensor
+
+from data_tools.readers import merl, nbrdf
+from data_tools.readers.merl_table import merl_evaluate, tabulate
+from metapp.extensions.rgl import rgl
+from metapp.extensions.rgl.spectra import in_rgb, in_spectra
+from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
+from metapp.storage.files import named
+
+ENDINGS = {"merl": ".binary", "bsdf": rgl.SUFFIX, "bsdf-spectral": f"{rgl.SPECTRAL}{rgl.SUFFIX}"}  # of what is written
+READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf)
+
+
+def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """Find sources, and a line for each file of a folder that was skipped.
+
+    Raises:
+        ValueError: a path that is none of these, or has none below it.
+    """
+    sources: list[Path] = []
+    skipped: list[str] = []
+    for path in paths:
+        readers = [reader for reader in READERS if reader.recognises(path)]
+        if not readers:
+            found = "another kind" if path.exists() else "no such file"
+            remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
+            raise ValueError(f"{path}: {found}, expected MERL tables, RGL files or NBRDF networks; {remedy}.")
+        for reader in readers:
+            files, lines = reader.find([path])
+            sources += files
+            skipped += lines if len(readers) == 1 else []  # else another reader's files
+    return list(dict.fromkeys(sources)), skipped
+
+
+def targets(sources: Iterable[Path], kind: str, folder: Path) -> dict[Path, Path]:
+    """The file that each source is written to, without the ends _rgb and _spec of RGL names.
+
+    Raises:
+        ValueError: one for two sources, or a source itself.
+    """
+    result: dict[Path, Path] = {}
+    before: dict[Path, Path] = {}
+    for source in sources:
+        name = source.stem if source.is_file() else source.resolve().name  # which may have dots
+        name = name.removesuffix(rgl.COLOURS).removesuffix(rgl.SPECTRAL)
+        result[source] = target = folder / f"{name}{ENDINGS[kind]}"
+        if target in before:
+            raise ValueError(
+                f"{target}: of both {before[target]} and {source}, expected names that differ; convert one at a time."
+            )
+        if target.resolve() == source.resolve():
+            raise ValueError(f"{target}: is what is to be converted, expected another folder; choose another --out.")
+        before[target] = source
+    return result
+
+
+def convert(source: Path, kind: str, target: Path) -> None:
+    """Write a source in a form; of RGL files for RGL files grids stay as they are.
+
+    Raises:
+        ValueError: damaged; an anisotropic material for a MERL table.
+    """
+    try:
+        if kind == "merl":
+            merl.write_merl(target, tabulate(partial(_both_ways, evaluator(source))))
+        elif source.suffix == rgl.SUFFIX:
+            fields = read_tensor_file(source)
+            rgl.check(source, fields)
+            write_tensor_file(target, in_rgb(fields) if kind == "bsdf" else in_spectra(fields))
+        else:
+            rgl.write_rgl(target, evaluator(source), source.name, spectral=kind != "bsdf")
+    except ValueError as error:
+        raise named(error, source) from None
+
+
+def evaluator(source: Path) -> Callable[[Tensor], Tensor]:
+    """Linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad."""
+    if not source.is_file():
+        return partial(nbrdf.nbrdf_evaluate, nbrdf.read_nbrdf(source))
+    if source.suffix == rgl.SUFFIX:
+        return rgl.read_rgl(source)
+    return partial(merl_evaluate, np.ascontiguousarray(merl.read_merl(source), np.float32))
+
+
+def _both_ways(evaluate: Callable[[Tensor], Tensor], angles: Tensor) -> Tensor:
+    """The mean with light and viewer exchanged, which a MERL table takes for the same; measurements differ in it."""
+    return (evaluate(angles) + evaluate(angles + angles.new_tensor([0, 0, math.pi]))) / 2
