@@ -5,16 +5,14 @@ The network runs in Dr.Jit, in whatever variant is active, and is differentiable
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from metapp.appearance.lobes import LAST, NODES, Lobes, fit_lobes
+from metapp.appearance.lobes import fit_lobes
 from metapp.apps.brdf.featured import GRAZING, SMOOTH, TURNS
 from metapp.extensions.mitsuba_bsdfs.material import Material, read_material
+from metapp.extensions.mitsuba_bsdfs.mixture import Mixture, turned
 from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, nn, register_plugin
@@ -148,14 +146,6 @@ def half_frame(light: Vector3, viewer: Vector3) -> HalfFrame:
     return HalfFrame(sine, half.z, cos_phi, sin_phi, difference)
 
 
-def turned(direction: Vector3, angle_rad: float) -> Vector3:
-    """A direction turned about the normal."""
-    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
-    return mi.Vector3f(
-        cosine * direction.x - sine * direction.y, sine * direction.x + cosine * direction.y, direction.z
-    )
-
-
 def features(half: Vector3, difference: Vector3) -> list[Float]:
     """`metapp.apps.brdf.featured.inputs_of` of half vector, phi_h 0, and difference vector."""
     angle = dr.atan2(half.x, half.z)
@@ -247,49 +237,3 @@ class NetworkReflection(Reflection):
     def __str__(self) -> str:
         sizes = "-".join(str(weights.shape[1]) for weights in self.network.weights)
         return f'NeuralBrdf[filename = "{self.path}", layers = {sizes}-3, tint = {self.tint}]'
-
-
-class Mixture:
-    """Lobes in the active variant."""
-
-    def __init__(self, lobes: Lobes) -> None:
-        self.alphas, self.turn = lobes.alphas, lobes.turn
-        self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
-
-    def shares_of(self, viewer: mt.Vector3) -> list[mt.Float]:
-        """The share of each lobe, the cosine first, for a viewer's direction; between nodes linearly."""
-        place = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST), NODES - 1)
-        node = mi.UInt32(dr.minimum(place, NODES - 2))
-        first, second = ([dr.gather(mi.Float, share, node + i) for share in self.shares] for i in (0, 1))
-        return [dr.lerp(a, b, place - node) for a, b in zip(first, second, strict=True)]
-
-    def sample(self, viewer: mt.Vector3, number: mt.Float, point: mt.Point2) -> mt.Vector3:
-        """A direction, which may be below the surface, of a number and a point in [0, 1)."""
-        shares = self.shares_of(viewer)
-        viewer = self._into_axes(viewer)
-        alpha, end = mi.Vector2f(self.alphas[0]), shares[0] + shares[1]
-        for share, other in zip(shares[2:], self.alphas[1:], strict=True):
-            alpha = dr.select(number < end, alpha, mi.Vector2f(other))
-            end += share
-        half, _ = _facets(alpha).sample(viewer, point)
-        # Mitsuba draws NaN once in a million times, at facets that stand upright; below the surface it counts nothing
-        mirrored = dr.select(half.z >= 0, mi.reflect(viewer, half), mi.Vector3f(0, 0, -1))
-        mirrored = turned(mirrored, self.turn) if self.turn else mirrored
-        return dr.select(number < shares[0], mi.warp.square_to_cosine_hemisphere(point), mirrored)
-
-    def _into_axes(self, direction: mt.Vector3) -> mt.Vector3:
-        return turned(direction, -self.turn) if self.turn else direction
-
-    def density(self, viewer: mt.Vector3, light: mt.Vector3) -> mt.Float:
-        """Density of `sample` for directions above the surface, per solid angle."""
-        shares = self.shares_of(viewer)
-        viewer, light = self._into_axes(viewer), self._into_axes(light)
-        half = dr.normalize(viewer + light)
-        total = shares[0] * light.z * dr.inv_pi
-        for share, alpha in zip(shares[1:], self.alphas, strict=True):
-            total += share * _facets(mi.Vector2f(alpha)).pdf(viewer, half) / (4 * dr.dot(light, half))
-        return total
-
-
-def _facets(alpha: mt.Vector2) -> mt.Facets:
-    return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha.x, alpha.y, True)
