@@ -13,7 +13,7 @@ from torch import Tensor
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.lobes import fit_lobes
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
-from metapp.apps.brdf import anisotropic
+from metapp.apps.brdf import anisotropic, featured
 from metapp.apps.brdf.networks import network_of
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.extensions.viewer.pages import anisotropic_residual
@@ -31,7 +31,6 @@ def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bo
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
     lobes = fit_lobes(evaluate, folded.turn)
-    hidden, inputs = folded.layers[0][0].shape
     arrays = {"weights": packed(folded.layers), "shares": torch.from_numpy(lobes.shares).float()}
     if "angles" in task.data:
         columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
@@ -39,8 +38,9 @@ def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bo
         arrays["residual"] = _residual(evaluate, folded.turn, task)
     facts = {
         "network": folded.inputs,
-        "inputs": inputs,
-        "hidden": hidden,
+        "inputs": folded.layers[0][0].shape[1],
+        "hidden": len(folded.layers[0][1]),
+        "smoothing": [featured.TURNS, featured.SMOOTH, featured.GRAZING],
         "turn": folded.turn,
         "darkest": folded.darkest,
         "alphas": [list(alpha) for alpha in lobes.alphas],

@@ -1,6 +1,7 @@
 // BRDFs: the fitted network itself in the fragment shader, on shapes; below the pointer a polar plot.
 //
-// facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, turn, darkest, alphas [[2], [2]] of the lobes, samples.
+// facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, smoothing
+// (TURNS, SMOOTH and GRAZING of metapp.apps.brdf.featured), turn, darkest, alphas [[2], [2]] of the lobes, samples.
 // arrays: weights [N, 4] as metapp.extensions.viewer.pages.brdf.packed lays them out, shares [24, 3] of the lobes; perhaps residual
 // [phi_d, theta_d, theta_h, 4], what the samples' log(1 + f) has more than the fit's (phi_d in [0, 2 pi), of
 // reciprocal fits in [0, pi); theta_h by its square root), or of samples with phi_h the five axes of metapp.extensions.viewer.pages.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
@@ -42,10 +43,10 @@ vec3 fitted(Half at, float incident, float outgoing) {
 #if KIND == 0
   x[0] = vec4(at.sine, 0.0, at.cosine, d.x); x[1] = vec4(d.y, d.z, 0.0, 0.0);
 #elif KIND == 1
-  float both = d.x * d.x + d.y * d.y, apart = square / (square + 1e-2) * (d.x * d.x - d.y * d.y);
-  float mean = at.cosine * d.z, differ = sqrt(at.sine * at.sine * d.x * d.x + 1e-6);
-  x[0] = vec4(at.sine, 0.0, at.cosine, sqrt((both + apart) / 2.0 + 1e-4));
-  x[1] = vec4(sqrt((both - apart) / 2.0 + 1e-4), d.z, mean - differ, mean + differ);
+  float both = d.x * d.x + d.y * d.y, apart = square / (square + TURNS) * (d.x * d.x - d.y * d.y);
+  float mean = at.cosine * d.z, differ = sqrt(at.sine * at.sine * d.x * d.x + GRAZING);
+  x[0] = vec4(at.sine, 0.0, at.cosine, sqrt((both + apart) / 2.0 + SMOOTH));
+  x[1] = vec4(sqrt((both - apart) / 2.0 + SMOOTH), d.z, mean - differ, mean + differ);
   x[2] = vec4(sqrt(angle), 1.0 / (1.0 + 100.0 * square), apart, 0.4 * log(square + 1e-4) + 1.0);
   x[3] = vec4(0.4 * log(vec3(square + 1e-2, max(mean - differ, 1e-3), max(mean + differ, 1e-3))) + 1.0, 0.0);
 #else
@@ -177,11 +178,12 @@ class BrdfViewer extends ShapeViewer {
   get largestBlock() { const gl = this.renderer.getContext(); return gl.getParameter(gl.MAX_UNIFORM_BLOCK_SIZE); }
 
   async material(fit) {
-    const { network, inputs, hidden, turn, darkest, alphas } = fit.facts, weights = await numbersOf(fit.arrays.weights);
+    const { network, inputs, hidden, smoothing, turn, darkest, alphas } = fit.facts, weights = await numbersOf(fit.arrays.weights);
     const shares = floatsOf(await numbersOf(fit.arrays.shares)), residual = fit.arrays.residual && await numbersOf(fit.arrays.residual);
     const defines = { KIND: ["nbrdf", "featured", "anisotropic"].indexOf(network), FEATURED: network !== "nbrdf", INPUTS4: Math.ceil(inputs / 4),
       WEIGHTS: weights.shape[0], SLICES: residual?.shape.length === 5 ? residual.shape[2] : 0,
       IN_BLOCK: weights.values.byteLength <= this.largestBlock ? 1 : 0 };
+    ["TURNS", "SMOOTH", "GRAZING"].forEach((name, i) => { defines[name] = smoothing[i]; });
     const table = tableOf(residual);
     const glsl = Object.entries(defines).map(([name, value]) => `#define ${name} ${value}`).join("\n") + NETWORK.replace("LAYERS", layers(defines.INPUTS4, Math.ceil(hidden / 4)));
     return {
