@@ -12,7 +12,7 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate
 from metapp.learning.draws import normal
 from metapp.learning.task import Params
 from metapp.networks import layers
-from metapp.networks.layers import enlarged, enlarged_rows, init_styled, rows_of, styled, styled_by_rows
+from metapp.networks.layers import enlarged, init_styled, styled, styled_by_rows
 
 
 class UNet(NamedTuple):
@@ -164,25 +164,13 @@ class Pyramid(NamedTuple):
             pooled.append(gain * avg_pool2d(pooled[-1], 2))
         x, picture = None, None
         for level in reversed(range(self.finest, self.levels)):
-            x = self._level(theta, level, x, pooled[level - self.finest])
+            noise = pooled[level - self.finest]
+            large = noise.shape[-2] > layers.ROWS and not torch.is_grad_enabled()
+            layer = styled_by_rows if large else styled
+            x = layer(theta, f"draw{level}", layer(theta, f"join{level}", noise, x))
             kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
             addition = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
             picture = addition if picture is None else enlarged(picture) + addition
         assert picture is not None
         result: Tensor = picture.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result
-
-    def _level(self, theta: Params, level: int, above: Tensor | None, noise: Tensor) -> Tensor:
-        """Features of a level [B, T * C, H, W], from those of the level above and noise."""
-        tasks, height = len(theta["z"]), noise.shape[-2]
-        if height > layers.ROWS and not torch.is_grad_enabled() and above is not None:
-            coarse, fine = enlarged_rows(above), rows_of(noise)
-            x = styled_by_rows(theta, f"join{level}", lambda *rows: _joined(coarse(*rows), fine(*rows), tasks), height)
-            return styled_by_rows(theta, f"draw{level}", rows_of(x), height)
-        x = noise if above is None else _joined(enlarged(above), noise, tasks)
-        return styled(theta, f"draw{level}", styled(theta, f"join{level}", x))
-
-
-def _joined(features: Tensor, noise: Tensor, tasks: int) -> Tensor:
-    """Both side by side; channels of one task lie together, as grouped convolutions want them."""
-    return torch.cat([part.unflatten(1, (tasks, -1)) for part in (features, noise)], 2).flatten(1, 2)

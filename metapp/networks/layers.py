@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, leaky_relu_, pad
+from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, leaky_relu_, pad, pixel_shuffle
 
 from metapp.learning.draws import normal
 from metapp.learning.task import Params
@@ -15,10 +15,6 @@ from metapp.learning.task import Params
 SLOPE = 0.2
 EPS = 1e-5  # added to variances, as by instance_norm
 ROWS = 256  # of a `Pyramid` at a time; even
-
-Rows = Callable[[int, int], Tensor]
-"""(first, end) -> those rows of maps that tile, so that row -1 is the last one, with a column of the opposite edge on
-both sides: [B, C, end - first, W + 2]."""
 
 
 def add_layer(
@@ -115,7 +111,7 @@ def init_styled(rng: Generator, count: int, code: int, layers: Mapping[str, tupl
     return theta
 
 
-def styled(theta: Params, name: str, x: Tensor) -> Tensor:
+def styled(theta: Params, name: str, x: Tensor, above: Tensor | None = None) -> Tensor:
     """A 3x3 convolution of maps [B, T * C, H, W] that tile, normalised and styled by z, and leaky ReLUs.
 
     Args:
@@ -123,14 +119,35 @@ def styled(theta: Params, name: str, x: Tensor) -> Tensor:
             of `z` [T, Z] what each channel is scaled by and shifted to.
         name: of the layer.
         x: channels of one task lie together.
+        above: maps [B, T * A, H / 2, W / 2] that stand, enlarged, before those of x; the kernel's C counts both.
 
     Returns:
         [B, T * O, H, W].
     """
-    kernel = theta[f"{name}.kernel"]
-    x = conv2d(tiled(x), kernel.flatten(0, 1), groups=kernel.shape[0])
+    x = _convolved(theta[f"{name}.kernel"], tiled(x), None if above is None else tiled(above))
     gain, shift = style_of(theta, name)
     return leaky_relu(instance_norm(x) * gain + shift, SLOPE)
+
+
+# of a 3x3 kernel's rows d, the weights that make of each a row of maps half as high, of even and of odd rows
+PHASES = (
+    ((0.75, 0.25, 0.0), (0.25, 0.75, 0.75), (0.0, 0.0, 0.25)),
+    ((0.25, 0.0, 0.0), (0.75, 0.75, 0.25), (0.0, 0.25, 0.75)),
+)
+
+
+def _convolved(kernel: Tensor, x: Tensor, above: Tensor | None) -> Tensor:
+    """The convolution of `styled`, of padded maps; those above by a kernel for each place of a texel in one of theirs.
+
+    They are never enlarged: that takes longer than all else.
+    """
+    if above is None:
+        return conv2d(x, kernel.flatten(0, 1), groups=len(kernel))
+    coarse, fine = kernel.tensor_split([above.shape[1] // len(kernel)], 2)
+    phases = kernel.new_tensor(PHASES)
+    coarse = torch.einsum("pad,qbe,tocde->topqcab", phases, phases, coarse)
+    parts = pixel_shuffle(conv2d(above, coarse.flatten(0, 3), groups=len(kernel)), 2)
+    return conv2d(x, fine.flatten(0, 1), groups=len(kernel)).add_(parts)
 
 
 def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
@@ -143,31 +160,18 @@ def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
 # The same of pictures too large for the memory that they take: some rows at a time, no gradient
 
 
-def rows_of(x: Tensor) -> Rows:
-    """The rows of maps [B, C, H, W]."""
-
-    def read(first: int, end: int) -> Tensor:
-        return pad(x[..., torch.arange(first, end, device=x.device) % x.shape[-2], :], (1, 1, 0, 0), mode="circular")
-
-    return read
+def _rows(x: Tensor, first: int, end: int) -> Tensor:
+    """Rows of maps [B, C, H, W] that tile, row -1 the last one, with the opposite columns: [.., end - first, W + 2]."""
+    return pad(x[..., torch.arange(first, end, device=x.device) % x.shape[-2], :], (1, 1, 0, 0), mode="circular")
 
 
-def enlarged_rows(x: Tensor) -> Rows:
-    """The rows of maps [B, C, H, W] twice as high and wide, as `tiling.enlarged`; from an odd one to an odd end."""
-
-    def read(first: int, end: int) -> Tensor:
-        coarse = rows_of(x)((first - 1) // 2, end // 2 + 1)
-        return interpolate(coarse, scale_factor=2, mode="bilinear")[..., 1:-1, 1:-1]
-
-    return read
-
-
-def styled_by_rows(theta: Params, name: str, read: Rows, height: int) -> Tensor:
-    """`layers.styled` of maps that are `height` high: the same, without a copy of what it reads."""
-    kernel, result = theta[f"{name}.kernel"], None
+def styled_by_rows(theta: Params, name: str, x: Tensor, above: Tensor | None = None) -> Tensor:
+    """The same as `styled`, without a copy of what it reads."""
+    kernel, height, result = theta[f"{name}.kernel"], x.shape[-2], None
     for top in range(0, height, ROWS):
         end = min(top + ROWS, height)
-        part = conv2d(read(top - 1, end + 1), kernel.flatten(0, 1), groups=kernel.shape[0])
+        coarse = None if above is None else _rows(above, top // 2 - 1, end // 2 + 1)
+        part = _convolved(kernel, _rows(x, top - 1, end + 1), coarse)
         result = part.new_empty(*part.shape[:2], height, part.shape[3]) if result is None else result
         result[..., top:end, :] = part
     assert result is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -153,6 +154,20 @@ def test_large_pictures_are_made_by_rows(theta: Params, monkeypatch: pytest.Monk
         whole = PYRAMID(theta, noise)
         monkeypatch.setattr(layers, "ROWS", 16)  # of levels of 40 and of 20 rows
         torch.testing.assert_close(PYRAMID(theta, noise), whole)
+
+
+def test_maps_above_are_convolved_as_if_enlarged(rng: Generator) -> None:
+    """Values and gradients, for tasks beside each other."""
+    draw = functools.partial(torch.randn, generator=rng, dtype=torch.float64)
+    above, x, kernel = draw(2, 3 * 4, 5, 6), draw(2, 3 * 2, 10, 12), draw(3, 7, 6, 3, 3)
+    some = {"z": draw(3, 5), "a.kernel": kernel, "a.style": draw(3, 14, 5), "a.shift": draw(3, 14)}
+    leaves = [each.requires_grad_() for each in (above, x, kernel)]
+    joined = torch.cat([part.unflatten(1, (3, -1)) for part in (enlarged(above), x)], 2).flatten(1, 2)
+    expected, made = layers.styled(some, "a", joined), layers.styled(some, "a", x, above)
+    torch.testing.assert_close(made, expected)
+    pull = draw(*made.shape)
+    for one, other in zip(*(torch.autograd.grad(of, leaves, pull) for of in (made, expected)), strict=True):
+        torch.testing.assert_close(one, other)
 
 
 # How they begin
