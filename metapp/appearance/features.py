@@ -141,7 +141,7 @@ def _vgg(taps: Sequence[str], path: str) -> Features:
     for name, tap, inputs, outputs in _layers():
         if tap.endswith("_1") and name != "conv0":
             stages[-1].append(nn.MaxPool2d(2))
-        stages[-1] += [_convolution(path, name, inputs, outputs), nn.ReLU()]
+        stages[-1] += [_convolution(path, name, inputs, outputs), nn.ReLU(inplace=True)]
         if tap in taps:
             stages.append([])
         if len(stages) > len(taps):  # deeper ones are not even read
@@ -184,7 +184,7 @@ def _random(scales: int) -> Features:
         # unit response to white noise, biases that spread the thresholds
         convolution.weight.data = torch.randn(RANDOM, 3, SIZE, SIZE, generator=rng) / (3 * SIZE**2) ** 0.5
         convolution.bias.data = torch.randn(RANDOM, generator=rng) * 0.5  # type: ignore[union-attr]
-        stages.append(nn.Sequential(convolution, nn.ReLU()))
+        stages.append(nn.Sequential(convolution, nn.ReLU(inplace=True)))
     return RandomFilters("random filters", stages)
 
 
