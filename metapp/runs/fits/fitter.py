@@ -120,7 +120,7 @@ class Fitter:
         for watching in self.watching:
             watching.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
-        warnings = warnings_of(plan, stacked, theta, self._rng(tasks))
+        warnings = warnings_of(plan, stacked, fit, self._rng(tasks))
         results = []
         for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
@@ -215,21 +215,24 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
         )
 
 
-def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:
+def warnings_of(plan: Plan, stacked: Tasks, fit: Step, rng: Rng) -> list[list[str]]:
     """Warnings in records of fits that are doubtful, as some applications see themselves, or worse than they began.
+
+    Fits that a guard compared with their beginning are none of the latter.
 
     Args:
         plan: what the fits were made by.
         stacked: the tasks.
-        theta: their fits, [T, ...].
+        fit: their fits at their end.
         rng: as it was at the beginning of the fits, so that the initialisations are the same.
 
     Returns:
         Clauses for each task, [] where there is nothing to say.
     """
     app = plan.app
-    doubts = app.doubts(theta, stacked) if isinstance(app, Doubtful) else [[] for _ in range(len(stacked))]
-    rises = _rises(plan, stacked, theta, rng) if plan.steps else [[] for _ in range(len(stacked))]
+    doubts = app.doubts(fit.theta, stacked) if isinstance(app, Doubtful) else [[] for _ in range(len(stacked))]
+    compared = fit.guarded is not None or not plan.steps
+    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan, stacked, fit.theta, rng)
     return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
 
 
