@@ -48,8 +48,9 @@ def test_narrow_lobes_reflect_all(power: float) -> None:
 
 def test_only_what_is_too_bright_changes() -> None:
     """A diffuse layer that is twice as bright as white, and one below: with what rises towards grazing angles."""
-    angles, _, outgoing = quadrature()
-    steep = torch.maximum(outgoing, INCIDENT_RAD[:, None]).flatten()
+    angles, _ = quadrature()
+    c = cosines(angles)
+    steep = torch.minimum(c.incident, c.outgoing).arccos().flatten()
     features = torch.stack([torch.ones_like(steep), (steep / 1.5) ** 4, (steep / 1.5) ** 8])
     diffuse = math.log1p(0.9 / math.pi)
     dark = torch.tensor([[diffuse, 0.0, 0.0]] * 3)

@@ -5,46 +5,29 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
-from typing import NamedTuple
+from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from metapp.appearance.geometry import directions_to_rusinkiewicz, gauss_legendre, half_difference_incident
-from metapp.learning.recipe import Recipe, Setup
+from metapp.appearance.geometry import cosines, directions_to_rusinkiewicz, gauss_legendre, half_difference_incident
+from metapp.learning.recipe import Recipe
 
 INCIDENT_RAD = torch.linspace(0, math.radians(85), 16, dtype=torch.float64)
 POLAR, AZIMUTHS = 48, 24  # nodes of half vectors, in theta_h and in half a circle about the normal
 CROWDED = 3  # the power that crowds theta_h around 0, where lobes are
 MOST = 0.995  # the share that fits which reflect more than all are brought to
-ROUNDS = 10  # of least squares, at most
-DIMMER = 0.99  # of log(1 + f), again and again where these do not suffice
+ROUNDS, DIMMER = 10, 0.99  # least squares, at most; then log(1 + f) times this, until it suffices
 PENALTY = 1e-9  # of the mean of the Gram matrix's diagonal
 
 
-class Quadrature(NamedTuple):
-    """Pairs of directions, those of one angle of incidence in a row.
-
-    Attributes:
-        angles: [16, N, 3] in rad, as `directions_to_rusinkiewicz` has them.
-        weights: [16, N]; sums of these times a reflectance are shares of the light.
-        outgoing_rad: [16, N], the angle of `wo` from the normal.
-    """
-
-    angles: Tensor
-    weights: Tensor
-    outgoing_rad: Tensor
-
-    @property
-    def where(self) -> Tensor:
-        """What networks read, [7, 16 N] float32."""
-        return half_difference_incident(self.angles.flatten(0, 1)).float().T
-
-
 @functools.cache
-def quadrature() -> Quadrature:
-    """Of INCIDENT_RAD and half vectors all around, float64."""
+def quadrature() -> tuple[Tensor, Tensor]:
+    """Pairs of directions, those of one of INCIDENT_RAD in a row: angles [16, N, 3] in rad, weights [16, N], float64.
+
+    Sums of weights times a reflectance are shares of the light.
+    """
     (u, of_u), (v, of_v) = gauss_legendre(POLAR), gauss_legendre(AZIMUTHS)
     theta, phi = (math.pi / 2) * u[:, None] ** CROWDED, math.pi * v
     solid = theta.sin() * (math.pi / 2) * CROWDED * (u ** (CROWDED - 1) * of_u)[:, None] * of_v
@@ -57,8 +40,12 @@ def quadrature() -> Quadrature:
     # both halves of the circle; a solid angle of half vectors is 4 cos theta_d times as large in wo
     weights = 2 * math.pi * solid.flatten() * 4 * cosine * wo[..., 2] * above
     wo = torch.where(above[..., None], wo, wi[:, None])
-    angles = directions_to_rusinkiewicz(wi[:, None].expand_as(wo), wo)
-    return Quadrature(angles, weights, wo[..., 2].clamp(-1, 1).arccos())
+    return directions_to_rusinkiewicz(wi[:, None].expand_as(wo), wo), weights
+
+
+def places() -> Tensor:
+    """The pairs of `quadrature` as networks read them, [7, 16 N] float32."""
+    return half_difference_incident(quadrature()[0].flatten(0, 1)).float().T
 
 
 def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
@@ -67,7 +54,7 @@ def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
     Args:
         reflectance: angles [..., 3] in rad -> reflectance [..., 3] in 1/sr.
     """
-    angles, weights, _ = quadrature()
+    angles, weights = quadrature()
     shares: Tensor = (reflectance(angles.float()).double() * weights[..., None]).sum(1)
     return shares
 
@@ -82,8 +69,8 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
         features: [F, 16 N], of the pairs of `quadrature`, whose weighted sum is log(1 + f).
         last: the layer, [3, F].
     """
-    _, weights, outgoing = quadrature()
-    features, layer, cosine = features.double(), last.double(), outgoing.cos().flatten()
+    angles, weights = quadrature()
+    features, layer, (cosine, other, *_) = features.double(), last.double(), cosines(angles.flatten(0, 1))
     identity = torch.eye(len(features), dtype=features.dtype)
     limited = torch.expm1(layer @ features).clamp_min(0)
 
@@ -96,8 +83,10 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
         if (share := shares()).amax() <= 1:
             break
         excess = torch.where(share > 1, share / MOST, 1.0)
-        here = excess.repeat_interleave(outgoing.shape[1])
-        limited = limited / torch.maximum(here, _between(outgoing.flatten(), excess))
+        of_both = [
+            torch.from_numpy(np.interp(each.clamp(0, 1).arccos(), INCIDENT_RAD, excess)) for each in (cosine, other)
+        ]
+        limited = limited / torch.maximum(*of_both)
         # of log(1 + f cos theta), which fits are judged by, in log(1 + f)
         slope = cosine * (1 + limited) / (1 + limited * cosine)
         weighted = features * slope.square()[:, None]
@@ -110,25 +99,17 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
     return layer.to(last)
 
 
-def _between(angles_rad: Tensor, values: Tensor) -> Tensor:
-    """Values at INCIDENT_RAD at other angles; the last one beyond."""
-    place = (angles_rad / INCIDENT_RAD[1]).clamp(0, len(values) - 1)
-    lower = place.long().clamp_max(len(values) - 2)
-    return torch.lerp(values[lower], values[lower + 1], place - lower)
-
-
 def with_conservation(recipe: Recipe, value: object) -> Recipe:
     """The recipe whose fits reflect no more than they receive.
 
     Raises:
         ValueError: its networks have no such choice.
     """
-
-    def of(setup: Setup) -> Setup:
-        names = [field.name for field in fields(setup)]
-        if "conserve" not in names or getattr(setup, "anisotropic", False):
-            raise ValueError("expected networks of isotropic BRDFs, as of --recipe full or quick")
-        return replace(setup, conserve=value)
-
-    meta = {name: replace(each, setup=of(each.setup)) if each.setup else each for name, each in recipe.meta.items()}
-    return replace(recipe, setup=of(recipe.setup), meta=meta)
+    setups = [setup for setup in (recipe.setup, *(each.setup for each in recipe.meta.values())) if setup]
+    if any(not hasattr(setup, "conserve") or setup.anisotropic for setup in setups):
+        raise ValueError("expected networks of isotropic BRDFs, as of --recipe full or quick")
+    meta = {
+        name: each if each.setup is None else replace(each, setup=replace(each.setup, conserve=value))
+        for name, each in recipe.meta.items()
+    }
+    return replace(recipe, setup=replace(recipe.setup, conserve=value), meta=meta)

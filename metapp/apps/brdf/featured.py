@@ -17,7 +17,7 @@ from torch.nn.functional import silu
 from metapp.appearance.geometry import turned_about_normal
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import within_reach
-from metapp.apps.brdf.energy import conserving, quadrature
+from metapp.apps.brdf.energy import conserving, places
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
 from metapp.learning.draws import normal, uniform
@@ -125,7 +125,7 @@ class Featured(BrdfNetwork):
 
     def conserved(self, theta: Params) -> Params:
         """With a last layer that reflects no more than all."""
-        features = self.features_of(theta, quadrature().where.expand(len(theta["last"]), -1, -1))
+        features = self.features_of(theta, places().expand(len(theta["last"]), -1, -1))
         last = [conserving(*each) for each in zip(features, theta["last"], strict=True)]
         return theta | {"last": torch.stack(last)}
 

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
-from metapp.apps.brdf.energy import conserving, quadrature
+from metapp.apps.brdf.energy import conserving, places
 from metapp.apps.brdf.network import BrdfNetwork, Folded, shapes_of
 from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Params
@@ -63,7 +63,7 @@ class Nbrdf(BrdfNetwork):
 
     def conserved(self, theta: Params) -> Params:
         """With a last layer that reflects no more than all."""
-        x = hidden(theta, quadrature().where.expand(len(theta["w3"]), -1, -1))
+        x = hidden(theta, places().expand(len(theta["w3"]), -1, -1))
         features = torch.cat([x, torch.ones_like(x[:, :1])], 1)
         layers = torch.cat([theta["w3"], theta["b3"]], 2)
         last = torch.stack([conserving(*each) for each in zip(features, layers, strict=True)])

@@ -9,9 +9,9 @@ import pytest
 
 from metapp import door
 from metapp.apps import app_names, app_of, protocols_of, recipes_of
-from metapp.extensions.examples.commands import lines_of
 from metapp.evaluation.tables import table_names
 from metapp.extensions.baselines import baselines_of
+from metapp.extensions.examples.commands import lines_of
 from tests.pictures import photograph
 
 
