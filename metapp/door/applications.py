@@ -41,6 +41,7 @@ class Chosen(NamedTuple):
         tells: the function `tells(path) -> bool` of the formats' modules, which sources these are; "" for all. Where
             there is no such tensor, the one of this name and `_task` tells which tasks in memory are.
         paradigms: those that its checkpoints serve; () for all.
+        lacks: a function `lacks() -> str` of what it needs on a machine and does not find, in a line; "" for none.
     """
 
     formats: tuple[str, ...]
@@ -48,6 +49,7 @@ class Chosen(NamedTuple):
     tensor: str = ""
     tells: str = ""
     paradigms: tuple[str, ...] = ()
+    lacks: str = ""
 
 
 class Recipe(NamedTuple):

@@ -30,7 +30,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
-from metapp.apps.svbrdf_nonstationary.quarters import drawn_quarters, in_quarters
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
@@ -175,10 +174,6 @@ class SvbrdfNonstationary(CodedApp):
         visible = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
         return super().sample(replace(tasks, data=visible), rng, count) | drawn
 
-    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """The same; of large pictures a random quarter of each is named, `quarter` [T], for the outer loss."""
-        return self.sample(tasks, rng, count) | drawn_quarters(self.field, len(tasks), rng)
-
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""
         maps = self.maps_of(theta, batch["photo"])
@@ -192,21 +187,14 @@ class SvbrdfNonstationary(CodedApp):
         """Of the maps and what they look like under any light, whatever fits see, [T].
 
         How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
-        Where the batch names a quarter of each picture, of that alone, with the same mean over quarters.
         """
-        clipping = clipping_of(batch["photo"])
-        if "quarter" in batch:
-            maps, theta, batch = in_quarters(self.field, theta, batch)
-        else:
-            maps = self.maps_of(theta, batch["photo"])
-        target, place = unpack(batch["maps"]), batch.get("place")
-        logs, references = (self._logs(each, batch["pairs"], place) for each in (maps, target))
+        maps, target = self.maps_of(theta, batch["photo"]), unpack(batch["maps"])
+        logs, references = (self._logs(each, batch["pairs"]) for each in (maps, target))
         pictures = (logs - references).abs().mean((1, 2, 3, 4))
         photo = self._photo_loss(theta, maps, batch, {})
-        cells = CELLS * target.diffuse.shape[-1] // self.field.width
-        steep = (_steepness(maps, cells) / _steepness(target, cells)).log().abs().mean((1, 2, 3))
+        steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
         apart = differences(maps, target)
-        hidden = blots(apart[0], batch["photo"], clipping)
+        hidden = blots(apart[0], batch["photo"], clipping_of(batch["photo"]))
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
         return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
@@ -317,9 +305,9 @@ def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
     return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
 
 
-def _steepness(maps: Maps, cells: int) -> Tensor:
-    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, cells, cells]."""
-    return adaptive_avg_pool2d(tilt(maps.normal), cells) + 2 * LEVEL
+def _steepness(maps: Maps) -> Tensor:
+    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, CELLS, CELLS]."""
+    return adaptive_avg_pool2d(tilt(maps.normal), CELLS) + 2 * LEVEL
 
 
 def _clips(photo: Tensor) -> Tensor:

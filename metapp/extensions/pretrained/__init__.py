@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from data_tools.formats.pictures import MAPS_SPLIT, NORMALS, SIZE
-from metapp.door import Converter, Format, Recipe
+from metapp.door import Chosen, Converter, Format, Recipe
 
 _HERE = "metapp.extensions.pretrained"
 
@@ -25,7 +25,14 @@ OFFERS = (
         "pretrained",
         f"{_HERE}.recipe:PRETRAINED",
         "photo",
-        checkpoints=f"{_HERE}.checkpoints",
+        Chosen(
+            ("svbrdf", "placed"),
+            has="a flash photo",
+            tensor="photo",
+            paradigms=("general",),
+            lacks=f"{_HERE}.encoder:lacks",
+        ),
+        f"{_HERE}.checkpoints",
     ),
     Format(
         "materials",

@@ -29,7 +29,7 @@ from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import reader_of, with_decoder
 
-WEIGHTS = (1.0, 1.0, 2.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
+WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
 FLAT = 0.1  # of the slopes of untrained fields
 
 
@@ -73,21 +73,18 @@ class FromFeatures(SvbrdfNonstationary):
         return tasks.variants(variants(fine, known, self.field.height // 2, rng))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        """The photographs; of windows the field's inputs, too, which say where they are."""
-        window = {"inputs": tasks.data["inputs"][tasks.rows]} if "inputs" in tasks.data else {}
+        """The photographs; of windows the field's inputs, too, which say where they are, and the patch's overview."""
+        window = {key: tasks.data[key][tasks.rows] for key in ("inputs", "overview") if key in tasks.data}
         return super().condition(tasks, rng) | window
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Of windows a code in each of their pixels."""
         if "inputs" not in condition:
             return super().encode(encoder, condition)
-        own = self.setup.encoder(reader_of(encoder), condition["photo"], condition["inputs"][:, -2:])
+        place, overview = condition["inputs"][:, -2:], condition.get("overview")
+        own = self.setup.encoder(reader_of(encoder), condition["photo"], place, overview)
         own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
         return with_decoder(own, encoder)
-
-    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """All of the windows."""
-        return self.sample(tasks, rng, count)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.

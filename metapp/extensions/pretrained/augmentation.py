@@ -1,16 +1,15 @@
-"""Data augmentation of whole materials: windows of any scale, relief beside other colours, photographed anew."""
+"""Data augmentation of whole materials: patches of any scale, relief beside other colours, photographed anew."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, pad
+from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.flash import positions
-from metapp.apps.svbrdf_nonstationary.maps import inputs_of
+from metapp.apps.svbrdf_nonstationary.app import INPUTS
+from metapp.apps.svbrdf_nonstationary.maps import inputs_of, pooled
 from metapp.apps.svbrdf_nonstationary.variants import (
     RESTYLED,
     draws,
@@ -20,6 +19,7 @@ from metapp.apps.svbrdf_nonstationary.variants import (
     some,
     turned_crops,
 )
+from metapp.extensions.pretrained.encoder import overview_of
 from metapp.learning.task import Batch
 
 PATCH = (0.4, 0.7)  # the side of a photographed patch, of the side of a material's maps
@@ -27,39 +27,10 @@ WHOLE = 0.4  # the share of outer steps that see all of a patch, half as fine
 CROSSED = 0.3  # of materials whose relief is another's, so that colours say nothing of it
 
 
-class Window(NamedTuple):
-    """A part of a patch that photographs show.
-
-    Attributes:
-        share: its side over the patch's.
-        place: [T, 2, side, side], where in the patch its texels are.
-    """
-
-    share: float
-    place: Tensor
-
-
-def drawn_window(count: int, side: int, rng: Generator) -> Window:
-    """A quarter of a patch of 2 side x 2 side texels, anywhere in it; or all of one that is half as fine."""
-    uniform, _ = draws(count, rng)
-    if float(torch.rand(1, generator=rng, device=rng.device)) < WHOLE:
-        return Window(1.0, positions(side, side, device=rng.device).expand(count, -1, -1, -1))
-    corner = (uniform(2) * (side + 1)).long().clamp_max(side)
-    steps = torch.arange(side, device=rng.device)
-    rows, columns = ((corner[:, i : i + 1] + steps) for i in range(2))
-    patch = positions(2 * side, 2 * side, device=rng.device)
-    x = patch[0, 0][columns][:, None, :].expand(-1, side, -1)
-    y = patch[1, :, 0][rows][:, :, None].expand(-1, -1, side)
-    return Window(0.5, torch.stack([x, y], 1))
-
-
-def pieces(maps: Tensor, side: int, share: float, rng: Generator) -> Tensor:
-    """Pieces [T, 10, side, side] of maps [T, 10, S, S], from anywhere, in any direction, half of them mirrored.
-
-    Each is a `share` of a patch whose side is a share of the maps' as PATCH says.
-    """
+def pieces(maps: Tensor, side: int, rng: Generator) -> Tensor:
+    """Patches [T, 10, side, side] of maps [T, 10, S, S], from anywhere, in any direction, half of them mirrored."""
     uniform, _ = draws(len(maps), rng)
-    extent = share * (PATCH[0] + (PATCH[1] - PATCH[0]) * uniform())
+    extent = PATCH[0] + (PATCH[1] - PATCH[0]) * uniform()
     while 2 * side <= float(extent.min()) * maps.shape[-1]:  # no finer than what is made of them
         maps = avg_pool2d(maps, 2)
     angle = 2 * math.pi * uniform()
@@ -78,21 +49,29 @@ def crossed(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor
 
 
 def variants(fine: Tensor, known: Tensor, side: int, rng: Generator) -> Batch:
-    """Augmented materials of maps [T, 10, S, S], as windows of side x side texels, photographed.
+    """Augmented materials of maps [T, 10, S, S]: windows of side x side texels of photographs of twice the side.
 
     Returns:
-        `photo` [T, 3, side, side], linear; `inputs`, the field's, [T, 8, side, side]; `maps` and `known`.
+        `photo` [T, 3, side, side], linear, and `overview` of the patch; `inputs`, the field's, [T, 8, side, side];
+        `maps` and `known`.
     """
-    share, place = drawn_window(len(fine), side, rng)
-    maps = some(restyled, pieces(fine, side, share, rng), RESTYLED[0], rng)
+    maps = some(restyled, pieces(fine, 2 * side, rng), RESTYLED[0], rng)
     maps, known = crossed(some(restyled, recoloured(maps, rng), RESTYLED[1], rng), known, rng)
-    photo = photographs(maps, rng, place)
-    return {"photo": photo, "inputs": inputs_in(photo, place, share), "maps": maps, "known": known}
+    photo = photographs(maps, rng)
+    overview = overview_of(photo)
+    if float(torch.rand(1, generator=rng, device=rng.device)) < WHOLE:
+        photo, maps = avg_pool2d(photo, 2), pooled(maps, (side, side))
+        inputs = inputs_of(photo)
+    else:
+        parts = (3, INPUTS, maps.shape[1])
+        photo, inputs, maps = windows(torch.cat([photo, inputs_of(photo), maps], 1), side, rng).split(parts, 1)
+    return {"photo": photo, "overview": overview, "inputs": inputs, "maps": maps, "known": known}
 
 
-def inputs_in(photo: Tensor, place: Tensor, share: float) -> Tensor:
-    """The field's inputs in a window [T, 3, side, side], as `inputs_of` has them in a photograph of the whole patch."""
-    side = photo.shape[-1]
-    margin = round(side / share - side) // 2
-    inputs = inputs_of(pad(photo, (margin,) * 4, mode="replicate"))[..., margin : margin + side, margin : margin + side]
-    return torch.cat([inputs[:, :-2], place], 1)
+def windows(pictures: Tensor, side: int, rng: Generator) -> Tensor:
+    """Squares [T, C, side, side] of pictures [T, C, S, S], each from anywhere in it."""
+    uniform, _ = draws(len(pictures), rng)
+    corner = (uniform(2) * (pictures.shape[-1] - side + 1)).long().clamp_max(pictures.shape[-1] - side)
+    squares = zip(pictures, corner.tolist(), strict=True)
+    cut = [each[:, row : row + side, column : column + side] for each, (row, column) in squares]
+    return torch.stack(cut)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, leaky_relu, pad
+from torch.nn.functional import avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 
 from metapp.appearance.features import load_features, weights_path
 from metapp.appearance.flash import positions
@@ -29,10 +29,15 @@ LEAST_TINT = 0.2  # of the mean colour, over its brightness: what is darker is n
 LEAST = 1e-3  # brightness
 DEVIATION = 0.1  # of all maps at first
 AT = 2  # the level that deviations are read at, a quarter of the photograph's side
+OVERVIEW = 32  # side in px of the overview: highlights have the same size in it whatever a photograph's resolution
+COARSER = 4  # how many times as coarse its second level is
+OVERVIEWS = (32, 48)  # channels of its levels
 
 
 class FeatureEncoder(NamedTuple):
-    """A decoder over features of VGG-16, whose levels all know the photograph and its mean.
+    """A decoder over features of VGG-16, whose levels all know the photograph and an overview of it.
+
+    Features have the size of pixels, highlights that of the patch: gloss is read off a small picture of all of it.
 
     Attributes:
         code: length of the code in a pixel.
@@ -62,6 +67,11 @@ class FeatureEncoder(NamedTuple):
             add_layer(encoder, rng, f"level{level}.first", width, width * (1 + len(coarser)) + KNOWN, 3, 3)
             add_layer(encoder, rng, f"level{level}.second", width, width, 3, 3, gain=0.7)
             add_layer(encoder, rng, f"level{level}.mean", width, width, gain=0.5)
+            add_layer(encoder, rng, f"level{level}.overview", width, sum(OVERVIEWS), gain=0.0)
+        for level, (width, below) in enumerate(zip(OVERVIEWS, (KNOWN, *OVERVIEWS), strict=False)):
+            add_layer(encoder, rng, f"overview{level}.first", width, below, 3, 3)
+            add_layer(encoder, rng, f"overview{level}.second", width, width, 3, 3, gain=0.7)
+            add_layer(encoder, rng, f"overview{level}.mean", width, width, gain=0.5)
         add_layer(encoder, rng, "code", self.code, self.widths[0], gain=0.3)
         add_layer(encoder, rng, "flash", self.flash, 2 * self.widths[-1], gain=0.1)
         if self.deviations:
@@ -69,13 +79,16 @@ class FeatureEncoder(NamedTuple):
             encoder["deviation.shift"] += math.log(DEVIATION)
         return encoder
 
-    def __call__(self, encoder: Params, photos: Tensor, place: Tensor | None = None) -> Params:
+    def __call__(
+        self, encoder: Params, photos: Tensor, place: Tensor | None = None, overview: Tensor | None = None
+    ) -> Params:
         """Read linear photographs [T, 3, H, H], H a multiple of LARGEST.
 
         Args:
             encoder: the decoder's parameters.
             photos: of any exposure and white balance.
             place: where the pixels are, [T, 2, H, H]; None where they show all of the patch.
+            overview: as `overview_of` makes it of all of the patch; None where the photographs show that.
 
         Returns:
             `z`, the code [T, code, H, H], `flash` [T, flash], and, if it says any, `deviation`
@@ -88,11 +101,18 @@ class FeatureEncoder(NamedTuple):
             raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {LARGEST}; set another size.")
         if place is None:
             place = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
-        balanced, known = _balanced(photos, place)
+        overview = overview_of(photos) if overview is None else overview
+        mean = overview.mean((2, 3), keepdim=True)
+        balanced, known = _balanced(photos, place, mean)
+        whole = positions(OVERVIEW, OVERVIEW, dtype=photos.dtype, device=photos.device)[None]
+        _, small = _balanced(overview, whole, mean)
         with torch.autocast(photos.device.type, torch.bfloat16, enabled=in_bfloat16(photos.device)):
+            surroundings = _surroundings(encoder, small)
             x, result = None, {}
             for level, features in reversed(list(enumerate(_features(balanced)))):
-                here = leaky_relu(pointwise(encoder, f"level{level}.features", features), SLOPE)
+                here = pointwise(encoder, f"level{level}.features", features)
+                around = pointwise(encoder, f"level{level}.overview", surroundings)
+                here = leaky_relu(here + _at(around, avg_pool2d(place, 1 << level)).to(here), SLOPE)
                 parts = [here, avg_pool2d(known, 1 << level).to(here)]
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
@@ -104,6 +124,18 @@ class FeatureEncoder(NamedTuple):
             assert x is not None
             result["z"] = pointwise(encoder, "code", x)
         return {key: value.float() for key, value in result.items()}
+
+
+def overview_of(photos: Tensor) -> Tensor:
+    """Linear photographs [T, 3, H, W] of all of a patch at OVERVIEW px, [T, 3, OVERVIEW, OVERVIEW]."""
+    return interpolate(avg_pool2d(photos, LARGEST), (OVERVIEW, OVERVIEW), mode="bilinear")
+
+
+def lacks() -> str:
+    """What better maps need and this machine has not, in a line; "" for nothing."""
+    if weights_path().is_file():
+        return ""
+    return "the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them"
 
 
 def require_weights() -> None:
@@ -119,13 +151,25 @@ def require_weights() -> None:
         )
 
 
-def _balanced(photos: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Photographs over their mean colour, and what is known of their pixels, [T, KNOWN, H, W].
+def _surroundings(encoder: Params, known: Tensor) -> Tensor:
+    """What levels know of the overview, [T, sum(OVERVIEWS), OVERVIEW, OVERVIEW], of what is known of its pixels."""
+    fine = block(encoder, "overview0", known)
+    coarse = block(encoder, "overview1", avg_pool2d(fine, COARSER))
+    return torch.cat([fine, interpolate(coarse, scale_factor=COARSER, mode="bilinear")], 1)
+
+
+def _at(around: Tensor, place: Tensor) -> Tensor:
+    """What is around pixels at such places [T, 2, h, w] of a patch."""
+    grid = torch.stack([place[:, 0], -place[:, 1]], 3).expand(len(around), -1, -1, -1)
+    return grid_sample(around.float(), grid, padding_mode="border", align_corners=False)
+
+
+def _balanced(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
+    """Photographs over a mean colour [T, 3, 1, 1], and what is known of their pixels, [T, KNOWN, H, W].
 
     The logs of the balanced colours, how brightness differs among neighbours, the place, what clips; and, the same all
     over, how bright and of what tint the mean is: colour and exposure then say nothing of relief by themselves.
     """
-    mean = photos.mean((2, 3), keepdim=True)
     grey = mean.mean(1, keepdim=True).clamp_min(LEAST)
     white = torch.maximum(mean, LEAST_TINT * grey)
     balanced = photos / white

@@ -29,6 +29,9 @@ def chosen_recipe(request: Request) -> str:
         if choice.tells and request.resumes:  # it reads the inputs, which may be thousands
             continue
         if _all_choose(request, recipe, choice) if request.inputs else _is_set_of(choice, request.data):
+            if lacking := _lacking(choice):
+                say(f"{app}: {lacking}")
+                continue
             what = "input" if request.inputs else f"task of {request.data}"
             if not request.quiet:
                 say(f"{app}: recipe {recipe}, since every {what} has {choice.has}")
@@ -39,7 +42,7 @@ def chosen_recipe(request: Request) -> str:
 def recipe_of_tasks(request: Request, tasks: Sequence[Task]) -> str:
     """The same for tasks that were made in memory."""
     for recipe, choice in _choices(request):
-        if all(_chooses_task(request.app, choice, task) for task in tasks):
+        if all(_chooses_task(request.app, choice, task) for task in tasks) and not _lacking(choice):
             return recipe
     return usual_recipe(request.app)
 
@@ -51,6 +54,10 @@ def _choices(request: Request) -> Iterator[tuple[str, door.Chosen]]:
         serves = choice and (not choice.paradigms or request.paradigm in choice.paradigms)
         if choice and serves and ships(request.app, name, request.observe):
             yield name, choice
+
+
+def _lacking(choice: door.Chosen) -> str:
+    return door.load(choice.lacks)() if choice.lacks else ""
 
 
 def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:

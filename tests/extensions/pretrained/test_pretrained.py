@@ -20,8 +20,8 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
 from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
-from metapp.extensions.pretrained.augmentation import crossed, drawn_window, inputs_in, pieces
-from metapp.extensions.pretrained.encoder import FeatureEncoder, _balanced
+from metapp.extensions.pretrained.augmentation import crossed, pieces, variants, windows
+from metapp.extensions.pretrained.encoder import OVERVIEW, FeatureEncoder, _balanced, overview_of
 from metapp.extensions.pretrained.recipe import PRETRAINED
 from metapp.learning.app import stack
 from metapp.learning.learn import descend, last
@@ -91,7 +91,8 @@ def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> N
     """The rest of what is known of a photo, and what VGG sees, stays as it is; these move by as much."""
     photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), positions(16, 16)[None]
     gains = torch.tensor([1.3, 1.0, 0.6])[:, None, None]
-    (seen, known), (again, others) = _balanced(photo, place), _balanced(photo * gains, place)
+    mean = photo.mean((2, 3), keepdim=True)
+    (seen, known), (again, others) = _balanced(photo, place, mean), _balanced(photo * gains, place, mean * gains)
     torch.testing.assert_close(again, seen)
     torch.testing.assert_close(others[:, :-4], known[:, :-4])
     change = (others - known)[0, -4:, 0, 0]
@@ -105,34 +106,50 @@ def test_pieces_turn_normals_with_what_they_are_of(rng: Generator) -> None:
     heights = slopes[:, 0, None, None] * across + slopes[:, 1, None, None] * up
     normal = torch.nn.functional.normalize(torch.cat([-slopes, torch.ones(12, 1)], 1), dim=1)
     maps = torch.cat([normal[:, :, None, None].expand(-1, -1, 64, 64), heights[:, None].expand(-1, 7, -1, -1)], 1)
-    for share in (0.5, 1.0):
-        piece = pieces(maps, 16, share, rng)
-        fall_x = piece[:, 3, 8, 7] - piece[:, 3, 8, 8]
-        fall_y = piece[:, 3, 8, 8] - piece[:, 3, 7, 8]
-        fall = torch.nn.functional.normalize(torch.stack([fall_x, fall_y], 1), dim=1)
-        lean = torch.nn.functional.normalize(piece[:, :2, 8, 8], dim=1)
-        torch.testing.assert_close(lean, fall, atol=1e-3, rtol=0)
-        torch.testing.assert_close(piece[:, 2, 8, 8], normal[:, 2])
+    piece = pieces(maps, 16, rng)
+    fall_x = piece[:, 3, 8, 7] - piece[:, 3, 8, 8]
+    fall_y = piece[:, 3, 8, 8] - piece[:, 3, 7, 8]
+    fall = torch.nn.functional.normalize(torch.stack([fall_x, fall_y], 1), dim=1)
+    lean = torch.nn.functional.normalize(piece[:, :2, 8, 8], dim=1)
+    torch.testing.assert_close(lean, fall, atol=1e-3, rtol=0)
+    torch.testing.assert_close(piece[:, 2, 8, 8], normal[:, 2])
     assert piece[:, 3].std() > 0.1
 
 
-def test_a_window_is_seen_as_in_the_whole_photo(rng: Generator) -> None:
-    side, margin = 64, 2
-    whole = torch.rand(3, 3, 2 * side, 2 * side, generator=rng)
-    inputs = inputs_of(whole)
-    windows = [drawn_window(3, side, rng) for _ in range(20)]
-    assert {window.share for window in windows} == {0.5, 1.0}
-    window = next(window for window in windows if window.share < 1)
-    for i, place in enumerate(window.place):
-        row, column = (int((inputs[0, -2 + axis] - place[axis, 0, 0]).abs().flatten().argmin()) for axis in (1, 0))
-        row //= 2 * side
-        part = (slice(row, row + side), slice(column, column + side))
-        here = inputs_in(whole[i : i + 1, :, *part], place[None], window.share)
-        inner = slice(margin, -margin)
-        torch.testing.assert_close(here[0, :, inner, inner], inputs[i, :, *part][:, inner, inner])
-    all_of_it = next(window for window in windows if window.share == 1)
-    small = whole[..., ::2, ::2]
-    torch.testing.assert_close(inputs_in(small, all_of_it.place, 1.0), inputs_of(small))
+def test_windows_come_from_everywhere_and_know_where(rng: Generator) -> None:
+    side = 8
+    rows = torch.arange(20.0)[:, None].expand(20, 20)
+    seen = windows(torch.stack([rows, rows.T]).expand(200, -1, -1, -1), side, rng)
+    assert torch.equal(seen[:, 0, 1:] - seen[:, 0, :-1], torch.ones(200, side - 1, side))
+    for corner in (seen[:, 0, 0, 0], seen[:, 1, 0, 0]):
+        assert (corner.min(), corner.max()) == (0, 20 - side)
+
+
+@pytest.mark.usefixtures("weights")
+def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
+    """Gloss is read off an overview, which says the same of a patch in any window and at any resolution."""
+    side = 64
+    made = [variants(torch.rand(2, 10, 128, 128, generator=rng), torch.ones(2, 4), side, rng) for _ in range(12)]
+    whole = [float(each["inputs"][:, -2:].std()) > 0.5 for each in made]
+    assert set(whole) == {True, False}
+    for each, seen in zip(made, whole, strict=True):
+        assert each["overview"].shape == (2, 3, OVERVIEW, OVERVIEW)
+        assert each["photo"].shape[-1] == each["maps"].shape[-1] == each["inputs"].shape[-1] == side
+        if seen:
+            torch.testing.assert_close(inputs_of(each["photo"]), each["inputs"])
+            coarse = torch.nn.functional.avg_pool2d(each["overview"], OVERVIEW)
+            torch.testing.assert_close(each["photo"].mean((2, 3), keepdim=True), coarse)
+    fine = torch.rand(1, 3, 512, 512, generator=rng)
+    smooth = torch.nn.functional.avg_pool2d(fine, 2)
+    torch.testing.assert_close(overview_of(fine), overview_of(smooth))
+    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    untrained = encoder.init(rng)
+    trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
+    overview, middle = overview_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
+    window = (smooth[middle], positions(256, 256)[None][middle])
+    for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
+        read, other = (encoder(parameters, *window, each)["z"] for each in (overview, overview.flip(3)))
+        assert torch.allclose(read, other, atol=1e-5) == same
 
 
 def test_relief_beside_other_colours_keeps_what_is_known_of_it(rng: Generator) -> None:
@@ -155,7 +172,7 @@ def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.Monk
 def test_what_is_made_up_counts_nothing(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batch = app.outer_sample(app.augment(tasks, rng), rng, 1)
+    batch = app.sample(app.augment(tasks, rng), rng, 1)
     batch["known"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
     parts = [part.clone().requires_grad_() for part in unpack(0.9 * batch["maps"] + 0.01)]
     value = losses(app, Maps(*parts), batch, monkeypatch)
@@ -170,7 +187,7 @@ def test_relief_that_a_photo_does_not_tell_is_best_left_out(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where slopes may as well go the other way, flat maps are better than either; where they are known, the truth."""
-    batch = app.outer_sample(app.augment(tasks, rng), rng, 1)
+    batch = app.sample(app.augment(tasks, rng), rng, 1)
     truth = unpack(batch["maps"])
     turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
     flat = truth._replace(normal=torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(truth.normal))
@@ -200,4 +217,24 @@ def test_without_the_weights_it_says_how_to_get_them(metapp: Callable, tmp_path:
     assert done.code == 1
     assert "get them by metapp data vgg, or fit by --recipe full" in " ".join(done.err.split())
     assert "Traceback" not in done.err
-    assert plan(Request(APP, "general", observe="photo")).request.recipe == "full"
+
+
+@pytest.mark.parametrize("has", [True, False])
+def test_it_is_the_default_of_general_where_weights_are(
+    request: pytest.FixtureRequest, metapp: Callable, tmp_path: Path, has: bool
+) -> None:
+    """Else the smaller network, which is said; other paradigms and protocols have no files for it."""
+    if has:
+        request.getfixturevalue("weights")
+    assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
+
+    def chosen(paradigm: str, **options: object) -> str:
+        return plan(Request(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)).request.recipe
+
+    assert chosen("general") == ("pretrained" if has else "full")
+    assert chosen("general", recipe="full") == chosen("meta") == chosen("quickft") == "full"
+    assert chosen("general", observe="reference") == "full"
+    done = metapp("general", APP, "--observe", "photo", "--data", tmp_path / "set", "--out", tmp_path / "runs")
+    said = " ".join(done.err.split())
+    assert ("the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them" in said) != has
+    assert done.code == has  # these weights are not those that the checkpoint was trained with
