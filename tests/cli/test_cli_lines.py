@@ -55,7 +55,9 @@ def test_what_fails_is_a_line_and_ends_nothing(answers: Callable, networks: Path
     assert missing["input"] == r"no\udcffwhere"  # text, as JSON in UTF-8 has no lone surrogates
     assert missing["failure"] == r"no\udcffwhere: no such file or folder; give existing input files."
     assert fitted["tasks"][0]["name"] == "m2"
-    assert errors == "error: 2 of 3 inputs were not fitted.\n"
+    note, last = errors.splitlines()
+    assert note.startswith("m2: reflects 1.13 of the light")
+    assert last == "error: 2 of 3 inputs were not fitted."
 
 
 def test_an_error_that_nobody_foresaw_is_a_line_too(

@@ -38,10 +38,10 @@ def test_every_field_of_a_request_but_objects_is_an_option() -> None:
     assert {field.name for field in fields(Request)} == OPTIONS.keys() | {"paradigm", "objects", "options"}
 
 
-OWN = {"observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene-root"}
+OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene-root"}
 SHOWN = {
     "": set(),
-    "brdf": {"export"},
+    "brdf": {"export", "conserve"},
     "texture": {"export", "size", "detail"},
     "svbrdf_stationary": {"export", "size", "detail", "fov"},
     "svbrdf_nonstationary": {"observe", "export", "fov", "exposure"},
