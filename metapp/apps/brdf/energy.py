@@ -43,9 +43,9 @@ def quadrature() -> tuple[Tensor, Tensor]:
     return directions_to_rusinkiewicz(wi[:, None].expand_as(wo), wo), weights
 
 
-def places() -> Tensor:
-    """The pairs of `quadrature` as networks read them, [7, 16 N] float32."""
-    return half_difference_incident(quadrature()[0].flatten(0, 1)).float().T
+def places(theta: Tensor) -> Tensor:
+    """The pairs of `quadrature` as networks read them, [T, 7, 16 N], for parameters [T, ...] like these."""
+    return half_difference_incident(quadrature()[0].flatten(0, 1)).to(theta).T.expand(len(theta), -1, -1)
 
 
 def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
@@ -70,7 +70,9 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
         last: the layer, [3, F].
     """
     angles, weights = quadrature()
-    features, layer, (cosine, other, *_) = features.double(), last.double(), cosines(angles.flatten(0, 1))
+    features, layer, (cosine, other, *_) = features.double().cpu(), last.double().cpu(), cosines(angles.flatten(0, 1))
+    if not layer.isfinite().all():
+        return last  # such fits are refused
     identity = torch.eye(len(features), dtype=features.dtype)
     limited = torch.expm1(layer @ features).clamp_min(0)
 

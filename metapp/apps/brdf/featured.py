@@ -125,7 +125,7 @@ class Featured(BrdfNetwork):
 
     def conserved(self, theta: Params) -> Params:
         """With a last layer that reflects no more than all."""
-        features = self.features_of(theta, places().expand(len(theta["last"]), -1, -1))
+        features = self.features_of(theta, places(theta["last"]))
         last = [conserving(*each) for each in zip(features, theta["last"], strict=True)]
         return theta | {"last": torch.stack(last)}
 

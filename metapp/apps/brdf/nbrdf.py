@@ -63,7 +63,7 @@ class Nbrdf(BrdfNetwork):
 
     def conserved(self, theta: Params) -> Params:
         """With a last layer that reflects no more than all."""
-        x = hidden(theta, places().expand(len(theta["w3"]), -1, -1))
+        x = hidden(theta, places(theta["w3"]))
         features = torch.cat([x, torch.ones_like(x[:, :1])], 1)
         layers = torch.cat([theta["w3"], theta["b3"]], 2)
         last = torch.stack([conserving(*each) for each in zip(features, layers, strict=True)])
