@@ -134,9 +134,8 @@ class Brdf(App):
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take metapp meta --recipe anisotropic")
         remarks: dict[str, object] = {}
         if not self.setup.anisotropic:
-            shares = albedo(
-                functools.partial(self.reflectance, {key: value.cpu() for key, value in theta.items()})
-            ).amax(1)
+            here = {key: value.cpu() for key, value in theta.items()}
+            shares = albedo(functools.partial(self.reflectance, here)).amax(1)
             remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
             if (most := float(shares.amax())) > EXCESSIVE:
                 angle = math.degrees(INCIDENT_RAD[shares.argmax()])

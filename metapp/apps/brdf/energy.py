@@ -73,7 +73,7 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
     features, layer, (cosine, other, *_) = features.double().cpu(), last.double().cpu(), cosines(angles.flatten(0, 1))
     if not layer.isfinite().all():
         return last  # such fits are refused
-    identity = torch.eye(len(features), dtype=features.dtype)
+    both_rad = torch.stack([cosine, other]).clamp(0, 1).arccos()
     limited = torch.expm1(layer @ features).clamp_min(0)
 
     def shares() -> Tensor:
@@ -85,15 +85,12 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
         if (share := shares()).amax() <= 1:
             break
         excess = torch.where(share > 1, share / MOST, 1.0)
-        of_both = [
-            torch.from_numpy(np.interp(each.clamp(0, 1).arccos(), INCIDENT_RAD, excess)) for each in (cosine, other)
-        ]
-        limited = limited / torch.maximum(*of_both)
+        limited = limited / torch.as_tensor(np.interp(both_rad, INCIDENT_RAD, excess)).amax(0)
         # of log(1 + f cos theta), which fits are judged by, in log(1 + f)
         slope = cosine * (1 + limited) / (1 + limited * cosine)
         weighted = features * slope.square()[:, None]
         gram = weighted @ features.T
-        penalty = PENALTY * gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None] * identity
+        penalty = PENALTY * gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None] * torch.eye(len(features)).to(gram)
         off = torch.log1p(limited) - layer @ features
         layer = layer + torch.linalg.solve(gram + penalty, weighted @ off[..., None])[..., 0]
     while shares().amax() > 1:
@@ -110,8 +107,6 @@ def with_conservation(recipe: Recipe, value: object) -> Recipe:
     setups = [setup for setup in (recipe.setup, *(each.setup for each in recipe.meta.values())) if setup]
     if any(not hasattr(setup, "conserve") or setup.anisotropic for setup in setups):
         raise ValueError("expected networks of isotropic BRDFs, as of --recipe full or quick")
-    meta = {
-        name: each if each.setup is None else replace(each, setup=replace(each.setup, conserve=value))
-        for name, each in recipe.meta.items()
-    }
+    own = {name: each.setup and replace(each.setup, conserve=value) for name, each in recipe.meta.items()}
+    meta = {name: replace(each, setup=own[name]) for name, each in recipe.meta.items()}
     return replace(recipe, setup=replace(recipe.setup, conserve=value), meta=meta)

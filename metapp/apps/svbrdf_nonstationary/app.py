@@ -194,7 +194,7 @@ class SvbrdfNonstationary(CodedApp):
         photo = self._photo_loss(theta, maps, batch, {})
         steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
         apart = differences(maps, target)
-        hidden = blots(apart[0], batch["photo"], clipping_of(batch["photo"]))
+        hidden = blots(apart[0], batch["photo"])
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
         return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
@@ -290,7 +290,7 @@ class SvbrdfNonstationary(CodedApp):
             "ssim": ssim(pictures, target_pictures).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
-            "blots": blots(parts["diffuse"], photo, clipping_of(photo)),
+            "blots": blots(parts["diffuse"], photo),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
 
@@ -310,22 +310,10 @@ def _steepness(maps: Maps) -> Tensor:
     return adaptive_avg_pool2d(tilt(maps.normal), CELLS) + 2 * LEVEL
 
 
-def _clips(photo: Tensor) -> Tensor:
-    """1 where photographs [T, 3, H, W] clip, else 0, [T, 1, H, W]."""
-    return (photo > CLIPPED).any(1, keepdim=True).float()
-
-
-def clipping_of(photo: Tensor) -> Tensor:
-    """The share of photographs [T, 3, H, W] that clips, [T]."""
-    return _clips(photo).mean((1, 2, 3))
-
-
-def blots(diffuse: Tensor, photo: Tensor, clipping: Tensor) -> Tensor:
-    """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T].
-
-    Of a part of each picture, `clipping` [T] is the share of the whole one, by which parts have that mean on average.
-    """
-    return (diffuse.abs() * _clips(photo)).mean((1, 2, 3)) / clipping.clamp_min(1e-6)
+def blots(diffuse: Tensor, photo: Tensor) -> Tensor:
+    """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T]."""
+    clips = (photo > CLIPPED).any(1, keepdim=True).float()
+    return (diffuse.abs() * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
 
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:

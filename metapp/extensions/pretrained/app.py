@@ -19,7 +19,6 @@ from metapp.apps.svbrdf_nonstationary.app import (
     MaterialSetup,
     SvbrdfNonstationary,
     blots,
-    clipping_of,
 )
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, differences, inputs_of
@@ -102,7 +101,7 @@ class FromFeatures(SvbrdfNonstationary):
         squared = apart[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
         off = torch.stack([part.abs().mean((1, 2, 3)) for part in (*apart[:-1], squared)], 1)
         wanted = (off * known * off.new_tensor(WEIGHTS)).sum(1)
-        hidden = known[:, 0] * blots(apart[0], batch["photo"], clipping_of(batch["photo"]))
+        hidden = known[:, 0] * blots(apart[0], batch["photo"])
         shown = known[:, 1:3, None, None, None] > 0  # of what is made up, pictures say nothing
         specular = torch.where(shown[:, 0], maps.specular, target.specular)
         roughness = torch.where(shown[:, 1], maps.roughness, target.roughness)
