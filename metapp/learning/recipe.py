@@ -133,7 +133,9 @@ class Recipe:
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
 
-def as_published(recipe: Recipe, setup: Setup, *, tasks: int = 5, order: int = 1, augment: bool = True) -> Recipe:
+def as_published(
+    recipe: Recipe, setup: Setup, *, tasks: int = 5, order: int = 1, validate_every: int = 250, augment: bool = True
+) -> Recipe:
     """The recipe of Fischer & Ritschel 2022: MAML with Meta-SGD from a random initialisation, Overfit for 10,000 steps.
 
     Outer steps, rates and weight decay are those of the authors' code (config/*.yaml of mfischer-ucl/metappearance),
@@ -144,6 +146,7 @@ def as_published(recipe: Recipe, setup: Setup, *, tasks: int = 5, order: int = 1
         setup: the sizes of the paper's network.
         tasks: the meta-batch.
         order: derivative carried through the inner steps.
+        validate_every: outer steps between two validations.
         augment: train on augmented tasks.
     """
     training = MetaTraining(
@@ -154,6 +157,7 @@ def as_published(recipe: Recipe, setup: Setup, *, tasks: int = 5, order: int = 1
         decay=1e-6,
         order=order,
         clip=10.0,
+        validate_every=validate_every,
         augment=augment,
         initialisation="random",
     )

@@ -24,6 +24,7 @@ PAPER = as_published(
     QUICK,
     ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
     tasks=3,
+    validate_every=50,
 )
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
 RECIPES |= smaller(PAPER, lambda side: replace(PAPER.setup, height=side, width=side))
