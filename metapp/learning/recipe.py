@@ -133,9 +133,7 @@ class Recipe:
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
 
-def as_published(
-    recipe: Recipe, setup: Setup, *, tasks: int = 5, order: int = 1, validate_every: int = 250, augment: bool = True
-) -> Recipe:
+def as_published(recipe: Recipe, setup: Setup, **changes: Any) -> Recipe:
     """The recipe of Fischer & Ritschel 2022: MAML with Meta-SGD from a random initialisation, Overfit for 10,000 steps.
 
     Outer steps, rates and weight decay are those of the authors' code (config/*.yaml of mfischer-ucl/metappearance),
@@ -144,22 +142,17 @@ def as_published(
     Args:
         recipe: what it is like in all else.
         setup: the sizes of the paper's network.
-        tasks: the meta-batch.
-        order: derivative carried through the inner steps.
-        validate_every: outer steps between two validations.
-        augment: train on augmented tasks.
+        changes: fields of the training where it is not of first order with a meta-batch of 5.
     """
     training = MetaTraining(
         steps=1_000_000,
-        tasks=tasks,
+        tasks=5,
         rates={"": 1e-4},
         first=Adam(1e-3),
         decay=1e-6,
-        order=order,
+        order=1,
         clip=10.0,
-        validate_every=validate_every,
-        augment=augment,
         initialisation="random",
     )
-    meta = {"meta-sgd": training}
+    meta = {"meta-sgd": replace(training, **changes)}
     return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", setup=setup)

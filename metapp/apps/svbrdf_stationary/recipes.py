@@ -20,11 +20,7 @@ QUICK = generator(
 )
 FULL = pyramid(QUICK, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR, layout=True)
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
-PAPER = as_published(
-    QUICK,
-    ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
-    tasks=3,
-    validate_every=50,
-)
+SETUP = ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3"))
+PAPER = as_published(QUICK, SETUP, tasks=3, validate_every=50)
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
-RECIPES |= smaller(PAPER, lambda side: replace(PAPER.setup, height=side, width=side))
+RECIPES |= smaller(PAPER, lambda side: replace(SETUP, height=side, width=side))

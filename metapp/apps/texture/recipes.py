@@ -19,10 +19,7 @@ QUICK = generator(
 )
 FULL = pyramid(QUICK, searched=Adam(4.4e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4, layout=True)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
-PAPER = as_published(
-    QUICK,
-    ExemplarSetup(192, 256, UNet(32), ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")),
-    validate_every=50,
-)
+SETUP = ExemplarSetup(192, 256, UNet(32), ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"))
+PAPER = as_published(QUICK, SETUP, validate_every=50)
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
-RECIPES |= smaller(PAPER, lambda side: replace(PAPER.setup, height=side, width=side))
+RECIPES |= smaller(PAPER, lambda side: replace(SETUP, height=side, width=side))
