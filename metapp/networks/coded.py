@@ -90,9 +90,10 @@ def reader_of(encoder: Params) -> Params:
 
 
 def with_decoder(own: Params, encoder: Params) -> Params:
-    """Tasks' own parameters, `z` [T, ...] among them, and those of General's decoder, the same for each."""
+    """Tasks' own parameters [T, ...], and those of General's decoder, the same for each."""
     shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
-    return own | {key: value.expand(len(own["z"]), *value.shape) for key, value in shared.items()}
+    count = len(next(iter(own.values())))
+    return own | {key: value.expand(count, *value.shape) for key, value in shared.items()}
 
 
 def norm(difference: Tensor, learned: Params) -> Tensor:

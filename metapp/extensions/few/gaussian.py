@@ -3,7 +3,8 @@
 Logarithms of reflectance are what it adds up, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
 Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
 weights, so that one ridge regression gives its mean, and its covariance says what the samples leave open:
-`metapp.extensions.few.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes.
+`metapp.extensions.few.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes. There is
+a Gaussian for each kind of materials; samples say by their likelihood which one holds.
 """
 
 from __future__ import annotations
@@ -75,3 +76,21 @@ def linear(theta: Params, batch: Batch) -> Linear:
     weights = precision(theta, slope) * batch["count"][:, None]
     losses = (slope * (opponent(theta) @ residual)).abs().mean((1, 2))
     return Linear("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
+
+
+def evidence(theta: Params, batch: Batch) -> Tensor:
+    """The log likelihood [T] of the samples under the model, but for what is the same for all models of this noise.
+
+    With weights integrated out: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, section 2.1.
+    """
+    at = linear(theta, batch)
+    features, residual = at.features.double(), at.residual.double()
+    weights = at.weights.double()[:, None] / features.shape[-1]
+    prior = torch.diag_embed(torch.exp(-2 * theta["deviation"].double()))
+    factor = torch.linalg.cholesky((features * weights @ features.mT)[:, None] + prior)
+    moment = (residual * weights) @ features.mT
+    solved = torch.cholesky_solve(moment[..., None], factor)[..., 0]
+    missed = (weights * residual.square()).sum((1, 2)) - (moment * solved).sum((1, 2))
+    volume = 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum((1, 2)) + 2 * theta["deviation"].double().sum((1, 2))
+    result: Tensor = -(missed + volume) / 2
+    return result

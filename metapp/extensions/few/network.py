@@ -1,4 +1,4 @@
-"""The network of fits of few samples: the linear Gaussian model of `metapp.extensions.few.gaussian`."""
+"""The network of fits of few samples: the linear Gaussian models of `metapp.extensions.few.gaussian`, one a kind."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from metapp.extensions.few.design import Posterior, expected_errors
 from metapp.extensions.few.gaussian import DARKEST, opponent, slope_of
 from metapp.extensions.few.noise import factors
 from metapp.learning.task import Batch, Linear, Params, Tasks
+from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 MOST = 1024  # samples of which a material has few at most
 SHORT = 512  # samples of shorter batches
@@ -25,6 +26,7 @@ NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy
 POLAR = 3  # the power that crowds theta_h around 0
 LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
 NOISE = (3.4, -3.0, 0.5)  # before training: see `gaussian.precision`
+OF_KINDS = ("w3", "b3", "last", "deviation")
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,16 @@ class Few(BrdfNetwork):
     Attributes:
         width: of the two hidden layers.
         features: learned ones; a constant is one more.
+        kinds: of materials; each has a mean, deviations and features in which its materials vary independently.
     """
 
     width: int = 128
-    features: int = 100
+    features: int = 101
+    kinds: int = 3
 
     @property
     def own(self) -> tuple[str, ...]:
-        return ("last",)
+        return OF_KINDS
 
     @property
     def solves(self) -> str:
@@ -64,6 +68,25 @@ class Few(BrdfNetwork):
         theta["deviation"] = deviations[:, None].expand_as(theta["last"]).contiguous()
         theta["noise"] = torch.tensor(NOISE, device=rng.device)
         return {key: value.expand(count, *value.shape) for key, value in theta.items()}
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """What all materials share, and OF_KINDS for each kind, [kinds, ...]."""
+        theta = self.init(rng, self.kinds)
+        return encoder_of({key: theta[key] for key in OF_KINDS}, theta, OF_KINDS)
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """Parameters of the kind that is likeliest to have made the samples, as `sample` gives them."""
+        kinds = reader_of(encoder)
+        count = len(condition["where"])
+        every = [self.of_kinds(encoder, torch.full((count,), kind)) for kind in range(len(kinds["last"]))]
+        with torch.no_grad():
+            likeliest = torch.stack([gaussian.evidence(theta, condition) for theta in every]).argmax(0)
+        return self.of_kinds(encoder, likeliest)
+
+    def of_kinds(self, encoder: Params, which: Tensor) -> Params:
+        """Parameters [T, ...] of materials of these kinds, int [T]."""
+        which = which.to(encoder["encoder.last"].device)
+        return with_decoder({key: value[which] for key, value in reader_of(encoder).items()}, encoder)
 
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
         return gaussian.reflectance_of(theta, where)

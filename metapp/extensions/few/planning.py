@@ -14,6 +14,7 @@ from metapp.appearance.geometry import directions_to_full_circle, outgoing_cosin
 from metapp.extensions.few import gaussian
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.gonio import read_pairs
+from metapp.extensions.few.network import NETWORK
 from metapp.learning.task import Params
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.outputs.recorded import read_run
@@ -56,22 +57,23 @@ def plan_brdf(count: int, limits: Limits, after: Path | None = None, seed: int =
     request = Request("brdf", "meta", recipe=RECIPE, device="cpu", quiet=True)
     planned = find_checkpoint(plan_of(request))
     assert planned.checkpoint is not None  # or it would have been refused
-    theta = {key: value[None] for key, value in planned.checkpoint.prepared.theta.items()}
+    encoder = planned.checkpoint.prepared.encoder
     before = read_pairs(_file_of(after)) if after else Pairs(*(torch.zeros(0, 3, dtype=torch.float64),) * 3)
     seen = directions_to_full_circle(before.wi, before.wo)
-    if len(seen):
-        theta = fitted(theta, seen, before.reflectance)
+    # before anything is measured, of the first kind: measured materials
+    theta = fitted(encoder, seen, before.reflectance) if len(seen) else NETWORK.of_kinds(encoder, torch.zeros(1).long())
     wi, wo = plan(theta, count, limits, seen, Generator().manual_seed(seed))
     every = torch.cat([seen.float(), directions_to_full_circle(wi, wo)])
     (low, first), (high, then) = open_errors(theta, seen.float()), open_errors(theta, every)
     return Planned(wi, wo, before, (low, high), (first, then))
 
 
-def fitted(theta: Params, angles: Tensor, reflectance: Tensor) -> Params:
-    """The model [1, ...] after samples: angles [N, 3] in rad and reflectance [N, 3] in 1/sr."""
+def fitted(encoder: Params, angles: Tensor, reflectance: Tensor) -> Params:
+    """The likeliest model [1, ...] after samples: angles [N, 3] in rad and reflectance [N, 3] in 1/sr."""
     where = places_of(angles.float())
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
     batch = {"where": where, "target": target, "count": torch.tensor([float(len(angles))])}
+    theta = NETWORK.encode(encoder, batch)
     linear = gaussian.linear(theta, batch)
     posterior = Posterior.of(theta, where, gaussian.slope_of(reflectance.T[None].float(), where))
     moment = (linear.residual[0] * linear.weights[0] / len(angles)) @ linear.features[0].T

@@ -15,8 +15,7 @@ FEW = replace(
         "ridge": replace(
             RIDGE,
             tasks=12,
-            rates=RIDGE.rates | dict.fromkeys(("theta.last", "theta.deviation", "theta.noise"), 1e-2),
-            initialisation="random",
+            rates=RIDGE.rates | dict.fromkeys(("encoder.encoder.", "encoder.decoder.noise"), 1e-2),
             validate_every=1000,
             setup=NETWORK,
         )

@@ -16,6 +16,7 @@ from metapp.extensions.few.design import CALIBRATED, Limits, Posterior, expected
 from metapp.extensions.few.gaussian import (
     DARKEST,
     cosine_product,
+    evidence,
     features_of,
     linear,
     opponent,
@@ -97,6 +98,34 @@ def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor)
         moment = at.features[0] * at.weights[0] / where.shape[2] @ at.residual[0, axis]
         torch.testing.assert_close(torch.linalg.solve(gram, moment), change)
         torch.testing.assert_close(posterior.covariance[axis], torch.linalg.inv(rows.T @ rows))
+
+
+def test_evidence_is_the_likelihood_of_samples(theta: Params, where: Tensor) -> None:
+    """Differences between models are those of the normal distributions of the logarithms, written out."""
+    batch, logs = batch_of(theta, where), []
+    for model in (theta, theta | {"last": theta["last"] + 0.2, "deviation": theta["deviation"] - 0.3}):
+        features = features_of(model, where)[0]
+        weights = precision(model, slope_of(batch["target"].expm1() / where[:, 6:7], where))[0]
+        at = linear(model, batch).residual[0]
+        spread = model["deviation"][0].exp().square()
+        covariances = torch.einsum("fn,cf,fm->cnm", features, spread, features) + torch.diag(1 / weights)
+        normal = torch.distributions.MultivariateNormal(torch.zeros_like(at), covariances)
+        logs.append((evidence(model, batch)[0], normal.log_prob(at).sum()))
+    (first, wanted), (second, other) = logs
+    torch.testing.assert_close(first - second, wanted - other)
+
+
+def test_samples_say_which_kind_of_material_they_are_of(theta: Params, where: Tensor) -> None:
+    rng, size = Generator().manual_seed(6), Few(width=12, features=7, kinds=3)
+    encoder = {key: value.double() for key, value in size.init_encoder(rng).items()}
+    encoder["encoder.last"] = 0.5 * torch.randn(3, 3, 8, generator=rng).double()
+    encoder["encoder.deviation"] -= torch.tensor([0.0, 0.5, 1.0])[:, None, None].double()
+    models = [size.of_kinds(encoder, torch.tensor([kind])) for kind in range(3)]
+    batches = [batch_of(model, where) for model in models]
+    batch = {key: torch.cat([each[key] for each in batches]) for key in batches[0]}
+    found = size.encode(encoder, batch)
+    assert torch.equal(found["last"], encoder["encoder.last"])
+    assert found["w1"].shape == (3, 12, 15)
 
 
 def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, where: Tensor) -> None:
