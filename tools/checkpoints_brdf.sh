@@ -33,9 +33,9 @@ ship "three-*-quick-seed0" ""
 "$metapp" meta brdf --recipe few --data "$runs/data/joint" --out "$runs" --train --train-steps 12000
 few=metapp/extensions/few/checkpoints
 ship "joint-*-few-seed0" few $few
-# and the kinds of materials that it knows, each estimated of a data set
+# and the kinds of materials that it knows beside all of these
 "$(dirname "$metapp")/python" tools/few_kinds.py $few/few/ridge.safetensors $few/few/ridge.safetensors \
-  "$runs/data/nbrdf-merl" "$runs/data/nbrdf-rgl" "$runs/data/synthetic"
+  "$runs/data/nbrdf-merl" "$runs/data/nbrdf-rgl"
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic" --overwrite
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
 ship "anisotropic-*-anisotropic-seed0" anisotropic

@@ -79,18 +79,19 @@ def linear(theta: Params, batch: Batch) -> Linear:
 
 
 def evidence(theta: Params, batch: Batch) -> Tensor:
-    """The log likelihood [T] of the samples under the model, but for what is the same for all models of this noise.
+    """The log likelihood [T] of the samples under the model, but for a constant.
 
     With weights integrated out: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, section 2.1.
     """
     at = linear(theta, batch)
     features, residual = at.features.double(), at.residual.double()
-    weights = at.weights.double()[:, None] / features.shape[-1]
+    weights, count = at.weights.double()[:, None] / features.shape[-1], batch["count"]
     prior = torch.diag_embed(torch.exp(-2 * theta["deviation"].double()))
     factor = torch.linalg.cholesky((features * weights @ features.mT)[:, None] + prior)
     moment = (residual * weights) @ features.mT
     solved = torch.cholesky_solve(moment[..., None], factor)[..., 0]
     missed = (weights * residual.square()).sum((1, 2)) - (moment * solved).sum((1, 2))
     volume = 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum((1, 2)) + 2 * theta["deviation"].double().sum((1, 2))
-    result: Tensor = -(missed + volume) / 2
+    precisions = 3 * count * (at.weights.double() / count[:, None]).log().mean(1)
+    result: Tensor = (precisions - missed - volume) / 2
     return result

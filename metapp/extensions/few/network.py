@@ -26,7 +26,7 @@ NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy
 POLAR = 3  # the power that crowds theta_h around 0
 LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
 NOISE = (3.4, -3.0, 0.5)  # before training: see `gaussian.precision`
-OF_KINDS = ("w3", "b3", "last", "deviation")
+OF_KINDS = ("w3", "b3", "last", "deviation", "noise")
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Few(BrdfNetwork):
     """
 
     width: int = 128
-    features: int = 101
+    features: int = 100
     kinds: int = 3
 
     @property
