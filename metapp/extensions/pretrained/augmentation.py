@@ -19,7 +19,7 @@ from metapp.apps.svbrdf_nonstationary.variants import (
     some,
     turned_crops,
 )
-from metapp.extensions.pretrained.encoder import overview_of
+from metapp.extensions.pretrained.encoder import guess_of, overview_of
 from metapp.learning.task import Batch
 
 PATCH = (0.4, 0.7)  # the side of a photographed patch, of the side of a material's maps
@@ -52,20 +52,20 @@ def variants(fine: Tensor, known: Tensor, side: int, rng: Generator) -> Batch:
     """Augmented materials of maps [T, 10, S, S]: windows of side x side texels of photographs of twice the side.
 
     Returns:
-        `photo` [T, 3, side, side], linear, and `overview` of the patch; `inputs`, the field's, [T, 8, side, side];
-        `maps` and `known`.
+        `photo` [T, 3, side, side], linear, `overview` and `guess` of the patch; `inputs`, the field's,
+        [T, 8, side, side]; `maps` and `known`.
     """
     maps = some(restyled, pieces(fine, 2 * side, rng), RESTYLED[0], rng)
     maps, known = crossed(some(restyled, recoloured(maps, rng), RESTYLED[1], rng), known, rng)
     photo = photographs(maps, rng)
-    overview = overview_of(photo)
+    whole = {"overview": overview_of(photo), "guess": guess_of(photo)}
     if float(torch.rand(1, generator=rng, device=rng.device)) < WHOLE:
         photo, maps = avg_pool2d(photo, 2), pooled(maps, (side, side))
         inputs = inputs_of(photo)
     else:
         parts = (3, INPUTS, maps.shape[1])
         photo, inputs, maps = windows(torch.cat([photo, inputs_of(photo), maps], 1), side, rng).split(parts, 1)
-    return {"photo": photo, "overview": overview, "inputs": inputs, "maps": maps, "known": known}
+    return {"photo": photo, "inputs": inputs, "maps": maps, "known": known} | whole
 
 
 def windows(pictures: Tensor, side: int, rng: Generator) -> Tensor:

@@ -6,6 +6,7 @@ What is trained is the decoder; VGG's weights are those that `metapp data vgg` k
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -16,10 +17,14 @@ from torch.nn.functional import avg_pool2d, grid_sample, interpolate, leaky_relu
 from metapp.appearance.features import load_features, weights_path
 from metapp.appearance.flash import positions
 from metapp.appearance.precision import in_bfloat16
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import SLOPE, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED
+from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, dense
+from metapp.runs.checkpoints.shipped import FULL, shipped_path
+from metapp.storage.records import load_checkpoint
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
 LARGEST = 1 << (len(TAPS) - 1)  # what the sides of photographs must be multiples of
@@ -32,12 +37,14 @@ AT = 2  # the level that deviations are read at, a quarter of the photograph's s
 OVERVIEW = 32  # side in px of the overview: highlights have the same size in it whatever a photograph's resolution
 COARSER = 4  # how many times as coarse its second level is
 OVERVIEWS = (32, 48)  # channels of its levels
+GUESS, DARK = 3, 0.01  # channels of what the smaller network makes of a photograph; what is added before logs
 
 
 class FeatureEncoder(NamedTuple):
-    """A decoder over features of VGG-16, whose levels all know the photograph and an overview of it.
+    """A decoder over features of VGG-16, whose levels all know the photograph, an overview, and a guess.
 
-    Features have the size of pixels, highlights that of the patch: gloss is read off a small picture of all of it.
+    Features have the size of pixels, highlights that of the patch: gloss is read off a small picture of all of it, and
+    off the maps that General by the recipe "full" makes, which was trained on ten times as many materials.
 
     Attributes:
         code: length of the code in a pixel.
@@ -68,6 +75,7 @@ class FeatureEncoder(NamedTuple):
             add_layer(encoder, rng, f"level{level}.second", width, width, 3, 3, gain=0.7)
             add_layer(encoder, rng, f"level{level}.mean", width, width, gain=0.5)
             add_layer(encoder, rng, f"level{level}.overview", width, sum(OVERVIEWS), gain=0.0)
+            add_layer(encoder, rng, f"level{level}.guess", width, GUESS, gain=0.0)
         for level, (width, below) in enumerate(zip(OVERVIEWS, (KNOWN, *OVERVIEWS), strict=False)):
             add_layer(encoder, rng, f"overview{level}.first", width, below, 3, 3)
             add_layer(encoder, rng, f"overview{level}.second", width, width, 3, 3, gain=0.7)
@@ -80,7 +88,12 @@ class FeatureEncoder(NamedTuple):
         return encoder
 
     def __call__(
-        self, encoder: Params, photos: Tensor, place: Tensor | None = None, overview: Tensor | None = None
+        self,
+        encoder: Params,
+        photos: Tensor,
+        place: Tensor | None = None,
+        overview: Tensor | None = None,
+        guess: Tensor | None = None,
     ) -> Params:
         """Read linear photographs [T, 3, H, H], H a multiple of LARGEST.
 
@@ -88,7 +101,8 @@ class FeatureEncoder(NamedTuple):
             encoder: the decoder's parameters.
             photos: of any exposure and white balance.
             place: where the pixels are, [T, 2, H, H]; None where they show all of the patch.
-            overview: as `overview_of` makes it of all of the patch; None where the photographs show that.
+            overview, guess: as `overview_of` and `guess_of` make them of all of the patch; None where the photographs
+                show that.
 
         Returns:
             `z`, the code [T, code, H, H], `flash` [T, flash], and, if it says any, `deviation`
@@ -102,6 +116,7 @@ class FeatureEncoder(NamedTuple):
         if place is None:
             place = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
         overview = overview_of(photos) if overview is None else overview
+        guess = guess_of(photos) if guess is None else guess
         mean = overview.mean((2, 3), keepdim=True)
         balanced, known = _balanced(photos, place, mean)
         whole = positions(OVERVIEW, OVERVIEW, dtype=photos.dtype, device=photos.device)[None]
@@ -112,7 +127,9 @@ class FeatureEncoder(NamedTuple):
             for level, features in reversed(list(enumerate(_features(balanced)))):
                 here = pointwise(encoder, f"level{level}.features", features)
                 around = pointwise(encoder, f"level{level}.overview", surroundings)
-                here = leaky_relu(here + _at(around, avg_pool2d(place, 1 << level)).to(here), SLOPE)
+                there = pointwise(encoder, f"level{level}.guess", guess)
+                at = avg_pool2d(place, 1 << level)
+                here = leaky_relu(here + (_at(around, at) + _at(there, at)).to(here), SLOPE)
                 parts = [here, avg_pool2d(known, 1 << level).to(here)]
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
@@ -129,6 +146,27 @@ class FeatureEncoder(NamedTuple):
 def overview_of(photos: Tensor) -> Tensor:
     """Linear photographs [T, 3, H, W] of all of a patch at OVERVIEW px, [T, 3, OVERVIEW, OVERVIEW]."""
     return interpolate(avg_pool2d(photos, LARGEST), (OVERVIEW, OVERVIEW), mode="bilinear")
+
+
+@torch.no_grad()
+def guess_of(photos: Tensor) -> Tensor:
+    """What General by "full" makes of linear photographs [T, 3, H, W] of all of a patch, [T, GUESS, S, S], S its side.
+
+    Roughness, and the logs of mean specular and diffuse reflectance.
+    """
+    app, encoder = _smaller(photos.device)
+    photos = interpolate(photos, (app.field.height, app.field.width), mode="bilinear")
+    maps = app.maps_of(app.encode(encoder, {"photo": photos}), photos)
+    shades = [(each.mean(1, keepdim=True) + DARK).log() for each in (maps.specular, maps.diffuse)]
+    return torch.cat([maps.roughness, *shades], 1)
+
+
+@functools.cache
+def _smaller(device: torch.device) -> tuple[SvbrdfNonstationary, Params]:
+    """The application of the recipe "full", and the encoder of its General that ships."""
+    app = SvbrdfNonstationary(RECIPES["photo"][FULL].setup, "photo")
+    general, _ = load_checkpoint(shipped_path(app.name, "general-photo", FULL), device)
+    return app, general.encoder
 
 
 def lacks() -> str:

@@ -21,7 +21,16 @@ from metapp.apps.svbrdf_nonstationary.confidence import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
 from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
 from metapp.extensions.pretrained.augmentation import crossed, pieces, variants, windows
-from metapp.extensions.pretrained.encoder import OVERVIEW, FeatureEncoder, _balanced, overview_of
+from metapp.extensions.pretrained.encoder import (
+    DARK,
+    GUESS,
+    OVERVIEW,
+    FeatureEncoder,
+    _balanced,
+    _smaller,
+    guess_of,
+    overview_of,
+)
 from metapp.extensions.pretrained.recipe import PRETRAINED
 from metapp.learning.app import stack
 from metapp.learning.learn import descend, last
@@ -31,10 +40,12 @@ from metapp.paradigms import Job
 from metapp.paradigms.general import outer_problem
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
+from metapp.storage.records import tensor_digest
 from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
 SIDE = 32
+BESIDE = "f6bf608fb21e"  # the digest of General by "full" that the checkpoint's was trained beside
 RECIPE = replace(PRETRAINED, setup=PretrainedSetup(field_of(SIDE, 8)))
 
 
@@ -149,6 +160,33 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     window = (smooth[middle], positions(256, 256)[None][middle])
     for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
         read, other = (encoder(parameters, *window, each)["z"] for each in (overview, overview.flip(3)))
+        assert torch.allclose(read, other, atol=1e-5) == same
+
+
+def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
+    """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
+    assert tensor_digest(_smaller(torch.device("cpu"))[1]) == BESIDE, "train pretrained beside this General, too"
+    photo = torch.rand(1, 3, 256, 256, generator=rng)
+    guess = guess_of(photo)
+    small, smaller = app_of(APP, recipes_of(APP, "photo")["full"], "photo"), _smaller(torch.device("cpu"))[1]
+    assert isinstance(small, SvbrdfNonstationary)
+    with torch.no_grad():
+        maps = small.maps_of(small.encode(smaller, {"photo": photo}), photo)
+    assert guess.shape == (1, GUESS, 256, 256)
+    torch.testing.assert_close(guess[:, :1], maps.roughness)
+    torch.testing.assert_close(guess[:, 1:].exp() - DARK, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
+    twice = photo.repeat_interleave(2, 2).repeat_interleave(2, 3)
+    torch.testing.assert_close(guess_of(twice), guess)
+
+
+@pytest.mark.usefixtures("weights")
+def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
+    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    untrained = encoder.init(rng)
+    trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
+    photo, guess = torch.rand(1, 3, 32, 32, generator=rng), torch.rand(1, GUESS, 16, 16, generator=rng)
+    for parameters, same in ((untrained, True), (trained, False)):
+        read, other = (encoder(parameters, photo, guess=each)["z"] for each in (guess, 1 - guess))
         assert torch.allclose(read, other, atol=1e-5) == same
 
 
