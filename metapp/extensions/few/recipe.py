@@ -15,7 +15,7 @@ FEW = replace(
         "ridge": replace(
             RIDGE,
             tasks=12,
-            rates=RIDGE.rates | dict.fromkeys(("encoder.encoder.", "encoder.decoder.noise"), 1e-2),
+            rates=RIDGE.rates | {f"encoder.encoder.{own}": 1e-2 for own in ("last", "deviation", "noise")},
             validate_every=1000,
             setup=NETWORK,
         )
