@@ -55,7 +55,7 @@ def weights_of(theta: Params, batch: Params, mean: Tensor, inverse: Tensor) -> t
 
 
 def kind_of(theta: Params, materials: list[Params]) -> Params:
-    """`w3`, `b3`, `last` and `deviation` of a kind, without task axis."""
+    """OF_KINDS of a kind, without task axis."""
     first = torch.diag_embed(torch.exp(2 * theta["deviation"][0].double()))
     mean, covariance = theta["last"][0].double(), first
     for _ in range(ROUNDS):
@@ -95,6 +95,8 @@ def independent(covariance: Tensor) -> Tensor:
 
 def main(checkpoint: Path, target: Path, *data: Path) -> None:
     """Write the checkpoint with a kind for each data set, and the one that was trained."""
+    if len(data) != NETWORK.kinds - 1:
+        sys.exit(f"few_kinds: {len(data)} data sets, expected {NETWORK.kinds - 1}")
     prepared, about = load_checkpoint(checkpoint)
     trained = {key: prepared.encoder[f"encoder.{key}"][0] for key in OF_KINDS}
     theta = with_decoder({key: value[None] for key, value in trained.items()}, prepared.encoder)
@@ -103,8 +105,6 @@ def main(checkpoint: Path, target: Path, *data: Path) -> None:
     factor = torch.tensor(COMMON).log()
     trained |= {"deviation": trained["deviation"] + factor, "noise": trained["noise"] - 2 * factor * torch.eye(3)[0]}
     kinds.append(trained)
-    if len(kinds) != NETWORK.kinds:
-        sys.exit(f"few_kinds: {len(data)} data sets, expected {NETWORK.kinds - 1}")
     own = {f"encoder.{key}": torch.stack([kind[key] for kind in kinds]) for key in OF_KINDS}
     about |= {"kinds": [*(each.name for each in data), "all"]}
     save_checkpoint(target, prepared._replace(encoder=prepared.encoder | own), about)

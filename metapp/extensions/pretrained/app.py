@@ -30,7 +30,7 @@ from metapp.networks.coded import reader_of, with_decoder
 
 WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
 FLAT = 0.1  # of the slopes of untrained fields
-WHOLE = ("overview", "guess")  # what is read of all of a patch
+OF_PATCH = ("overview", "guess")  # what is read of all of a patch
 
 
 class FromFeatures(SvbrdfNonstationary):
@@ -74,14 +74,14 @@ class FromFeatures(SvbrdfNonstationary):
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         """The photographs; of windows the field's inputs, too, which say where they are, and what is read of it all."""
-        window = {key: tasks.data[key][tasks.rows] for key in ("inputs", *WHOLE) if key in tasks.data}
+        window = {key: tasks.data[key][tasks.rows] for key in ("inputs", *OF_PATCH) if key in tasks.data}
         return super().condition(tasks, rng) | window
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Of windows a code in each of their pixels."""
         if "inputs" not in condition:
             return super().encode(encoder, condition)
-        place, whole = condition["inputs"][:, -2:], {key: condition[key] for key in WHOLE if key in condition}
+        place, whole = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
         own = self.setup.encoder(reader_of(encoder), condition["photo"], place, **whole)
         own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
         return with_decoder(own, encoder)

@@ -127,9 +127,9 @@ class FeatureEncoder(NamedTuple):
             for level, features in reversed(list(enumerate(_features(balanced)))):
                 here = pointwise(encoder, f"level{level}.features", features)
                 around = pointwise(encoder, f"level{level}.overview", surroundings)
-                there = pointwise(encoder, f"level{level}.guess", guess)
                 at = avg_pool2d(place, 1 << level)
-                here = leaky_relu(here + (_at(around, at) + _at(there, at)).to(here), SLOPE)
+                guessed = pointwise(encoder, f"level{level}.guess", _at(guess, at))  # finer than levels: first
+                here = leaky_relu(here + _at(around, at).to(here) + guessed, SLOPE)
                 parts = [here, avg_pool2d(known, 1 << level).to(here)]
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
