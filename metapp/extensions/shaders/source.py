@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from importlib import resources
 
 from torch import Tensor
 
@@ -17,13 +18,6 @@ from metapp.appearance.lobes import LAST, NODES, Lobes
 from metapp.apps.brdf.network import Folded
 
 COMMON = """\
-fn float NAME_expm1(float x) {
-    if (x < 0.01) {
-        return x * (1.0 + x * (0.5 + x / 6.0));
-    }
-    return exp(x) - 1.0;
-}
-
 // Reflectance in 1/sr, linear RGB, without the cosine; wi and wo point away from the surface, whose normal is z.
 fn float3 NAME_eval(float3 wi, float3 wo) {
     if (min(wi.z, wo.z) <= 0.0) {
@@ -32,21 +26,13 @@ fn float3 NAME_eval(float3 wi, float3 wo) {
     let float3 total = wi + wo;
     let float len = length(total);
     let float3 h = total / len;
-    let float square = h.x * h.x + h.y * h.y;
-    var float sine = 0.0;
-    var float cos_phi = 1.0;
-    var float sin_phi = 0.0;
-    if (square > 0.0) {
-        sine = sqrt(square);
-        cos_phi = h.x / sine;
-        sin_phi = h.y / sine;
-    }
-    let float x = cos_phi * wi.x + sin_phi * wi.y;
-    let real half_x = real(sine);
+    let float3 angle = NAME_azimuth(h);
+    let float3 d = NAME_difference(wi, h, len);
+    let real half_x = real(angle.x);
     let real half_z = real(h.z);
-    let real d_x = real(h.z * x - sine * wi.z);
-    let real d_y = real(cos_phi * wi.y - sin_phi * wi.x);
-    let real d_z = real(0.5 * len);
+    let real d_x = real(d.x);
+    let real d_y = real(d.y);
+    let real d_z = real(d.z);
 LAYERS
 }
 
@@ -58,20 +44,8 @@ SHARES
     return shares;
 }
 
-// Density of a mirror at those facets of GGX roughness alpha that are visible from wo; wi may be below the surface.
-fn float NAME_facets(float3 wi, float3 wo, float alpha) {
-    let float3 total = wi + wo;
-    if (total.z <= 0.0) {
-        return 0.0;
-    }
-    let float3 h = normalize(total);
-    let float spread = (h.x * h.x + h.y * h.y) / (alpha * alpha) + h.z * h.z;
-    let float slope = alpha * alpha * (wo.x * wo.x + wo.y * wo.y) + wo.z * wo.z;
-    return 1.0 / (2.0 * PI * alpha * alpha * spread * spread * (wo.z + sqrt(slope)));
-}
-
-// The same with what goes below the surface mirrored up: it integrates to 1 over the directions above.
-fn float NAME_lobe(float3 wi, float3 wo, float alpha) {
+// NAME_facets with what goes below the surface mirrored up: it integrates to 1 over the directions above.
+fn float NAME_lobe(float3 wi, float3 wo, float3 alpha) {
     return NAME_facets(wi, wo, alpha) + NAME_facets(float3(wi.x, wi.y, -wi.z), wo, alpha);
 }
 
@@ -87,20 +61,16 @@ fn float NAME_pdf(float3 wi, float3 wo) {
 // A direction above the surface, of three numbers in [0, 1).
 fn float3 NAME_sample(float3 wo, float3 u) {
     let float3 shares = NAME_shares(wo.z);
-    let float phi = 2.0 * PI * u.y;
     if (u.z < shares.x) {
+        let float phi = 2.0 * PI * u.y;
         let float radius = sqrt(u.x);
         return float3(radius * cos(phi), radius * sin(phi), sqrt(max(0.0, 1.0 - u.x)));
     }
-    var float alpha = SECOND;
+    var float3 alpha = SECOND;
     if (u.z < shares.x + shares.y) {
         alpha = FIRST;
     }
-    let float3 stretched = normalize(float3(alpha * wo.x, alpha * wo.y, wo.z));
-    let float z = (1.0 - u.x) * (1.0 + stretched.z) - stretched.z;
-    let float sine = sqrt(max(0.0, 1.0 - z * z));
-    let float3 cap = float3(sine * cos(phi), sine * sin(phi), z) + stretched;
-    let float3 h = normalize(float3(alpha * cap.x, alpha * cap.y, cap.z));
+    let float3 h = NAME_facet(wo, alpha, u.x, u.y);
     let float3 wi = h * (2.0 * dot(wo, h)) - wo;
     return float3(wi.x, wi.y, max(abs(wi.z), 1e-6));
 }
@@ -116,11 +86,12 @@ def source_of(name: str, folded: Folded, lobes: Lobes) -> str:
         "SHARES": "\n".join(f"    {line}" for line in _shares(lobes)),
         "SCALE": number((NODES - 1) / LAST),
         "FINAL": number(NODES - 1),
-        "FIRST": number(lobes.alphas[0][0]),
-        "SECOND": number(lobes.alphas[1][0]),
+        "FIRST": f"float3({number(lobes.alphas[0][0])}, {number(lobes.alphas[0][1])}, 1.0)",
+        "SECOND": f"float3({number(lobes.alphas[1][0])}, {number(lobes.alphas[1][1])}, 1.0)",
         "PI": number(math.pi),
     }
-    return re.sub("|".join(parts), lambda match: parts[match[0]], COMMON)
+    shared = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").split("\n\n", 1)[1]
+    return re.sub("|".join(parts), lambda match: parts[match[0]], f"{shared}\n{COMMON}")
 
 
 def number(value: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import zlib
 from collections.abc import Sequence
 from importlib import resources
@@ -100,11 +101,7 @@ def item(fit: Shown) -> Document:
 def array(values: Tensor) -> Document:
     """Numbers as text: deflated, base64."""
     content = zlib.compress(values.detach().cpu().contiguous().numpy().tobytes(), 6)
-    return {
-        "type": TYPES[values.dtype],
-        "shape": list(values.shape),
-        "data": base64.b64encode(content).decode(),
-    }
+    return {"type": TYPES[values.dtype], "shape": list(values.shape), "data": base64.b64encode(content).decode()}
 
 
 def picture(pixels: Tensor) -> str:
@@ -120,14 +117,15 @@ def html(data: Document, live: str = "") -> str:
         live: the address, relative to the page's, that tells what has changed while a fit runs; "" for a page that is
             finished.
     """
-    scripts = "\n".join(_text(f"scripts/{name}.js") for name in SCRIPTS)
+    facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
+    scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in SCRIPTS)]
     return page(
         data["title"],
         _text("page.css"),
         BODY,
         element("script", _text("three.min.js")),
         data_script("data", data | {"live": live}),
-        element("script", scripts),
+        element("script", "\n".join(scripts)),
     )
 
 

@@ -23,18 +23,13 @@ uniform vec2 alpha0, alpha1; uniform vec3 shares[${NODES}];
 uniform sampler2D fitAlbedos, referenceAlbedos;  // of each lobe, by the viewer's angle
 vec4 activated(vec4 x) { return FEATURED ? x / (1.0 + exp(-x)) : max(x, 0.0); }
 LAYERS
-vec3 expm1_of(vec3 x) { return mix(exp(x) - 1.0, x * (1.0 + x * (0.5 + x / 6.0)), vec3(lessThan(abs(x), vec3(0.01)))); }
+vec3 expm1_of(vec3 x) { return vec3(expm1(x.r), expm1(x.g), expm1(x.b)); }
 struct Half { float sine, cosine, cos_phi, sin_phi; vec3 difference; };
 Half half_of(vec3 light, vec3 viewer) {
   vec3 total = light + viewer;
   float size = length(total);
-  vec3 h = total / size;
-  float square = dot(h.xy, h.xy);
-  bool azimuthal = square > 0.0;
-  float sine = azimuthal ? sqrt(square) : 0.0;
-  float cos_phi = azimuthal ? h.x / sine : 1.0, sin_phi = azimuthal ? h.y / sine : 0.0;
-  float x = cos_phi * light.x + sin_phi * light.y, y = cos_phi * light.y - sin_phi * light.x;
-  return Half(sine, h.z, cos_phi, sin_phi, vec3(h.z * x - sine * light.z, y, size / 2.0));
+  vec3 h = total / size, angle = azimuth(h);
+  return Half(angle.x, h.z, angle.y, angle.z, difference(light, h, size));
 }
 vec3 fitted(Half at, float incident, float outgoing) {
   vec3 d = at.difference;

@@ -8,6 +8,10 @@ const PLACES = 8;             // about a lobe that a blurred light map is read a
 const COMMON = `
 precision highp float; precision highp int; precision highp sampler2D; precision highp sampler3D;
 const float PI = 3.14159265358979;
+#define fn
+#define let
+#define float3 vec3
+${FACETS}
 vec3 towards_node(int i) { float angle = float(i) * ${(LAST_NODE / (NODES - 1)).toFixed(7)}; return vec3(sin(angle), 0.0, cos(angle)); }
 struct Lobes { vec2 first; vec2 second; vec3 shares; float turn; };  // GGX alphas of two lobes; shares of the cosine and of both
 
@@ -20,23 +24,10 @@ float random() {
   return fract(float((word >> 22u) ^ word) * (1.0 / 4294967296.0) + draw * stride);
 }
 vec3 turned(vec3 v, float angle) { float c = cos(angle), s = sin(angle); return vec3(c * v.x - s * v.y, s * v.x + c * v.y, v.z); }
-// Visible normals of GGX (Dupuy and Benyoub 2023), and the density of the direction that they mirror the viewer to.
-vec3 visible_normal(vec3 v, vec2 alpha, vec2 u) {
-  vec3 stretched = normalize(v * vec3(alpha, 1.0));
-  float z = (1.0 - u.x) * (1.0 + stretched.z) - stretched.z, radius = sqrt(max(1.0 - z * z, 0.0)), phi = 2.0 * PI * u.y;
-  vec3 h = vec3(radius * cos(phi), radius * sin(phi), z) + stretched;
-  return normalize(vec3(h.xy * alpha, max(h.z, 1e-6)));
-}
-float mirrored_density(vec3 v, vec3 l, vec2 alpha) {
-  vec3 h = normalize(v + l);
-  vec3 scaled = vec3(h.xy / alpha, h.z);
-  float square = dot(scaled, scaled), d = 1.0 / (PI * alpha.x * alpha.y * square * square);
-  return d / (2.0 * (v.z + length(vec3(alpha * v.xy, v.z))));
-}
 vec3 lobes_densities(Lobes m, vec3 v, vec3 l) {  // of the cosine and of both
   if (l.z <= 0.0) return vec3(0.0);
   vec3 v_axes = turned(v, -m.turn), l_axes = turned(l, -m.turn);
-  return m.shares * vec3(l.z / PI, mirrored_density(v_axes, l_axes, m.first), mirrored_density(v_axes, l_axes, m.second));
+  return m.shares * vec3(l.z / PI, facets(l_axes, v_axes, vec3(m.first, 1.0)), facets(l_axes, v_axes, vec3(m.second, 1.0)));
 }
 float lobes_density(Lobes m, vec3 v, vec3 l) { return dot(lobes_densities(m, v, l), vec3(1.0)); }
 vec3 lobes_sample(Lobes m, vec3 v) {
@@ -47,7 +38,8 @@ vec3 lobes_sample(Lobes m, vec3 v) {
     return vec3(radius * cos(phi), radius * sin(phi), sqrt(1.0 - u.x));
   }
   vec3 viewer = turned(v, -m.turn);
-  return turned(reflect(-viewer, visible_normal(viewer, choice < m.shares.x + m.shares.y ? m.first : m.second, u)), m.turn);
+  vec2 alpha = choice < m.shares.x + m.shares.y ? m.first : m.second;
+  return turned(reflect(-viewer, facet(viewer, vec3(alpha, 1.0), u.x, u.y)), m.turn);
 }`;
 
 const VERTEX = `
@@ -105,9 +97,9 @@ vec3 lobe_light(vec2 alpha, float turn, vec3 wo, mat3 frameOf, out vec3 other) {
   float total = 0.0;
   other = vec3(0.0);
   for (int i = 0; i < ${PLACES}; i++) {
-    vec3 l = reflect(-v, visible_normal(v, alpha, vec2((float(i) + 0.5) / ${PLACES}.0, 0.618034 * float(i))));
+    vec3 l = reflect(-v, facet(v, vec3(alpha, 1.0), (float(i) + 0.5) / ${PLACES}.0, 0.618034 * float(i)));
     if (l.z <= 0.0) continue;
-    float radius = sqrt(1.0 / (${PLACES}.0 * PI * mirrored_density(v, l, alpha)));
+    float radius = sqrt(1.0 / (${PLACES}.0 * PI * facets(l, v, vec3(alpha, 1.0))));
     float level = max(log2(1.5 * radius * mapSize.y / PI), 0.0);
     vec2 at = place_of(frameOf * turned(l, turn));
     sum += textureLod(map, at, level).rgb;
