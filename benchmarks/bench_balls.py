@@ -171,7 +171,7 @@ def shown(bench: Bench, name: str, tasks: list[Task], out: Path, *, mirrors: boo
     measured = bench.measured(answers, tasks)
     print(f"\n{name}, {len(tasks)} photographs:\n\n{means(measured)}", flush=True)
     columns = [bench.column(answers, task, number) for number, task in enumerate(tasks)]
-    write_sheet(columns, name, out / f"{name.replace(' ', '-')}.png", 256)
+    write_sheet(columns, name, out / f"{name.replace(' ', '-')}.png")
     return measured
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
-from metapp.extensions.baselines.mirror_balls import answer
+from metapp.extensions.baselines.baseline import Allowed
+from metapp.extensions.baselines.mirror_balls import _fit, answer
+from metapp.learning.task import Tasks
 
 LAMP = torch.tensor([0.6, 0.0, 0.8])
 
@@ -52,3 +54,11 @@ def test_without_clipping_nothing_is_added() -> None:
     _, data = shown(clip=100.0)
     torch.testing.assert_close(answer(data, 5.0), answer(data, 0.0))
     assert torch.isfinite(mean_luminance(answer(data, 5.0))).all()
+
+
+def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
+    """Nothing is certain in its photograph: what was said before is that the error is not finite."""
+    data = {"seen": torch.zeros(1, 3, 8, 16), "certain": torch.zeros(1, 2, 8, 16)}
+    tasks = Tasks(("garden",), data, torch.arange(1))
+    with pytest.raises(ValueError, match="garden: a photograph of a glossy sphere, expected one of a mirror ball"):
+        _fit(tasks, rng, Allowed(1, 1), gain=0.0)
