@@ -15,7 +15,7 @@ from torch import Tensor
 from metapp.storage.files import write_atomically
 
 OPSET = 18
-LARGE = 1024  # numbers of a weight that is stored in half precision
+LARGE, LARGEST = 1024, 1 << 21  # numbers of a weight that is stored in 16 bits, and in 8
 MISSING = 'needs onnx and onnxscript: pip install "metapp[export]"'
 
 
@@ -48,7 +48,7 @@ def write_model(
         sizes: of each input the axes of any size, as of torch.export.
         about: kept as metadata.
         path: with its suffix.
-        half: store large weights in half precision.
+        half: store large weights in half precision, the largest in 8 bits.
 
     Raises:
         ValueError: packages are missing.
@@ -82,17 +82,26 @@ def write_model(
 
 
 def _halve(graph: Any) -> None:
-    """Store large weights in 16 bits; a cast makes 32 of them, when a model is loaded."""
+    """Store large weights in 16 bits, the largest in 8 with a scale for each output, of which runtimes make 32."""
     import numpy as np
     from onnx import TensorProto, helper, numpy_helper
 
-    casts = []
+    nodes, scales = [], []
     for weight in graph.initializer:
-        if weight.data_type != TensorProto.FLOAT or np.prod(weight.dims) < LARGE:
+        numbers = np.prod(weight.dims)
+        if weight.data_type != TensorProto.FLOAT or numbers < LARGE:
             continue
         name, values = weight.name, numpy_helper.to_array(weight)
-        weight.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
-        casts.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
-    nodes = [*casts, *graph.node]
+        if numbers < LARGEST:
+            weight.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
+            nodes.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
+            continue
+        scale = np.maximum(np.abs(values).reshape(len(values), -1).max(1), 1e-12) / 127
+        rounded = np.round(values / scale.reshape(-1, *[1] * (values.ndim - 1))).astype(np.int8)
+        weight.CopyFrom(numpy_helper.from_array(rounded, f"{name}.int8"))
+        scales.append(numpy_helper.from_array(scale.astype(np.float32), f"{name}.scale"))
+        nodes.append(helper.make_node("DequantizeLinear", [f"{name}.int8", f"{name}.scale"], [name], axis=0))
+    graph.initializer.extend(scales)
+    nodes += graph.node
     del graph.node[:]
     graph.node.extend(nodes)

@@ -16,7 +16,7 @@ from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import BrdfNetwork
-from metapp.extensions.onnx_files import brdf, photographs
+from metapp.extensions.onnx_files import brdf, models, photographs
 from metapp.learning.task import Params
 from tests.marked import long
 
@@ -49,6 +49,25 @@ def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path) -> None:
     assert not found[wi[:, 2] < 0].any()
     np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-3 * exact.mean())
     assert exact.max() > 0
+
+
+@pytest.mark.parametrize(("largest", "bits", "apart"), [(1 << 21, 16, 5e-4), (1 << 10, 8, 5e-3)])
+def test_large_weights_take_16_or_8_bits(
+    largest: int, bits: int, apart: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Outputs of other scales, one of them of zeros, are as exact."""
+    monkeypatch.setattr(models, "LARGEST", largest)
+    layer = torch.nn.Conv2d(64, 32, 3, bias=False)
+    with torch.no_grad():
+        layer.weight.mul_(torch.logspace(-3, 3, 32)[:, None, None, None])
+        layer.weight[7] = 0
+    x = torch.rand(1, 64, 8, 8, generator=Generator().manual_seed(1))
+    models.write_model(layer, {"x": x}, ["y"], {}, {}, tmp_path / "layer.onnx", half=True)
+    assert (tmp_path / "layer.onnx").stat().st_size == pytest.approx(layer.weight.numel() * bits / 8, rel=0.1)
+    (found,) = session(tmp_path / "layer.onnx").run(["y"], {"x": x.numpy()})
+    exact = layer(x).detach()
+    scale = exact.abs().mean((0, 2, 3), keepdim=True).clamp_min(1e-9)
+    assert ((torch.from_numpy(found) - exact) / scale).abs().mean() < apart
 
 
 @pytest.mark.long
