@@ -36,9 +36,7 @@ def _fit(tasks: Tasks, rng: Generator, allowed: Allowed, *, gain: float) -> Base
     data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
     for name, certain in zip(tasks.picked_names, data["certain"], strict=True):
         if not certain.any():
-            raise ValueError(
-                f"{name}: a photograph of a glossy sphere, expected one of a mirror ball; try --method nearest."
-            )
+            raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's; try --method nearest.")
     numbers = 5 * data["seen"][0, 0].numel()
     return BaselineFit(lambda: answer(data, gain), numbers, 2 * numbers)
 

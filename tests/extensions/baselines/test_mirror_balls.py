@@ -60,5 +60,5 @@ def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
     """Nothing is certain in its photograph: what was said before is that the error is not finite."""
     data = {"seen": torch.zeros(1, 3, 8, 16), "certain": torch.zeros(1, 2, 8, 16)}
     tasks = Tasks(("garden",), data, torch.arange(1))
-    with pytest.raises(ValueError, match="garden: a photograph of a glossy sphere, expected one of a mirror ball"):
+    with pytest.raises(ValueError, match="garden: a photo of a glossy sphere, expected a mirror ball's"):
         _fit(tasks, rng, Allowed(1, 1), gain=0.0)
