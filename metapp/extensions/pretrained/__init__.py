@@ -29,7 +29,7 @@ OFFERS = (
             ("svbrdf", "placed"),
             has="a flash photo",
             tensor="photo",
-            paradigms=("general",),
+            paradigms=("general", "quickft", "meta"),
             lacks=f"{_HERE}.encoder:lacks",
         ),
         f"{_HERE}.checkpoints",

@@ -1,4 +1,4 @@
-"""The recipe of photographs whose General reads features of VGG-16: fits are those of "full"."""
+"""The recipe of photographs whose General reads features of VGG-16, and of fits that go on from it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.extensions.pretrained.app import PretrainedSetup
 from metapp.learning.recipe import OuterLoop
 
+_FULL = RECIPES["photo"]["full"]
+SEARCHED = replace(_FULL.quickft, rate=1.2e-3)
 PRETRAINED = replace(
-    RECIPES["photo"]["full"],
+    _FULL,
     setup=PretrainedSetup(field_of(256, 32)),
+    quickft=SEARCHED,
+    meta={"meta-encoder": replace(_FULL.meta["meta-encoder"], first=SEARCHED)},
     general=OuterLoop(steps=8_000, tasks=4, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
 )

@@ -20,7 +20,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
 from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
-from metapp.extensions.pretrained.augmentation import crossed, pieces, variants, windows
+from metapp.extensions.pretrained.augmentation import FLATTER, LEAST, crossed, pieces, polished, variants, windows
 from metapp.extensions.pretrained.encoder import (
     DARK,
     GUESS,
@@ -125,6 +125,29 @@ def test_pieces_turn_normals_with_what_they_are_of(rng: Generator) -> None:
     torch.testing.assert_close(lean, fall, atol=1e-3, rtol=0)
     torch.testing.assert_close(piece[:, 2, 8, 8], normal[:, 2])
     assert piece[:, 3].std() > 0.1
+
+
+def test_pieces_show_up_to_all_of_the_maps(rng: Generator) -> None:
+    """From LEAST of the side to all of it, and nothing beyond; such as are turned have less room."""
+    across, up = positions(64, 64)
+    maps = torch.stack([torch.zeros_like(up), torch.zeros_like(up), torch.ones_like(up), across, up, *[across] * 5])
+    piece = pieces(maps.expand(200, -1, -1, -1), 64, rng)[:, 3:5]
+    sides = (piece[:, :, 0, 0] - piece[:, :, 0, -1]).norm(dim=1) / 2
+    assert LEAST - 0.02 < sides.min() < 0.45
+    assert 0.9 < sides.max() < 1.001
+    assert piece.abs().max() <= 1
+
+
+def test_polished_materials_keep_all_but_their_slopes(rng: Generator) -> None:
+    maps = torch.rand(300, 10, 4, 4, generator=rng)
+    maps[:, :3] = torch.nn.functional.normalize(maps[:, :3] + torch.tensor([-0.5, -0.5, 0.5])[:, None, None], dim=1)
+    flat = polished(maps, rng)
+    assert torch.equal(flat[:, 3:], maps[:, 3:])
+    torch.testing.assert_close(flat[:, :3].norm(dim=1), torch.ones(300, 4, 4))
+    ratio = (flat[:, :2] / flat[:, 2:3] / (maps[:, :2] / maps[:, 2:3])).log()
+    torch.testing.assert_close(ratio, ratio[:, :1, :1, :1].expand_as(ratio), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(ratio.min(), torch.tensor(FLATTER[0]), atol=0.1, rtol=0)
+    torch.testing.assert_close(ratio.max(), torch.tensor(FLATTER[1]), atol=0.1, rtol=0)
 
 
 def test_windows_come_from_everywhere_and_know_where(rng: Generator) -> None:
@@ -258,7 +281,7 @@ def test_without_the_weights_it_says_how_to_get_them(metapp: Callable, tmp_path:
 
 
 @pytest.mark.parametrize("has", [True, False])
-def test_it_is_the_default_of_general_where_weights_are(
+def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
     request: pytest.FixtureRequest, metapp: Callable, tmp_path: Path, has: bool
 ) -> None:
     """Else the smaller network, which is said; other paradigms and protocols have no files for it."""
@@ -269,8 +292,9 @@ def test_it_is_the_default_of_general_where_weights_are(
     def chosen(paradigm: str, **options: object) -> str:
         return plan(Request(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)).request.recipe
 
-    assert chosen("general") == ("pretrained" if has else "full")
-    assert chosen("general", recipe="full") == chosen("meta") == chosen("quickft") == "full"
+    defaults = {chosen(paradigm) for paradigm in ("general", "quickft", "meta")}
+    assert defaults == {"pretrained" if has else "full"}
+    assert chosen("general", recipe="full") == chosen("finetune") == "full"
     assert chosen("general", observe="reference") == "full"
     done = metapp("general", APP, "--observe", "photo", "--data", tmp_path / "set", "--out", tmp_path / "runs")
     said = " ".join(done.err.split())
