@@ -116,7 +116,7 @@ class FeatureEncoder(NamedTuple):
         if place is None:
             place = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
         overview = overview_of(photos) if overview is None else overview
-        guess = guess_of(photos) if guess is None else guess
+        guess, flash = _by_smaller(photos) if guess is None else (guess, None)
         mean = overview.mean((2, 3), keepdim=True)
         balanced, known = _balanced(photos, place, mean)
         whole = positions(OVERVIEW, OVERVIEW, dtype=photos.dtype, device=photos.device)[None]
@@ -134,12 +134,13 @@ class FeatureEncoder(NamedTuple):
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
                 x = block(encoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
-                if level == len(TAPS) - 1:
+                if level == len(TAPS) - 1 and flash is None:
                     result["flash"] = dense(encoder, "flash", torch.cat([x.mean((2, 3)), x.amax((2, 3))], 1))
                 if level == AT and self.deviations:
                     result["deviation"] = pointwise(encoder, "deviation", x)
             assert x is not None
             result["z"] = pointwise(encoder, "code", x)
+        result |= {} if flash is None else {"flash": flash}
         return {key: value.float() for key, value in result.items()}
 
 
@@ -148,17 +149,23 @@ def overview_of(photos: Tensor) -> Tensor:
     return interpolate(avg_pool2d(photos, LARGEST), (OVERVIEW, OVERVIEW), mode="bilinear")
 
 
-@torch.no_grad()
 def guess_of(photos: Tensor) -> Tensor:
     """What General by "full" makes of linear photographs [T, 3, H, W] of all of a patch, [T, GUESS, S, S], S its side.
 
     Roughness, and the logs of mean specular and diffuse reflectance.
     """
+    return _by_smaller(photos)[0]
+
+
+@torch.no_grad()
+def _by_smaller(photos: Tensor) -> tuple[Tensor, Tensor]:
+    """The same, and where it sees the flash, [T, FLASH], as encoders say it: windows, of which this one learns, do not."""
     app, encoder = _smaller(photos.device)
     photos = interpolate(photos, (app.field.height, app.field.width), mode="bilinear")
-    maps = app.maps_of(app.encode(encoder, {"photo": photos}), photos)
+    theta = app.encode(encoder, {"photo": photos})
+    maps = app.maps_of(theta, photos)
     shades = [(each.mean(1, keepdim=True) + DARK).log() for each in (maps.specular, maps.diffuse)]
-    return torch.cat([maps.roughness, *shades], 1)
+    return torch.cat([maps.roughness, *shades], 1), app.field.gain * theta["flash"]
 
 
 @functools.cache

@@ -98,6 +98,21 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
         encoder(parameters, torch.rand(1, 3, 44, 44))
 
 
+@pytest.mark.usefixtures("weights")
+def test_a_whole_photo_shows_the_flash_as_full_sees_it(rng: Generator) -> None:
+    """It is not in most windows; so what learns from these looks for it where a window is all that there is."""
+    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    parameters, photos = encoder.init(rng), torch.rand(2, 3, 32, 32, generator=rng) ** 2
+    smaller, its = _smaller(photos.device)
+    side = smaller.field.height
+    large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
+    with torch.no_grad():
+        seen = smaller.field.gain * smaller.encode(its, {"photo": large})["flash"]
+    torch.testing.assert_close(encoder(parameters, photos)["flash"], seen)
+    window = encoder(parameters, photos, guess=guess_of(photos))["flash"]
+    assert (window - seen).abs().max() > 1e-3
+
+
 def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
     """The rest of what is known of a photo, and what VGG sees, stays as it is; these move by as much."""
     photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), positions(16, 16)[None]
