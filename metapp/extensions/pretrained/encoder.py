@@ -159,7 +159,7 @@ def guess_of(photos: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _by_smaller(photos: Tensor) -> tuple[Tensor, Tensor]:
-    """The same, and where it sees the flash, [T, FLASH], as encoders say it: windows, of which this one learns, do not."""
+    """What `guess_of` gives, and the flash [T, FLASH] as that General sees it: most windows, in training, show none."""
     app, encoder = _smaller(photos.device)
     photos = interpolate(photos, (app.field.height, app.field.width), mode="bilinear")
     theta = app.encode(encoder, {"photo": photos})
