@@ -134,13 +134,13 @@ class FeatureEncoder(NamedTuple):
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
                 x = block(encoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
-                if level == len(TAPS) - 1 and flash is None:
-                    result["flash"] = dense(encoder, "flash", torch.cat([x.mean((2, 3)), x.amax((2, 3))], 1))
+                if level == len(TAPS) - 1:
+                    ends = torch.cat([x.mean((2, 3)), x.amax((2, 3))], 1)
+                    result["flash"] = dense(encoder, "flash", ends) if flash is None else flash
                 if level == AT and self.deviations:
                     result["deviation"] = pointwise(encoder, "deviation", x)
             assert x is not None
             result["z"] = pointwise(encoder, "code", x)
-        result |= {} if flash is None else {"flash": flash}
         return {key: value.float() for key, value in result.items()}
 
 
