@@ -236,17 +236,32 @@ def hann(size: int, like: Tensor) -> Tensor:
     return torch.hann_window(size + 2, periodic=False, dtype=like.dtype, device=like.device)[1:-1]
 
 
+MIXTURES = 8
+
+
 def amplitudes(maps: Tensor) -> Tensor:
     """Root of the power spectrum, summed over channels, [B, H, W // 2 + 1], of feature maps [B, C, H, W].
 
     The mean is subtracted and edges are faded out, so that neither brightness nor the border counts; the power is
-    smoothed, since that of one random picture scatters about its expectation.
+    smoothed, since that of one random picture scatters about its expectation. Of more than MIXTURES channels the sum
+    is estimated by so many sums with random signs, the same each time.
     """
+    if maps.shape[1] > MIXTURES:
+        maps = (maps.movedim(1, -1) @ _signs(maps.shape[1]).to(maps)).movedim(-1, 1)
     height, width = maps.shape[-2:]
     window = hann(height, maps)[:, None] * hann(width, maps)
     centred = (maps - maps.mean((-1, -2), keepdim=True)) * window
     power = torch.fft.rfft2(centred, norm="ortho").abs().square().sum(1, keepdim=True)
     return (avg_pool2d(power, 3, stride=1, padding=1, count_include_pad=False) + 1e-8).sqrt()[:, 0]
+
+
+@lru_cache(maxsize=16)
+def _signs(channels: int) -> Tensor:
+    """Signs [channels, MIXTURES] of sums whose powers add up to that of the channels, in expectation."""
+    rng = Generator().manual_seed(0)
+    signs = torch.randint(2, (channels, MIXTURES), generator=rng) * 2.0 - 1
+    result: Tensor = signs / MIXTURES**0.5
+    return result
 
 
 def distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -20,6 +20,7 @@ from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.layout import as_input, layouts, quilted_layout
 
+Crop = Callable[[Tensor], Tensor]
 HIDDEN = 128
 JUDGED = 4
 SHOWN = 1  # seed of the noise of pictures that are written and shown
@@ -118,15 +119,17 @@ class ExemplarApp(App):
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features()}
 
-    def features(self, images: Tensor, octave: int) -> list[Tensor]:
+    def features(self, images: Tensor, octave: int, crop: Crop | None = None) -> list[Tensor]:
         """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
 
-        Those of what a fit descends are in reduced precision where the application's are.
+        Those of what a fit descends are in reduced precision where the application's are, and those of the finest
+        octave, which take the longest, of what `crop` makes of the images.
         """
         features, maps = load_features(self.setup.taps, images), []
         for coarser in reversed(range(octave, self.setup.octaves)):
             times = 2 ** (coarser - octave)
             some = avg_pool2d(images, times) if times > 1 else images
+            some = crop(some) if crop and coarser == 0 else some
             maps += features(some, self.setup.taps_of(coarser), reduced=self.reduced)
         return maps
 
@@ -175,8 +178,8 @@ class ExemplarApp(App):
         if self.setup.finer and image.shape[-1] < side:
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = self.exemplar(image[None].float() / 255)
-        described = {key: value[0] for key, value in self.describe(exemplar).items()}
-        return {"image": image} | described | {key: value[0] for key, value in self.laid_out(exemplar).items()}
+        described = self.describe(exemplar) | self.laid_out(exemplar)
+        return {"image": image} | {key: value[0] for key, value in described.items()}
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
         """`layout` [B, 3, h, w] of exemplars [B, 3, H, W]: a coarse picture of each that tiles; {} without layouts.

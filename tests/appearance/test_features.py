@@ -123,6 +123,15 @@ def test_amplitudes_are_amplitudes_wherever_waves_are(rand: Callable[..., Tensor
     assert distance([amplitudes(first)], [amplitudes(sines(3, 5))]) > 0.8
 
 
+def test_many_channels_add_their_power_about(rng: Generator) -> None:
+    """Of 128 unlike channels the sum by random signs is that of all, within what 8 such sums scatter."""
+    maps = torch.randn(1, 128, 32, 32, generator=rng, dtype=torch.float64)
+    power = sum(amplitudes(maps[:, i : i + 1]) ** 2 for i in range(128))
+    found = amplitudes(maps) ** 2
+    assert float(found.sum() / power.sum()) == pytest.approx(1, abs=0.1)  # type: ignore[union-attr]
+    assert float((found / power).log().abs().mean()) < 0.3
+
+
 @pytest.mark.parametrize("value", [0.0, 0.5])
 def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
     """Of a black picture, a uniform one, and one that equals the exemplar."""

@@ -27,6 +27,18 @@ def periodic(vectors: Vectors, generator: torch.Generator, offset: tuple[float, 
     return picture + 0.03 * torch.randn(picture.shape, generator=generator)
 
 
+@pytest.mark.parametrize("side", [3, 9, 65])
+def test_surroundings_are_means_of_squares(side: int) -> None:
+    picture = torch.rand(2, 3, 40, 56, generator=torch.Generator().manual_seed(side))
+    border = min(side // 2, 39)
+    padded = torch.nn.functional.pad(picture.double(), (border,) * 4, mode="reflect")
+    squares = padded.unfold(-2, 2 * border + 1, 1).unfold(-2, 2 * border + 1, 1)
+    centred = picture - picture.mean((-1, -2), keepdim=True)
+    expected = picture - squares.mean((-1, -2)).to(picture)
+    torch.testing.assert_close(order.high_passed(picture, side), expected, rtol=1e-4, atol=1e-5)
+    assert order.high_passed(centred, side).shape == picture.shape
+
+
 @pytest.mark.parametrize(
     "vectors",
     [

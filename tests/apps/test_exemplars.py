@@ -103,6 +103,18 @@ def test_fits_are_doubted_each_for_itself_where_networks_read_layouts(app: Exemp
     assert quick.doubts({}, both) == [[], []]
 
 
+def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
+    images = torch.rand(2, 3, app.setup.height, app.setup.width, generator=Generator().manual_seed(0))
+    whole, cropped = (
+        app.features(images, 0),
+        app.features(images, 0, lambda some: some[..., : some.shape[-2] // 2, :]),
+    )
+    rows = images.shape[-2] // 2
+    assert [each.shape[-2] for each in cropped] == [*(each.shape[-2] for each in whole[:3]), rows, rows // 2]
+    for one, other in zip(whole[:3], cropped[:3], strict=True):
+        torch.testing.assert_close(one, other)
+
+
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
     coarse = app.stage(tasks, SHARE - 0.01).data
     assert app.stage(tasks, SHARE) is tasks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import ClassVar
 
 import torch
@@ -189,31 +190,42 @@ class SvbrdfStationary(ExemplarApp):
 
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
-        distances, times = self._distances_of(pictures, batch), self.setup.times(self.octave(batch))
+        distances = self._distances_of(pictures, batch, cropped=True)
         if self.setup.has_layout:
             colours = (
                 _chroma(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2]) - batch["chroma"][:, None]
             ).abs()
             distances["colour"] = COLOUR * colours.mean((1, 2))
-            distances["astray"] = astray(theta, batch["noise"], evenly_lit(pictures, batch["light"][:, None]), times)
+            even, times = evenly_lit(pictures, batch["light"][:, None]), self.setup.times(self.octave(batch))
+            distances["astray"] = astray(theta, batch["noise"], even, times)
         return distances
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
         """Layouts of photos as if the light were the same everywhere."""
         return super().laid_out(evenly_lit(exemplars, self.light_of(exemplars))) if self.setup.has_layout else {}
 
-    def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
-        leading = pictures.shape[:2]
+    def _distances_of(self, pictures: Tensor, batch: Batch, *, cropped: bool = False) -> dict[str, Tensor]:
+        """Of pictures [T, S, 3, H, W]; `cropped`: of their finest octave the first window alone, not its spectra."""
+        leading, octave = pictures.shape[:2], self.octave(batch)
         pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
         windows = batch["windows"].tolist()
+        first = [own[0] for own in windows for _ in range(leading[1])]
+        cropped = cropped and octave == 0 and self.setup.octaves > 1
+        crop = partial(_windows, windows=first) if cropped else None
+        found = self.features(pictures.flatten(0, 1), octave, crop)
+        whole = self.setup.maps_from(1) if cropped else len(found)
         grams, spectra = [], []
-        for maps in self.features(pictures.flatten(0, 1), self.octave(batch)):
-            grams.append(_grams_of_tasks(maps.unflatten(0, leading), windows))
-            spectra.append(amplitudes(maps).unflatten(0, leading))
-        taps = range(len(grams))
+        for i, maps in enumerate(found):
+            wanted = batch[f"gram{i}"][:, None]
+            if i < whole:
+                spectra.append(distance([amplitudes(maps).unflatten(0, leading)], [batch[f"spectrum{i}"][:, None]]))
+                made = _grams_of_tasks(maps.unflatten(0, leading), windows)
+            else:
+                made, wanted = gram(maps * _faded(maps)).unflatten(0, leading)[:, :, None], wanted[:, :, :1]
+            grams.append(distance([made], [wanted]).mean((1, 2)))
         return {
-            "gram": distance(grams, [batch[f"gram{i}"][:, None] for i in taps]).mean((1, 2)),
-            "spectrum": SPECTRUM * distance(spectra, [batch[f"spectrum{i}"][:, None] for i in taps]).mean(1),
+            "gram": torch.stack(grams).mean(0),
+            "spectrum": SPECTRUM * torch.stack(spectra).mean((0, 2)),
             "pooled": (pooled - batch["pooled"][:, None]).abs().mean((1, 2, 3, 4)),
         }
 
@@ -343,11 +355,23 @@ def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
 
     Windows are half as high and wide as the picture, fade towards their edges, and lie on a grid, overlapping.
     """
+    parts = [_window(maps, window) for window in windows]
+    return torch.stack([gram(part * _faded(part)) for part in parts], 1)
+
+
+def _window(maps: Tensor, window: int) -> Tensor:
     height, width = (size // 2 for size in maps.shape[-2:])
-    weights = hann(height, maps)[:, None] * hann(width, maps)
-    root = (weights / weights.mean()).sqrt()
-    grams = []
-    for window in windows:
-        top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
-        grams.append(gram(maps[..., top : top + height, left : left + width] * root))
-    return torch.stack(grams, 1)
+    top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
+    return maps[..., top : top + height, left : left + width]
+
+
+def _windows(images: Tensor, windows: list[int]) -> Tensor:
+    """Of each image of [B, C, H, W] one window."""
+    return torch.stack([_window(each, window) for each, window in zip(images, windows, strict=True)])
+
+
+def _faded(part: Tensor) -> Tensor:
+    """Weights [H, W] of the texels of a window [..., H, W], roots of what they count in products."""
+    height, width = part.shape[-2:]
+    weights = hann(height, part)[:, None] * hann(width, part)
+    return (weights / weights.mean()).sqrt()

@@ -11,7 +11,7 @@ from metapp.appearance.features import describe_precision, distance, gram
 from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.doubts import of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
+from metapp.networks.exemplar import JUDGED, SHOWN, Crop, ExemplarApp, same_noise
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -49,10 +49,15 @@ class Texture(ExemplarApp):
         """Relative L1 distance of Gram matrices, [T], and how far pictures are from their layouts."""
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
-        return self._distance(images, batch) + astray(theta, noise, images, self.setup.times(octave))
+        distance_of_strip = self._distance(images, batch, self._strip)
+        return distance_of_strip + astray(theta, noise, images, self.setup.times(octave))
 
-    def _distance(self, images: Tensor, batch: Batch) -> Tensor:
-        maps = self.features(images.flatten(0, 1), self.octave(batch))
+    def _strip(self, images: Tensor) -> Tensor:
+        """As many rows as the coarsest octave has; noise and layouts are moved at each step, and so what they show."""
+        return images[..., : self.setup.height >> self.setup.octaves - 1, :]
+
+    def _distance(self, images: Tensor, batch: Batch, crop: Crop | None = None) -> Tensor:
+        maps = self.features(images.flatten(0, 1), self.octave(batch), crop)
         grams = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
         return distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
 
