@@ -259,9 +259,7 @@ def amplitudes(maps: Tensor) -> Tensor:
 def _signs(channels: int) -> Tensor:
     """Signs [channels, MIXTURES] of sums whose powers add up to that of the channels, in expectation."""
     rng = Generator().manual_seed(0)
-    signs = torch.randint(2, (channels, MIXTURES), generator=rng) * 2.0 - 1
-    result: Tensor = signs / MIXTURES**0.5
-    return result
+    return (torch.randint(2, (channels, MIXTURES), generator=rng) * 2.0 - 1) / math.sqrt(MIXTURES)
 
 
 def distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 from typing import ClassVar
 
 import torch
@@ -206,13 +205,13 @@ class SvbrdfStationary(ExemplarApp):
 
     def _distances_of(self, pictures: Tensor, batch: Batch, *, cropped: bool = False) -> dict[str, Tensor]:
         """Of pictures [T, S, 3, H, W]; `cropped`: of their finest octave the first window alone, not its spectra."""
-        leading, octave = pictures.shape[:2], self.octave(batch)
-        pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
+        leading, flat, octave = pictures.shape[:2], pictures.flatten(0, 1), self.octave(batch)
+        pooled = adaptive_avg_pool2d(flat, POOLED).unflatten(0, leading)
         windows = batch["windows"].tolist()
         first = [own[0] for own in windows for _ in range(leading[1])]
         cropped = cropped and octave == 0 and self.setup.octaves > 1
-        crop = partial(_windows, windows=first) if cropped else None
-        found = self.features(pictures.flatten(0, 1), octave, crop)
+        crop = (lambda images: torch.stack(list(map(_window, images, first)))) if cropped else None
+        found = self.features(flat, octave, crop)
         whole = self.setup.maps_from(1) if cropped else len(found)
         grams, spectra = [], []
         for i, maps in enumerate(found):
@@ -356,18 +355,14 @@ def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
     Windows are half as high and wide as the picture, fade towards their edges, and lie on a grid, overlapping.
     """
     parts = [_window(maps, window) for window in windows]
-    return torch.stack([gram(part * _faded(part)) for part in parts], 1)
+    weights = _faded(parts[0])  # the same for all
+    return torch.stack([gram(part * weights) for part in parts], 1)
 
 
 def _window(maps: Tensor, window: int) -> Tensor:
     height, width = (size // 2 for size in maps.shape[-2:])
     top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
     return maps[..., top : top + height, left : left + width]
-
-
-def _windows(images: Tensor, windows: list[int]) -> Tensor:
-    """Of each image of [B, C, H, W] one window."""
-    return torch.stack([_window(each, window) for each, window in zip(images, windows, strict=True)])
 
 
 def _faded(part: Tensor) -> Tensor:

@@ -49,8 +49,8 @@ class Texture(ExemplarApp):
         """Relative L1 distance of Gram matrices, [T], and how far pictures are from their layouts."""
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
-        distance_of_strip = self._distance(images, batch, self._strip)
-        return distance_of_strip + astray(theta, noise, images, self.setup.times(octave))
+        apart = self._distance(images, batch, self._strip)
+        return apart + astray(theta, noise, images, self.setup.times(octave))
 
     def _strip(self, images: Tensor) -> Tensor:
         """As many rows as the coarsest octave has; noise and layouts are moved at each step, and so what they show."""
