@@ -14,7 +14,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from data_tools.draws import Rng, between, chance, log_between, pick, stream, whole
+from data_tools.draws import Rng, stream
+from data_tools.synthetic.draws import between, chance, log_between, pick, whole
 
 Scene = dict[str, Any]
 

@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.draws import Field, Rng, between, chance
+from data_tools.draws import Rng
 from data_tools.readers import latlong
+from data_tools.synthetic.draws import Field, between, chance
 from data_tools.synthetic.environments.indoor import apartment, evening, lobby, office, studio, warehouse, workshop
 from data_tools.synthetic.environments.light import render
 from data_tools.synthetic.environments.outdoor import (

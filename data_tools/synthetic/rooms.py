@@ -6,9 +6,10 @@ several lamps on ceiling and walls; lit through a door from a chamber behind a w
 
 from __future__ import annotations
 
-from data_tools.draws import Rng, between, pick, stream, whole
+from data_tools.draws import Rng, stream
 from data_tools.synthetic import cornell
 from data_tools.synthetic.cornell import Scene, diffuse, rectangle
+from data_tools.synthetic.draws import between, pick, whole
 
 KINDS = ("box", "board", "lamps", "door", "glass")
 _TINT = (1.1, 1.0, 0.9)

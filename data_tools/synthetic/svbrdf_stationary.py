@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from data_tools.draws import Rng, between, log_between, uniforms
+from data_tools.draws import Rng
 from data_tools.readers.flash import UNITS as OF_PHOTOS
+from data_tools.synthetic.draws import between, log_between, uniforms
 from data_tools.synthetic.stationary import families as procedural
 from data_tools.synthetic.stationary.families import FAMILIES, Split, turns
 from metapp.appearance.flash import (

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from data_tools.draws import Field, Rng, between, log_between
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, log_between
 from data_tools.synthetic.patterns.fields import blur, slopes
 from data_tools.synthetic.stationary.families import FAMILIES, Maps, Split, turns
 from metapp.learning.task import Task

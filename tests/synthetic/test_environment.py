@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.draws import Field, stream
+from data_tools.draws import stream
+from data_tools.synthetic.draws import Field
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.light import irradiance, render, sun_disc, sunlight, visibility
 from data_tools.synthetic.environments.patterns import direction, luminance, vector

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from data_tools.draws import Field, stream
+from data_tools.draws import stream
+from data_tools.synthetic.draws import Field
 from data_tools.synthetic.patterns.cells import Lattice
 from data_tools.synthetic.patterns.fields import fbm, slopes, texel_centres
 from data_tools.synthetic.stationary.families import FAMILIES, Maps

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, log_between, uniforms
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, log_between, uniforms
 from data_tools.synthetic.environments.patterns import BLACK, look_up, scrambled, vector
 from data_tools.synthetic.environments.scene import Backdrop, Mask
 from data_tools.synthetic.environments.sky import Sky

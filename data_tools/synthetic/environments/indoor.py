@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_tools.draws import Rng, between, chance, log_between, pick, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import between, chance, log_between, pick, whole
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.fittings import (
     WALLS,

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from data_tools.draws import Field, Ids
 from data_tools.readers.latlong import HEIGHT, WIDTH
+from data_tools.synthetic.draws import Field, Ids
 from data_tools.synthetic.environments.patterns import look_up
 from data_tools.synthetic.environments.scene import (
     BEYOND,

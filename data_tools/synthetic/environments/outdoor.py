@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng, between, chance, log_between, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import between, chance, log_between, whole
 from data_tools.synthetic.environments.patterns import BLACK, glowing, vector
 from data_tools.synthetic.environments.scene import Box, Finish, Lamp, Scene
 from data_tools.synthetic.environments.scenery import (

@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, stream
+from data_tools.draws import stream
+from data_tools.synthetic.draws import Field
 from data_tools.synthetic.patterns.fields import fbm
 
 BLACK = np.zeros(3, np.float32)

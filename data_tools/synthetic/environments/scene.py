@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from data_tools.draws import Field, Ids
 from data_tools.readers.latlong import HEIGHT, WIDTH
+from data_tools.synthetic.draws import Field, Ids
 from data_tools.synthetic.environments.patterns import BLACK, look_up, vector
 from data_tools.synthetic.environments.sky import Sky
 from metapp.appearance.latlong import directions, solid_angles

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, chance, log_between, pick
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, chance, log_between, pick
 from data_tools.synthetic.environments.patterns import BLACK, direction, glowing, look_up, rgb, vector
 from data_tools.synthetic.patterns.fields import step
 

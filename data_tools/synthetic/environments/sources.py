@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Field
+from data_tools.synthetic.draws import Field
 from data_tools.synthetic.environments.patterns import luminance
 from data_tools.synthetic.environments.scene import PLANE, Backdrop, Lamp, Scene, Window
 from metapp.appearance.latlong import directions, solid_angles

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Ids
+from data_tools.synthetic.draws import Field, Ids
 from data_tools.synthetic.environments.patterns import look_up, scrambled
 from data_tools.synthetic.environments.scene import BEYOND, PLANE, Finish, Hits, Mask, Scene
 

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.nonstationary.materials import (
     GRAY,
     STONES,

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, chance, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, chance, pick, uniforms, whole
 from data_tools.synthetic.nonstationary.materials import (
     CLOTHS,
     GRAY,

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms
 from data_tools.synthetic.nonstationary.surface import Surface, cloud
 from data_tools.synthetic.patterns.cells import isotropic_cells
 from data_tools.synthetic.patterns.fields import band_noise, texel_centres

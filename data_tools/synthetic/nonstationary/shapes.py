@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.fields import texel_centres
 
 # Strokes of capital letters and digits over the keys of a number pad, 7 8 9 on top.

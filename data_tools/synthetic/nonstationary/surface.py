@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.draws import Field, Rng
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field
 from data_tools.synthetic.patterns.fields import blur, fbm, mix, step
 from metapp.appearance.flash import Maps, normal_from_height, pack
 

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.nonstationary.materials import plain
 from data_tools.synthetic.nonstationary.shapes import centred
 from data_tools.synthetic.nonstationary.surface import (

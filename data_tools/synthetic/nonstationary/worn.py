@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng, between, chance, log_between, pick, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import between, chance, log_between, pick, whole
 from data_tools.synthetic.nonstationary.materials import (
     CLOTHS,
     GRAY,

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Field, Ids, Rng, uniforms
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, Ids, uniforms
 from data_tools.synthetic.patterns.fields import texel_centres
 
 

@@ -9,7 +9,8 @@ import functools
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, uniforms
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, uniforms
 
 
 @functools.lru_cache(maxsize=4)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells
 from data_tools.synthetic.patterns.fields import band_noise, fbm, mix, ramp, step, wobble
 from data_tools.synthetic.patterns.strokes import strokes

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, chance, log_between
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, chance, log_between
 from data_tools.synthetic.patterns.fields import slopes
 
 Range = tuple[float, float]

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells, worley
 from data_tools.synthetic.patterns.fields import band_noise, blur, fbm, mix, ramp, ridges, share_below, step, wobble
 from data_tools.synthetic.patterns.strokes import strokes

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.draws import Rng
+from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells
 from data_tools.synthetic.patterns.fields import band_noise, fbm, mix, ramp, ridges, share_below, step, wobble
 from data_tools.synthetic.stationary.maps import Maps, any_colours, flat, material, palette, shaded
