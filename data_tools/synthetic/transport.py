@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from data_tools.draws import stream
-from data_tools.readers.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from data_tools.synthetic.cornell import draw_scene
 from data_tools.synthetic.stationary.families import Split, turns
+from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.learning.task import Task
 
 __all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]

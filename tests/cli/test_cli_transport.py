@@ -13,8 +13,8 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.readers.transport_task import transport_task
 from data_tools.synthetic.cornell import random_scene
+from data_tools.synthetic.transport_task import transport_task
 from metapp.appearance.presentation import Fitted
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport, TransportSetup

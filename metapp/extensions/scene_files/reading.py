@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from data_tools.readers.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
+from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.extensions.scene_files.checking import checked
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
