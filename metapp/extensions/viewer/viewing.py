@@ -17,7 +17,7 @@ from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.outputs.recorded import Recorded, app_as, read_run, tasks_as
+from metapp.runs.outputs.recorded import Recorded, plan_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.requests.naming import factor_of, title_of
 from metapp.runs.surroundings import make_folder, threads_of
@@ -113,7 +113,7 @@ def _read(path: Path, task: str) -> Recorded:
 
 
 def _fits(run: Recorded, wanted: Wanted) -> list[FitOfRun]:
-    app = app_as(run.records[-1]["settings"])
+    app = plan_as(run.records[-1]["settings"]).app
     tasks = tasks_as(run.records, app, wanted.inputs, wanted.data)
     if missing := sum(record["name"] not in tasks for record in run.records):
         what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"

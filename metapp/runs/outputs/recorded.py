@@ -113,15 +113,6 @@ def plan_as(settings: Document, options: Mapping[str, object] | None = None, **m
         raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
 
 
-def app_as(settings: Document) -> App:
-    """The application as it was at the fit.
-
-    Raises:
-        ValueError: settings that are not known here.
-    """
-    return plan_as(settings).app
-
-
 def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
     """The tasks that were fitted in a run, by name: of what is given, else from where its records say, else embedded.
 
