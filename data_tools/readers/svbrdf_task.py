@@ -18,11 +18,6 @@ UNITS = {
     "linear RGB albedo, roughness (GGX alpha is its square), specular linear RGB reflectance at normal incidence",
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
 }
-SEVERAL_UNITS = {
-    "others": "sRGB, uint8 0..255 [photos - 1, 3, height, width], the further photos, in the frame of the first",
-    "places": "float32 [photos, 2, 3], measured places of camera and flash: x right, y up, z out of the patch, from "
-    "its centre, in half sides of the patch",
-}
 
 CLIPPED = 0.95  # of white: brighter px say no more than "at least so bright"
 _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0

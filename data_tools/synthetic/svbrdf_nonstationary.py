@@ -43,6 +43,11 @@ UNITS = {
     **svbrdf_task.UNITS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
 }
+SEVERAL_UNITS = {
+    "others": "sRGB, uint8 0..255 [photos - 1, 3, height, width], the further photos, in the frame of the first",
+    "places": "float32 [photos, 2, 3], measured places of camera and flash: x right, y up, z out of the patch, from "
+    "its centre, in half sides of the patch",
+}
 COUNTS: dict[Split, int] = {"train": 1200, "test": 16}
 FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "inlay": inlay,
@@ -73,7 +78,7 @@ _STREAM = 2  # other materials than those of the textures and of the stationary 
 
 def units_of(photos: int = 1, **_: object) -> dict[str, str]:
     """Units of the tensors of a set, of one photo of each material or of several."""
-    return UNITS | (svbrdf_task.SEVERAL_UNITS if photos > 1 else {})
+    return UNITS | (SEVERAL_UNITS if photos > 1 else {})
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = 1) -> Iterator[Task]:
