@@ -13,12 +13,14 @@ from torch import Tensor
 
 from metapp.appearance import latlong
 from metapp.rendering.second_scene import geometry, relighting
-from metapp.rendering.second_scene.geometry import GLOSSY_CENTRE
-from metapp.rendering.second_scene.relighting import direct, relight, transfer
+from metapp.rendering.second_scene.geometry import GLOSSY_CENTRE, scene_dict
+from metapp.rendering.second_scene.relighting import relight, transfer
+from metapp.rendering.variant import load_mitsuba
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
 
 ROWS, COLUMNS = 16, 32
+FINER = 8  # a texel becomes so many, squared, for Mitsuba's `envmap`, which would else blend it with its neighbours
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +63,15 @@ def sun(row: int, column: int) -> Tensor:
     light = torch.full((3, ROWS, COLUMNS), 0.01)
     light[:, row, column] *= 1e4
     return light
+
+
+def direct(illumination: Tensor, spp: int) -> Tensor:
+    """The picture [3, 64, 96] by Mitsuba's path tracer, under one map [3, H, W] that is constant in each texel."""
+    mi = load_mitsuba()
+    texels = illumination.repeat_interleave(FINER, -2).repeat_interleave(FINER, -1)
+    bitmap = mi.Bitmap(texels.movedim(0, -1).float().cpu().contiguous().numpy())
+    scene = mi.load_dict({**scene_dict(mi), "light": {"type": "envmap", "bitmap": bitmap}})
+    return torch.from_numpy(mi.render(scene, spp=spp).numpy()).movedim(-1, 0)
 
 
 @pytest.mark.long

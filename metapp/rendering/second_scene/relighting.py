@@ -21,7 +21,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
-from metapp.rendering.second_scene.geometry import HEIGHT, WIDTH, scene_dict
+from metapp.rendering.second_scene.geometry import HEIGHT, WIDTH
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import write_atomically
@@ -29,7 +29,6 @@ from metapp.storage.tensors import read_tensors
 
 VERSION = 1  # of the scene and its matrix, in the name of the cached file
 SAMPLES = 16384  # paths from each pixel to the light, spread over the texels
-FINER = 8  # a texel becomes so many, squared, for Mitsuba's `envmap`, which would else blend it with its neighbours
 
 _BOUNCES = 4  # between patches; what is left out is 0.1 % of the light
 
@@ -83,15 +82,6 @@ def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
     texels = latlong.resample(maps, height, width).flatten(-2)
     result: Tensor = (texels @ transfer(height, width).to(maps).T).unflatten(-1, (HEIGHT, WIDTH))
     return result
-
-
-def direct(illumination: Tensor, spp: int = 256, *, seed: int = 0) -> Tensor:
-    """The picture [3, 64, 96] by Mitsuba's path tracer, under one map [3, H, W] that is constant in each texel."""
-    mi = load_mitsuba()
-    texels = illumination.repeat_interleave(FINER, -2).repeat_interleave(FINER, -1)
-    bitmap = mi.Bitmap(texels.movedim(0, -1).float().cpu().contiguous().numpy())
-    scene = mi.load_dict({**scene_dict(mi), "light": {"type": "envmap", "bitmap": bitmap}})
-    return torch.from_numpy(mi.render(scene, spp=spp, seed=seed).numpy()).movedim(-1, 0)
 
 
 def _build(height: int, width: int, report: Report) -> Tensor:
