@@ -7,35 +7,11 @@ imported on first use.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
 from data_tools.formats import brdf, light, pictures
 from metapp import door
 
-if TYPE_CHECKING:
-    from metapp.learning.task import Task
-
 AUTO = "auto"  # the split by a rule: train and test tasks
 OFFERS = (*brdf.OFFERS, *pictures.OFFERS, *light.OFFERS)
-
-
-class Files(Protocol):
-    """A module that finds and reads the files of a format.
-
-    Its `read_task` also takes what `Format.takes` names, and values of options. Where it converts files it has UNITS,
-    of the tasks' tensors by name, and where that takes more than these, `conversion(paths, split, **options)`.
-    """
-
-    def recognises(self, path: Path, /) -> bool:
-        """Return whether a path is of this format, or a folder with such files."""
-
-    def find(self, paths: Iterable[Path], /) -> tuple[list[Path], list[str]]:
-        """Return sources, and a line for each file of a folder that is none; ValueError for a bad path."""
-
-    def read_task(self, path: Path, /) -> Task:
-        """Read one source; ValueError where it is damaged."""
 
 
 def formats() -> tuple[door.Format, ...]:

@@ -82,7 +82,9 @@ class Format(NamedTuple):
     Attributes:
         name: of its command.
         app: the application whose tasks its files hold.
-        module: of what finds and reads them, as `data_tools.formats.Files` says.
+        module: of what finds and reads them, by `recognises(path)`, `find(paths)` and `read_task(source, ...)` as the
+            methods here. Where it converts files it has UNITS, of the tasks' tensors by name, and where that takes more
+            than these, `conversion(paths, split, **options)`.
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
         takes: what fits tell `read_task` of themselves: "size", px a side or rows of what the file becomes; "least",
             what smaller photos are enlarged to.
@@ -113,7 +115,11 @@ class Format(NamedTuple):
         return result
 
     def read(self, source: Path, arguments: Mapping[str, object]) -> Task:
-        """Read one source, by those of the arguments of readers, by keyword, that the format takes."""
+        """Read one source, by those of the arguments of readers, by keyword, that the format takes.
+
+        Raises:
+            ValueError: it is damaged.
+        """
         return self.files().read_task(source, **self.taken(arguments))
 
     def taken(self, arguments: Mapping[str, object]) -> dict[str, object]:
