@@ -201,7 +201,7 @@ EXTENSIONS = {
     "addresses": 270,
     "assets": 830,
     "baselines": 2_550,
-    "capture": 2_500,
+    "capture": 2_510,
     "examples": 85,
     "doctor": 125,
     "few": 1_100,

@@ -12,7 +12,6 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-from data_tools.formats.options import fov_rad
 from metapp import door
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]
@@ -30,20 +29,6 @@ def check_new(path: Path | None, overwrite: bool) -> None:
     """Refuse to write a file that is there, unless it may be replaced."""
     if path and not overwrite and os.path.lexists(path):
         raise typer.BadParameter(f"{path}: is there already, expected a new file; add --overwrite to replace it.")
-
-
-def field_of_view(unsaid: str) -> object:
-    """The option for a camera's field of view in degrees; its help ends with what 0 means."""
-    words = f"Field of view along the photos' shorter side; 0: {unsaid}."
-    return typer.Option(min=0, max=150, metavar="DEGREES", help=words, callback=_checked_view)
-
-
-def _checked_view(degrees: float) -> float:
-    try:
-        fov_rad(degrees)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
-    return degrees
 
 
 def annotated(option: door.Option, *, given: bool = False, panel: str | None = None) -> object:

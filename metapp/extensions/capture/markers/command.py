@@ -12,7 +12,8 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import Out, Quiet
-from metapp.cli.options import Json, Overwrite, check_new, field_of_view, takes
+from metapp.cli.options import Json, Overwrite, check_new, takes
+from metapp.extensions.capture.options import field_of_view
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:

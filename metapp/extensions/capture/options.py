@@ -1,0 +1,21 @@
+"""An option that commands for mirror balls and marker sheets have alike."""
+
+from __future__ import annotations
+
+import typer
+
+from data_tools.formats.options import fov_rad
+
+
+def field_of_view(unsaid: str) -> object:
+    """The option for a camera's field of view in degrees; its help ends with what 0 means."""
+    words = f"Field of view along the photos' shorter side; 0: {unsaid}."
+    return typer.Option(min=0, max=150, metavar="DEGREES", help=words, callback=_checked_view)
+
+
+def _checked_view(degrees: float) -> float:
+    try:
+        fov_rad(degrees)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    return degrees
