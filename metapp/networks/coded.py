@@ -23,7 +23,7 @@ class CodedApp(App):
     several sizes share what was trained at the smallest. Nothing that a fit sees is drawn at random.
 
     Attributes:
-        setup: holds the `field`.
+        setup: holds the `field`, and the `encoder` that reads photographs for it.
     """
 
     @property
@@ -48,7 +48,8 @@ class CodedApp(App):
 
     def init_reader(self, rng: Generator) -> Params:
         """Random parameters of what reads a task's own parameters from its photograph."""
-        raise NotImplementedError
+        result: Params = self.setup.encoder.init(rng)
+        return result
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         """A task's own parameters, [T, ...] each, from its photograph."""

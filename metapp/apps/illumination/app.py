@@ -192,10 +192,6 @@ class Illumination(CodedApp):
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
         return super().loss_parameters(steps) | light
 
-    def init_reader(self, rng: Generator) -> Params:
-        result: Params = self.setup.encoder.init(rng)
-        return result
-
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
         return {"z": code / self.field.gain, "body": body / BODY_GAIN}

@@ -222,10 +222,6 @@ class SvbrdfNonstationary(CodedApp):
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
 
-    def init_reader(self, rng: Generator) -> Params:
-        result: Params = self.setup.encoder.init(rng)
-        return result
-
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {key: tasks.data[key][tasks.rows] for key in ("photo", *KEYS) if key in tasks.data}
 
