@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -12,6 +13,7 @@ from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolat
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, unpack
 from metapp.apps.svbrdf_nonstationary.maps import ACROSS, BRIGHT, FLASH, UP, flash_of, of_length_1, photographed
+from metapp.learning import draws
 
 # of the numbers that describe a flash, as drawn materials are photographed
 JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)
@@ -40,7 +42,7 @@ def varied(maps: Tensor, side: int, rng: Generator) -> Tensor:
 
 def photographs(maps: Tensor, rng: Generator, place: Tensor | None = None) -> Tensor:
     """Linear photographs [T, 3, S, S] of 8 bits, or of their part `place`: any flash and exposure, with noise."""
-    uniform, normal = draws(len(maps), rng)
+    uniform, normal = draws_of(len(maps), rng)
     flash = normal(FLASH) * maps.new_tensor(JITTER) * (uniform(1) > BESIDE_LENS)
     stops = STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / BRIGHT]) * stops
@@ -50,16 +52,9 @@ def photographs(maps: Tensor, rng: Generator, place: Tensor | None = None) -> Te
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
 
 
-def draws(count: int, rng: Generator) -> tuple[Draw, Draw]:
+def draws_of(count: int, rng: Generator) -> tuple[Draw, Draw]:
     """Functions of a shape that draw evenly from 0 to 1, and normally, for each of so many materials."""
-
-    def uniform(*shape: int) -> Tensor:
-        return torch.rand(count, *shape, generator=rng, device=rng.device)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(count, *shape, generator=rng, device=rng.device)
-
-    return uniform, normal
+    return functools.partial(draws.uniform, rng, count), functools.partial(draws.normal, rng, count)
 
 
 def some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:
@@ -70,7 +65,7 @@ def some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: flo
 
 def _cropped(maps: Tensor, side: int, rng: Generator) -> Tensor:
     """Crops [T, 10, side, side] of maps [T, 10, S, S], in any direction, half of them mirrored."""
-    uniform, _ = draws(len(maps), rng)
+    uniform, _ = draws_of(len(maps), rng)
     angle = 2 * math.pi * uniform()
     share = CROPPED[0] + (CROPPED[1] - CROPPED[0]) * uniform()
     return turned_crops(maps, side, angle, share, maps.new_zeros(len(maps), 2), uniform(1, 1, 1) < 0.5, "reflection")
@@ -98,7 +93,7 @@ def restyled(maps: Tensor, rng: Generator) -> Tensor:
 
     Scanned materials are like this more often than drawn ones: where they differ from place to place, it is by little.
     """
-    uniform, normal = draws(len(maps), rng)
+    uniform, normal = draws_of(len(maps), rng)
 
     def chance(share: float) -> Tensor:
         return uniform(1, 1, 1) < share

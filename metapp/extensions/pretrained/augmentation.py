@@ -12,7 +12,7 @@ from metapp.apps.svbrdf_nonstationary.app import INPUTS
 from metapp.apps.svbrdf_nonstationary.maps import inputs_of, of_length_1, pooled
 from metapp.apps.svbrdf_nonstationary.variants import (
     RESTYLED,
-    draws,
+    draws_of,
     photographs,
     recoloured,
     restyled,
@@ -32,7 +32,7 @@ CROSSED = 0.3  # of materials whose relief is another's, so that colours say not
 
 def pieces(maps: Tensor, side: int, rng: Generator) -> Tensor:
     """Patches [T, 10, side, side] of maps [T, 10, S, S], from anywhere, in any direction, half of them mirrored."""
-    uniform, _ = draws(len(maps), rng)
+    uniform, _ = draws_of(len(maps), rng)
     angle = 2 * math.pi * uniform()
     quarters = (2 * angle / math.pi).round() * math.pi / 2
     angle = torch.where(uniform() < SQUARE, quarters, angle)
@@ -46,7 +46,7 @@ def pieces(maps: Tensor, side: int, rng: Generator) -> Tensor:
 
 def polished(maps: Tensor, rng: Generator) -> Tensor:
     """Materials [T, 10, S, S] whose patterns are nearly all paint."""
-    uniform, _ = draws(len(maps), rng)
+    uniform, _ = draws_of(len(maps), rng)
     low, high = FLATTER
     slopes = maps[:, :2] / maps[:, 2:3].clamp_min(0.2) * torch.exp(low + (high - low) * uniform(1, 1, 1))
     return torch.cat([of_length_1(torch.cat([slopes, torch.ones_like(slopes[:, :1])], 1)), maps[:, 3:]], 1)
@@ -54,7 +54,7 @@ def polished(maps: Tensor, rng: Generator) -> Tensor:
 
 def crossed(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
     """Materials [T, 10, S, S], some with the normals of the one before, and what is known of these [T, 4]."""
-    uniform, _ = draws(len(maps), rng)
+    uniform, _ = draws_of(len(maps), rng)
     chosen = uniform(1, 1, 1) < CROSSED
     normal = torch.where(chosen, maps[:, :3].roll(1, 0), maps[:, :3])
     weight = torch.where(chosen[:, :, 0, 0], known[:, 3:].roll(1, 0), known[:, 3:])
@@ -90,7 +90,7 @@ def chance(share: float, rng: Generator) -> bool:
 
 def windows(pictures: Tensor, side: int, rng: Generator) -> Tensor:
     """Squares [T, C, side, side] of pictures [T, C, S, S], each from anywhere in it."""
-    uniform, _ = draws(len(pictures), rng)
+    uniform, _ = draws_of(len(pictures), rng)
     corner = (uniform(2) * (pictures.shape[-1] - side + 1)).long().clamp_max(pictures.shape[-1] - side)
     squares = zip(pictures, corner.tolist(), strict=True)
     cut = [each[:, row : row + side, column : column + side] for each, (row, column) in squares]
