@@ -42,14 +42,8 @@ def _none(subject: Subject) -> list[Any]:
     return []
 
 
-def no_picture(subject: Subject) -> Path | None:
-    """The picture of a table without one."""
-    return None
-
-
-def no_repeat(subject: Subject, settings: Record) -> Cell | None:
-    """The cell that repeats a record of a table that makes none but those of fits."""
-    return None
+def _nothing(*_: object) -> None:
+    """No picture of a table, and no cell that repeats a record of a table that makes none but those of fits."""
 
 
 class Table(NamedTuple):
@@ -75,9 +69,9 @@ class Table(NamedTuple):
     notes: Callable[[Subject, list[Row]], list[str]]
     cells: Callable[[Subject], list[Cell]] = _none
     heading: str = ""
-    picture: Callable[[Subject], Path | None] = no_picture
+    picture: Callable[[Subject], Path | None] = _nothing
     plane: Callable[[Subject], list[Row]] = _none
-    repeat: Callable[[Subject, Record], Cell | None] = no_repeat
+    repeat: Callable[[Subject, Record], Cell | None] = _nothing
 
 
 # Columns
