@@ -196,7 +196,7 @@ def test_no_circles_among_files() -> None:
 
 # lines of the core (metapp and data_tools without extensions and synthetic data) and of each extension: who needs more
 # names what leaves, in the commit
-CORE = 28_000
+CORE = 27_960
 EXTENSIONS = {
     "addresses": 270,
     "assets": 830,

@@ -11,6 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
+from metapp.appearance.detail import detail, softness
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App, Traits
 from metapp.learning.draws import normal, uniform
@@ -22,6 +23,7 @@ from metapp.networks.layout import as_input, layouts, quilted_layout
 
 Crop = Callable[[Tensor], Tensor]
 HIDDEN = 128
+SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
 JUDGED = 4
 SHOWN = 1  # seed of the noise of pictures that are written and shown
 
@@ -169,7 +171,7 @@ class ExemplarApp(App):
         return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`image` uint8 [3, S, S], and what describes the exemplar in it.
+        """`image` uint8 [3, S, S], and what describes the exemplar in it, `detail` [3, N] among it.
 
         Raises:
             ValueError: the picture is smaller than finer exemplars than those of training.
@@ -178,7 +180,7 @@ class ExemplarApp(App):
         if self.setup.finer and image.shape[-1] < side:
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = self.exemplar(image[None].float() / 255)
-        described = self.describe(exemplar) | self.laid_out(exemplar)
+        described = self.describe(exemplar) | self.laid_out(exemplar) | {"detail": detail(exemplar)}
         return {"image": image} | {key: value[0] for key, value in described.items()}
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
@@ -258,7 +260,7 @@ class ExemplarApp(App):
         channels = uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        described = self.describe(images, octave) | self.laid_out(images)
+        described = self.describe(images, octave) | self.laid_out(images) | {"detail": detail(images)}
         return tasks.variants(described | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
@@ -278,3 +280,13 @@ def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, oct
     """
     rng = Generator(like.device).manual_seed(seed)
     return app.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
+
+
+def softness_of(app: ExemplarApp, pictures: Tensor, batch: Batch) -> Tensor:
+    """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
+
+    0 of pictures of coarser octaves, and where networks read no layout.
+    """
+    if not app.setup.has_layout or app.octave(batch):
+        return pictures.new_zeros(len(pictures))
+    return SOFTNESS * softness(detail(pictures), batch["detail"][:, None]).mean(1)

@@ -60,13 +60,16 @@ def pixels(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
     return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, validate_every=validate_every)
 
 
-def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0, layout: bool = False) -> Recipe:
+def pyramid(
+    quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: float = 0.0, layout: bool = False
+) -> Recipe:
     """The recipe of pictures of the size that people use, 256 texels, from coarse to fine.
 
     Half of the steps are at 64 texels, the last fifth at 256. A network that is given a layout needs fewer at 64.
 
     Args:
         quick: what it is like in all else.
+        steps: gradient steps of a fit.
         searched: where the quick recipe's search of an Adam ended; searches begin there.
         tasks: of each outer step of General.
         prior: as of `ExemplarSetup`.
@@ -77,6 +80,7 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0, la
     network = Pyramid(16, outputs=quick.setup.network.outputs, layout=3 if layout else 0)
     return replace(
         quick,
+        steps=steps,
         quickft=searched,
         general=pixels(2400, tasks, validate_every=400),
         meta={"meta-encoder": quick.meta["meta-encoder"], "meta-axes": tuned},

@@ -26,7 +26,7 @@ from metapp.appearance.flash import (
 from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.doubts import of_blobs, of_highlight, of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise, softness_of
 from metapp.networks.layout import astray
 
 GRID = 3  # windows along a side
@@ -151,7 +151,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         rows = tasks.rows
-        named = [key for key in tasks.data if key in ("light", "pooled", "chroma", "truth")]
+        named = [key for key in tasks.data if key in ("light", "pooled", "chroma", "detail", "truth")]
         targets = {key: tasks.data[key][rows] for key in named}
         for i in range(self.setup.maps_from(self.octave(tasks.data))):
             targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
@@ -197,6 +197,7 @@ class SvbrdfStationary(ExemplarApp):
             distances["colour"] = COLOUR * colours.mean((1, 2))
             even, times = evenly_lit(pictures, batch["light"][:, None]), self.setup.times(self.octave(batch))
             distances["astray"] = astray(theta, batch["noise"], even, times)
+            distances["softness"] = softness_of(self, pictures, batch)
         return distances
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:

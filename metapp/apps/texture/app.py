@@ -11,7 +11,7 @@ from metapp.appearance.features import describe_precision, distance, gram
 from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.doubts import of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, Crop, ExemplarApp, same_noise
+from metapp.networks.exemplar import JUDGED, SHOWN, Crop, ExemplarApp, same_noise, softness_of
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -43,14 +43,14 @@ class Texture(ExemplarApp):
         return {"noise": self.noise(rng, len(tasks), count, octave=octave)} | self._targets(tasks)
 
     def _targets(self, tasks: Tasks) -> Batch:
-        return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith("gram")}
+        return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith(("gram", "detail"))}
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Relative L1 distance of Gram matrices, [T], and how far pictures are from their layouts."""
+        """Relative L1 distance of Gram matrices, [T]; how far pictures are from their layouts; how soft they are."""
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
         apart = self._distance(images, batch, self._strip)
-        return apart + astray(theta, noise, images, self.setup.times(octave))
+        return apart + astray(theta, noise, images, self.setup.times(octave)) + softness_of(self, images, batch)
 
     def _strip(self, images: Tensor) -> Tensor:
         """As many rows as the coarsest octave has; noise and layouts are moved at each step, and so what they show."""
