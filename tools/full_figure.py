@@ -81,7 +81,7 @@ def named(app: str, name: str) -> Task:
     path = Path(name)
     planned = plan(Request(app, "general", [path] if path.exists() else [], recipe="full", quiet=True))
     if path.exists():
-        return tasks_to_fit(planned.app, planned.request)[0][0]
+        return tasks_to_fit(planned)[0][0]
     return next(task for task in tasks_of_data(planned.app, None, True)[0] if task.name.startswith(name))
 
 

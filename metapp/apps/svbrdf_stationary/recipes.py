@@ -19,7 +19,7 @@ QUICK = generator(
     general=pixels(2500, 6),
 )
 FULL = pyramid(
-    QUICK, steps=20, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR, layout=True
+    QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR, layout=True
 )
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
 SETUP = ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3"))
