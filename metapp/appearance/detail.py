@@ -18,7 +18,7 @@ def detail(pictures: Tensor) -> Tensor:
     """Root mean squares of waves of 2 to 8 px in display values of pictures [..., C, H, W].
 
     Of the 15 cosine waves in squares of 4 px, one every 3 px, and of the three waves of 2 px with equal phase over
-    8 px. These are a lattice of the network's grid: it has the strength of noise, but looks like none.
+    8 px: these are strong where a network repeats its own grid, which the squares do not tell from noise.
 
     Returns:
         [..., C, 18].
