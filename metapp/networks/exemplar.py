@@ -171,7 +171,7 @@ class ExemplarApp(App):
         return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`image` uint8 [3, S, S], and what describes the exemplar in it, `detail` [3, N] among it.
+        """`image` uint8 [3, S, S], and what describes the exemplar in it.
 
         Raises:
             ValueError: the picture is smaller than finer exemplars than those of training.
@@ -180,7 +180,7 @@ class ExemplarApp(App):
         if self.setup.finer and image.shape[-1] < side:
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = self.exemplar(image[None].float() / 255)
-        described = self.describe(exemplar) | self.laid_out(exemplar) | {"detail": detail(exemplar)}
+        described = self.describe(exemplar) | self.laid_out(exemplar) | _fine(self.setup, exemplar)
         return {"image": image} | {key: value[0] for key, value in described.items()}
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
@@ -260,7 +260,7 @@ class ExemplarApp(App):
         channels = uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        described = self.describe(images, octave) | self.laid_out(images) | {"detail": detail(images)}
+        described = self.describe(images, octave) | self.laid_out(images) | _fine(self.setup, images)
         return tasks.variants(described | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
@@ -280,6 +280,11 @@ def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, oct
     """
     rng = Generator(like.device).manual_seed(seed)
     return app.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
+
+
+def _fine(setup: ExemplarSetup, exemplars: Tensor) -> dict[str, Tensor]:
+    """`detail` [B, 3, N] of exemplars [B, 3, H, W]; {} without layouts."""
+    return {"detail": detail(exemplars)} if setup.has_layout else {}
 
 
 def softness_of(app: ExemplarApp, pictures: Tensor, batch: Batch) -> Tensor:
