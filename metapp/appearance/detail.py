@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -37,6 +38,7 @@ def softness(made: Tensor, wanted: Tensor) -> Tensor:
     return ((made + FAINTEST) / (wanted + FAINTEST)).log().abs().mean((-1, -2))
 
 
+@lru_cache(maxsize=1)
 def _waves() -> Tensor:
     """Orthonormal cosine waves [15, 1, 4, 4] of squares of 4 px, without the mean."""
     at = torch.arange(SIDE)

@@ -60,24 +60,21 @@ def pixels(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
     return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, validate_every=validate_every)
 
 
-def pyramid(
-    quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: float = 0.0, layout: bool = False
-) -> Recipe:
+def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: float = 0.0) -> Recipe:
     """The recipe of pictures of the size that people use, 256 texels, from coarse to fine.
 
-    Half of the steps are at 64 texels, the last fifth at 256. A network that is given a layout needs fewer at 64.
+    A fifth of the steps are at 64 texels, the last two fifths at 256; the network reads a layout of the exemplar.
 
     Args:
         quick: what it is like in all else.
         steps: gradient steps of a fit.
-        searched: where the quick recipe's search of an Adam ended; searches begin there.
+        searched: an Adam where searches begin.
         tasks: of each outer step of General.
         prior: as of `ExemplarSetup`.
-        layout: whether the network reads a layout of the exemplar.
     """
     tuned = replace(quick.meta["meta-basis"], first=searched)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=quick.setup.network.outputs, layout=3 if layout else 0)
+    network = Pyramid(16, outputs=quick.setup.network.outputs, layout=3)
     return replace(
         quick,
         steps=steps,
@@ -91,7 +88,7 @@ def pyramid(
             network,
             taps,
             octaves=3,
-            shares=(0.2, 0.6) if layout else (0.5, 0.8),
+            shares=(0.2, 0.6),
             prior=prior,
         ),
     )

@@ -18,9 +18,7 @@ QUICK = generator(
     searched=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3),
     general=pixels(2500, 6),
 )
-FULL = pyramid(
-    QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR, layout=True
-)
+FULL = pyramid(QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR)
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
 SETUP = ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3"))
 PAPER = as_published(QUICK, SETUP, tasks=3, validate_every=50)

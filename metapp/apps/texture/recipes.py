@@ -17,7 +17,7 @@ QUICK = generator(
     searched=Adam(5e-3, beta1=0.5, beta2=0.99, final=0.6),
     general=pixels(4000, 8),
 )
-FULL = pyramid(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4, layout=True)
+FULL = pyramid(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
 SETUP = ExemplarSetup(192, 256, UNet(32), ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"))
 PAPER = as_published(QUICK, SETUP, validate_every=50)
