@@ -94,7 +94,8 @@ class Bench:
         baseline = next(each for each in baselines_of(self.app) if each.name == name)
         allowed = allowed_for(self.plans["meta"])
         prepared, rng = baseline.prepare(self.training, allowed), Generator().manual_seed(0)
-        return [of_mean_1(prepared.fit(stack(self.app, [task]), rng, allowed).answer()) for task in tasks]
+        answers = [prepared.fit(stack(self.app, [task]), rng, allowed).answer() for task in tasks]
+        return [of_mean_1(answer) for answer in answers if isinstance(answer, Tensor)]
 
     def errors(self, made: Tensor, task: Task) -> dict[str, float]:
         """Of a map [1, 3, H, W]; those of `Illumination.errors_of`, and of spheres under the radiance itself."""

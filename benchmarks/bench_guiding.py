@@ -86,7 +86,8 @@ class Bench:
             ray, weight = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0.5))
             light = self.path.sample(self.scene, sampler, mi.RayDifferential3f(ray))[0] * weight
             total += torch.from_numpy(dr.block_sum(light, per_pixel).numpy()).reshape(3, rows, columns)
-        return total / (per_pixel * waves)
+        mean: Tensor = total / (per_pixel * waves)
+        return mean
 
     def error(self, picture: Tensor) -> float:
         """MAPE of the reference's pixels."""

@@ -13,12 +13,13 @@ from torch import Generator
 
 import metapp
 from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions
+from metapp.learning.task import Task
 from metapp.storage.shards import read_shard
 
 NOISE, STEEPEST = 0.05, 75  # standard deviation of the logarithm; degrees
 
 
-def error(task, recipe: str, count: int, reach: float) -> float:
+def error(task: Task, recipe: str, count: int, reach: float) -> float:
     """Of a fit of so many samples within an angle of the normal, in degrees."""
     angles, values = task.data["angles"], task.data["reflectance"]
     half, rng = len(angles) // 2, Generator().manual_seed(count)

@@ -154,6 +154,7 @@ def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatc
     def stacked(pick: Callable[[PlainBatch], Tensor]) -> Any:
         return jnp.asarray(torch.stack([torch.stack([pick(b) for b in batches]) for batches in inner]).numpy())
 
+    columns: list[Callable[[PlainBatch], Tensor]]
     columns = [lambda b: b[0].T.contiguous(), lambda b: b[1].T.contiguous(), lambda b: b[2].T.contiguous()]
     batches = tuple(stacked(pick) for pick in columns)
     final = tuple(jnp.asarray(torch.stack([pick(b) for b in last]).numpy()) for pick in columns)
@@ -362,7 +363,7 @@ class LiveBytes(TorchDispatchMode):
     """Counts the bytes of storages that operators made and that still live."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self.live = self.peak = 0
         self.seen: dict[int, Any] = {}
 

@@ -178,7 +178,7 @@ def main() -> None:
         if line != first:
             print(f"| {line.way.title} | {' | '.join(ratios(found[first], found[line]))} |")
     drawn = {line.way: [statistics.fmean(e.values()) for e in errors] for line, errors in found.items()}
-    bench_samples.COUNTS = COUNTS  # type: ignore[misc]
+    bench_samples.COUNTS = COUNTS
     FIGURE.parent.mkdir(parents=True, exist_ok=True)
     with rc_context(STYLE):
         figure({way: errors for way, errors in drawn.items() if all(map(math.isfinite, errors))}, FIGURE)

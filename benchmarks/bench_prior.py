@@ -90,7 +90,7 @@ def table(rows: list[dict[str, Any]], prior: str) -> str:
     for (name, spp, seed, which), error in errors.items():
         if which == prior:
             logs.setdefault((name, spp), []).append(math.log(error / errors[name, spp, seed, NONE]))
-    names, samples = (list(dict.fromkeys(key[i] for key in logs)) for i in (0, 1))
+    names, samples = list(dict.fromkeys(key[0] for key in logs)), list(dict.fromkeys(key[1] for key in logs))
     lines = [f"| {prior} over none | " + " | ".join(f"{spp} spp" for spp in samples) + " |"]
     lines.append("|---" * (len(samples) + 1) + "|")
     for name in names:

@@ -22,6 +22,7 @@ from metapp.cli.console import run
 from metapp.cli.show import show
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.style import STYLE, save
+from metapp.evaluation.subject import Subject
 from metapp.runs.requests.naming import name_of
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     design = Design(chosen.train_steps, chosen.steps, chosen.seeds, chosen.initialisation, chosen.rule)
     common = {name: getattr(chosen, name) for name in ("data", "out", "seed", "quiet")}
     plans = [plan(Request(app, "general", recipe="quick", **common)) for app in chosen.apps]
-    subjects = [Studied(one, design) for one in plans]
+    subjects: list[Subject] = [Studied(one, design) for one in plans]
     run_cells([cell for subject in subjects for cell in RULES.cells(subject)], quiet=chosen.quiet)
     show([RULES], subjects, chosen.format)
     for subject in subjects:

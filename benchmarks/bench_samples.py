@@ -33,7 +33,7 @@ from metapp.runs.outputs.statistics import paired
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
 
-COUNTS = (64, 256, 1024, 5120)
+COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)
 FIGURE = Path("runs/bench/samples.png")
 APART = 0.04  # of names beside the figure, as a share of its height
 

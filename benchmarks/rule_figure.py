@@ -6,20 +6,21 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from benchmarks.rule_study import QUICKFT
-from benchmarks.rule_table import Studied, rows
+from benchmarks.rule_table import rows, study_of
 from metapp.evaluation.rows import Row, paired_of
 from metapp.evaluation.style import COLOURS, GRID, INK, Drawn, new
+from metapp.evaluation.subject import Subject
 
 BELOW, ABOVE, LEVEL = COLOURS["overfit"], COLOURS["meta"], "#999999"
 ROW = 0.21  # inches of a rule
 
 
-def rules(subject: Studied) -> Drawn | None:
+def rules(subject: Subject) -> Drawn | None:
     """Error over QuickFT's with its 95 % interval; blue where it is below, orange above, grey where chance could be."""
     compared = [row for row in rows(subject) if paired_of(row, QUICKFT)]
     if not compared:
         return None
-    study = subject.study
+    study = study_of(subject)
     steps = sorted({row["steps"] for row in compared})
     names = [name for name in study.rules if any(row["rule"] == name for row in compared)]
     figure, axes = new(2.3 * len(steps) + 1.7, ROW * len(names) + 1.1, 1, len(steps))

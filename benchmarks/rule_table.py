@@ -39,9 +39,15 @@ class Studied(Subject):
         self.study = Study(plan, design)
 
 
-def cells(subject: Studied) -> list[Cell]:
+def study_of(subject: Subject) -> Study:
+    """The study of a subject that has one."""
+    assert isinstance(subject, Studied)
+    return subject.study
+
+
+def cells(subject: Subject) -> list[Cell]:
     """A training and its fits for each case, one after the other."""
-    cases = subject.study.cases()
+    cases = study_of(subject).cases()
     once: dict[Path, Cell] = {}  # QuickFT's search is the same for all seeds
     for cell in (cell for case in cases for cell in (train_cell(subject, case), fit_cell(subject, case))):
         assert cell.folder is not None
@@ -49,9 +55,9 @@ def cells(subject: Studied) -> list[Cell]:
     return [cell._replace(stage=i) for i, cell in enumerate(once.values())]
 
 
-def train_cell(subject: Studied, case: Case) -> Cell:
+def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
-    study = subject.study
+    study = study_of(subject)
     settings = study.settings(case, subject.label)
     recipe, seed = study.plan_of(case).request.recipe, settings["seed"]
     words = [subject.label, recipe, f"seed{seed}", case.rule, subject.app.protocol]
@@ -68,11 +74,11 @@ def train_cell(subject: Studied, case: Case) -> Cell:
     return cell._replace(tasks=[Task(case.rule, {})])
 
 
-def _trained(subject: Studied, case: Case) -> Record:
+def _trained(subject: Subject, case: Case) -> Record:
     """Train a case; a training that diverges is a result, too."""
     begin = time.process_time()
     try:
-        _, prepared, seconds = subject.study.train(case)
+        _, prepared, seconds = study_of(subject).train(case)
     except FloatingPointError as error:
         say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
         return {"error": None, "seconds": time.process_time() - begin, "step": None}
@@ -84,9 +90,9 @@ def _diverged(cell: Cell) -> bool:
     return any(record["step"] is None for record in cell.records())
 
 
-def fit_cell(subject: Studied, case: Case) -> Cell:
+def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
-    study = subject.study
+    study = study_of(subject)
     trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
     plan = replace(study.plan_of(case), checkpoint=trained)
     settings = plan.settings(subject.label)
@@ -106,9 +112,9 @@ def fit_cell(subject: Studied, case: Case) -> Cell:
     return subject.make_cell(title, folder, measure, case.steps)
 
 
-def rows(subject: Studied) -> list[Row]:
+def rows(subject: Subject) -> list[Row]:
     """A row for each rule and number of steps that has fits of all tasks, of all seeds that have."""
-    study, all_rows = subject.study, []
+    study, all_rows = study_of(subject), []
     for steps in sorted(set(study.design.steps)):
         reference = [cell for _, cell in _complete(subject, QUICKFT, steps)]
         for rule in (QUICKFT, *study.rules):
@@ -117,14 +123,14 @@ def rows(subject: Studied) -> list[Row]:
     return all_rows
 
 
-def _complete(subject: Studied, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
+def _complete(subject: Subject, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
     """Training and fits of the seeds of a rule of which both are all done."""
-    cases = [case for case in subject.study.cases() if (case.rule, case.steps) == (rule, steps)]
+    cases = [case for case in study_of(subject).cases() if (case.rule, case.steps) == (rule, steps)]
     both = [(train_cell(subject, case), fit_cell(subject, case)) for case in cases]
     return [(training, fits) for training, fits in both if not fits.missing() and not training.missing()]
 
 
-def _row(subject: Studied, rule: str, steps: int, done: list[tuple[Cell, Cell]], reference: list[Cell]) -> Row:
+def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]], reference: list[Cell]) -> Row:
     trainings = [training.records()[0] for training, _ in done]
     of_quickft = rule == QUICKFT
     entries = {
@@ -133,17 +139,17 @@ def _row(subject: Studied, rule: str, steps: int, done: list[tuple[Cell, Cell]],
         "seeds": len(done),
         "train_seconds": statistics.fmean(record["seconds"] for record in trainings),
         "validation": statistics.fmean(record["error"] for record in trainings),
-        "start": subject.study.design.initialisation,
-        "outer": None if of_quickft else subject.study.training(rule).steps,
+        "start": study_of(subject).design.initialisation,
+        "outer": None if of_quickft else study_of(subject).training(rule).steps,
     }
     cells, name = [fits for _, fits in done], QUICKFT if of_quickft else "meta"
     row = row_of(subject, name, cells, entries, against={QUICKFT: reference}, beside_paper=False)
     return row | {"apart": apart(paired_of(row, QUICKFT))}
 
 
-def notes(subject: Studied, all_rows: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
-    study = subject.study
+    study = study_of(subject)
     design, usual = study.design, study.plan.job.recipe.training(study.plan.job.rule).steps
     return [
         f"each rule is trained for {design.train_steps:,} outer steps (the recipe: {usual:,}) at each number of steps, "
@@ -173,9 +179,9 @@ def _winners(all_rows: list[Row], steps: int) -> str:
     )
 
 
-def _diverging(subject: Studied, all_rows: list[Row]) -> list[str]:
+def _diverging(subject: Subject, all_rows: list[Row]) -> list[str]:
     """The rules whose training diverged, by number of steps."""
-    study, there = subject.study, {(row["rule"], row["steps"]) for row in all_rows}
+    study, there = study_of(subject), {(row["rule"], row["steps"]) for row in all_rows}
     lines = []
     for steps in sorted(set(study.design.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]

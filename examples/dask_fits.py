@@ -39,7 +39,7 @@ def fitted(
         futures = client.map(fits_of, batches, [app] * len(batches), pure=False)
         for _, rows in as_completed(futures, with_results=True):
             yield from rows
-    if not scheduler:
+    if not isinstance(cluster, str):
         cluster.close()
 
 

@@ -81,7 +81,7 @@ class Page:
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.problems: list[str] = []
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
-        self.page.on("console", lambda message: message.type == "error" and self.problems.append(message.text))
+        self.page.on("console", lambda message: self.problems.extend([message.text] * (message.type == "error")))
         self.page.goto(file.resolve().as_uri() if isinstance(file, Path) else file)
         self.page.evaluate("metapp.ready")
         if not adapts:

@@ -62,7 +62,8 @@ class Result(NamedTuple):
     @property
     def document(self) -> dict[str, Any]:
         """The object that --json prints last."""
-        return json.loads(self.out.splitlines()[-1])
+        result: dict[str, Any] = json.loads(self.out.splitlines()[-1])
+        return result
 
     @property
     def done(self) -> dict[str, Any]:

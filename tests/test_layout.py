@@ -178,7 +178,7 @@ def test_functions_and_classes_are_small() -> None:
     for path in FILES.values():
         for excess in census()["excesses"](path):
             assert excess.name in EXCESSES[excess.what], excess
-            assert excess.name != "App" or excess.count < 18
+            assert excess.name != "App" or excess.number < 18
 
 
 def test_mutants_are_of_files_that_exist() -> None:

@@ -78,8 +78,9 @@ def opened(folder: Path, name: str) -> Image.Image:
     path, linear, factor = name.partition(".exr*")
     if not linear:
         return Image.open(next(folder.glob(name), DOCS / name)).convert("RGB")
-    pixels = oiio.ImageBuf(str(folder / f"{path}.exr")).get_pixels(oiio.FLOAT)[..., :3]
-    shown = linear_to_srgb((torch.from_numpy(pixels) * float(factor)).clamp(0, 1))
+    pixels = oiio.ImageBuf(str(folder / f"{path}.exr")).get_pixels(oiio.FLOAT)
+    assert pixels is not None, name
+    shown = linear_to_srgb((torch.from_numpy(pixels[..., :3]) * float(factor)).clamp(0, 1))
     return Image.fromarray((shown * 255).round().to(torch.uint8).numpy())
 
 

@@ -30,7 +30,7 @@ class Excess(NamedTuple):
     place: str
     name: str
     what: str
-    count: int
+    number: int
 
 
 def layer_of(path: Path) -> str:
@@ -109,8 +109,8 @@ def main() -> None:
     }
     print(f"{sum(production.values()):7,d} lines {sum(loose[layer] for layer in production):4d} Any  production")
     found = [excess for path in files if path.relative_to(ROOT).parts[0] in PRODUCTION for excess in excesses(path)]
-    for excess in sorted(found, key=lambda excess: (excess.what, -excess.count)):
-        print(f"{excess.place}  {excess.name}: {excess.count} {excess.what}")
+    for excess in sorted(found, key=lambda excess: (excess.what, -excess.number)):
+        print(f"{excess.place}  {excess.name}: {excess.number} {excess.what}")
 
 
 if __name__ == "__main__":

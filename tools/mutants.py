@@ -88,8 +88,8 @@ def changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
         case ast.BinOp(op=operator) | ast.AugAssign(op=operator) | ast.BoolOp(op=operator) if (
             type(operator) in OPERATORS
         ):
-            other = OPERATORS[type(operator)]()
-            yield _replaced(node, operator, other, "op", other)
+            instead = OPERATORS[type(operator)]()
+            yield _replaced(node, operator, instead, "op", instead)
         case ast.Constant(value=bool(value)):
             yield f"{value} becomes {not value}", ast.Constant(not value)
         case ast.Constant(value=int(value) | float(value)):
@@ -174,7 +174,7 @@ def _import_instead(mutant: Mutant) -> None:
     def get_code(self: SourceFileLoader, name: str):  # type: ignore[no-untyped-def]
         return compile(mutant.source, file, "exec") if self.path == file else original(self, name)
 
-    SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
+    SourceFileLoader.get_code = get_code  # type: ignore[assignment, method-assign]
 
 
 def sources(words: list[str]) -> dict[str, list[str]]:

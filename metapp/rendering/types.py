@@ -35,7 +35,6 @@ Integrator = Any
 Bsdf = Any
 BsdfContext = Any
 BsdfFlags = Any
-Facets = Any  # MicrofacetDistribution
 Emitter = Any
 Properties = Any
 TraversalCallback = Any
