@@ -32,8 +32,8 @@ from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROPPED,
     _cropped,
-    _mixed,
     _turned,
+    mixed,
     photographs,
     recoloured,
     restyled,
@@ -196,7 +196,7 @@ def test_a_turned_material_looks_like_its_turned_photo_and_all_turns_occur() -> 
 
 
 def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
-    for change in (_mixed, recoloured, restyled):
+    for change in (mixed, recoloured, restyled):
         maps = change(tasks.data["maps"], rng)
         torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(4, SIDE, SIDE))
         assert maps[:, 3:].amin() >= 0

@@ -37,7 +37,7 @@ def varied(maps: Tensor, side: int, rng: Generator) -> Tensor:
     else:
         maps = torch.stack([_turned(each, rng) for each in maps])
     maps = some(restyled, maps, RESTYLED[0], rng)
-    return some(restyled, _mixed(recoloured(maps, rng), rng), RESTYLED[1], rng)
+    return some(restyled, mixed(recoloured(maps, rng), rng), RESTYLED[1], rng)
 
 
 def photographs(maps: Tensor, rng: Generator, place: Tensor | None = None) -> Tensor:
@@ -162,7 +162,7 @@ def recoloured(maps: Tensor, rng: Generator) -> Tensor:
     return torch.cat([parts[0], parts[1], rough, parts[2]], 1)
 
 
-def _mixed(maps: Tensor, rng: Generator) -> Tensor:
+def mixed(maps: Tensor, rng: Generator) -> Tensor:
     """Half of the materials mixed with the next one, with one share all over or one that varies smoothly."""
     count, device = len(maps), rng.device
     coarse = torch.randn(count, 1, 4, 4, generator=rng, device=device)
@@ -170,5 +170,5 @@ def _mixed(maps: Tensor, rng: Generator) -> Tensor:
     even = torch.rand(count, 1, 1, 1, generator=rng, device=device)
     kind = torch.rand(count, 1, 1, 1, generator=rng, device=device)
     share = torch.where(kind < 0.5, torch.ones_like(masks), torch.where(kind < 0.75, even.expand_as(masks), masks))
-    mixed = torch.lerp(maps.roll(1, 0), maps, share)
-    return torch.cat([of_length_1(mixed[:, :3]), mixed[:, 3:]], 1)
+    both = torch.lerp(maps.roll(1, 0), maps, share)
+    return torch.cat([of_length_1(both[:, :3]), both[:, 3:]], 1)

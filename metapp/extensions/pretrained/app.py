@@ -21,16 +21,17 @@ from metapp.apps.svbrdf_nonstationary.app import (
     blots,
 )
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, differences, inputs_of
+from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
-from metapp.extensions.pretrained.encoder import FeatureEncoder
+from metapp.extensions.pretrained.encoder import SMALLER, FeatureEncoder, beside_smaller
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.coded import reader_of, with_decoder
+from metapp.networks.coded import encoder_of, reader_of, with_decoder
+from metapp.networks.field import LocalField
 
 WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
-FLAT = 0.1  # of the slopes of untrained fields
-OF_PATCH = ("overview", "guess")  # what is read of all of a patch
+FLAT = 0.05  # of the slopes of untrained fields
+OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
 
 
 class FromFeatures(SvbrdfNonstationary):
@@ -60,12 +61,19 @@ class FromFeatures(SvbrdfNonstationary):
         known = task.data.get("known", torch.ones(len(PARTS)))
         return super().prepare(task) | {"known": known.float()}
 
+    @property
+    def field(self) -> LocalField:
+        """The network of one task, as wide as General's and the smaller one's together."""
+        own, other = self.setup.field, SMALLER.field
+        return own._replace(code=own.code + other.code, hidden=own.hidden + other.hidden)
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Of maps that are nearly flat: fits hold their normals."""
+        return _flat(super().init(rng, count))
+
     def init_encoder(self, rng: Generator) -> Params:
-        """The same, of maps that are nearly flat: training begins where nothing is known of relief."""
-        encoder = super().init_encoder(rng)
-        for part in ("kernel", "code"):
-            encoder[f"decoder.out.{part}"][: RAW[0]] *= FLAT
-        return encoder
+        """Its own part, of maps that are nearly flat: training begins where nothing is known of relief."""
+        return encoder_of(self.init_reader(rng), _flat(self.setup.field.init(rng, 1)), ("z",))
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Windows of the same materials of half the field's side, photographed anew."""
@@ -78,13 +86,24 @@ class FromFeatures(SvbrdfNonstationary):
         return super().condition(tasks, rng) | window
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Of windows a code in each of their pixels."""
+        """By both networks; of windows a code in each of their pixels."""
+        encoder = beside_smaller(encoder)
         if "inputs" not in condition:
             return super().encode(encoder, condition)
-        place, whole = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
-        own = self.setup.encoder(reader_of(encoder), condition["photo"], place, **whole)
+        place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
+        own = self.setup.encoder(reader_of(encoder), condition["photo"], place, patch or None)
         own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
         return with_decoder(own, encoder)
+
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Of the photograph, which moves the smaller network's code and the flash alone, [T].
+
+        So normals stay those of General: a photograph under one light says less of them than General has read.
+        """
+        own, code = self.setup.field.code, theta["z"]
+        fitted = torch.cat([code[:, :own].detach(), code[:, own:]], 1)
+        held = {key: value if key == "flash" else value.detach() for key, value in theta.items()}
+        return super().loss(held | {"z": fitted}, batch, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
@@ -121,6 +140,14 @@ class FromFeatures(SvbrdfNonstationary):
         return decoded(field(theta, inputs))
 
 
+def _flat(theta: Params) -> Params:
+    """The same parameters of fields [T, ...], of maps whose slopes are FLAT times as steep."""
+    slopes = {f"out.{part}": theta[f"out.{part}"].clone() for part in ("kernel", "code")}
+    for value in slopes.values():
+        value[:, : RAW[0]] *= FLAT
+    return theta | slopes
+
+
 @dataclass(frozen=True)
 class PretrainedSetup(MaterialSetup):
     """The sizes of fits whose General reads features of VGG-16; always says how sure it is."""
@@ -131,4 +158,4 @@ class PretrainedSetup(MaterialSetup):
     @property
     def encoder(self) -> FeatureEncoder:  # type: ignore[override]
         """The encoder that fits it."""
-        return FeatureEncoder(self.field.code, FLASH, len(PARTS))
+        return FeatureEncoder(self.field.code, len(PARTS))

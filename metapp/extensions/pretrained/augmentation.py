@@ -13,13 +13,14 @@ from metapp.apps.svbrdf_nonstationary.maps import inputs_of, of_length_1, pooled
 from metapp.apps.svbrdf_nonstationary.variants import (
     RESTYLED,
     draws_of,
+    mixed,
     photographs,
     recoloured,
     restyled,
     some,
     turned_crops,
 )
-from metapp.extensions.pretrained.encoder import guess_of, overview_of
+from metapp.extensions.pretrained.encoder import patch_of
 from metapp.learning.task import Batch
 
 LEAST = 0.4  # the side of a photographed patch, of the side of a material's maps
@@ -61,19 +62,27 @@ def crossed(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor
     return torch.cat([normal, maps[:, 3:]], 1), torch.cat([known[:, :3], weight], 1)
 
 
+def blended(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
+    """Materials [T, 10, S, S], half of them mixed with the one before, and what is known of both [T, 4]."""
+    both = mixed(maps, rng)
+    alone = (both[:, 3:] == maps[:, 3:]).flatten(1).all(1, keepdim=True)
+    return both, torch.where(alone, known, torch.minimum(known, known.roll(1, 0)))
+
+
 def variants(fine: Tensor, known: Tensor, side: int, rng: Generator) -> Batch:
     """Augmented materials of maps [T, 10, S, S]: windows of side x side texels of photographs of twice the side.
 
     Returns:
-        `photo` [T, 3, side, side], linear, `overview` and `guess` of the patch; `inputs`, the field's,
+        `photo` [T, 3, side, side], linear, and what `patch_of` makes of all of the patch; `inputs`, the field's,
         [T, 8, side, side]; `maps` and `known`.
     """
     times = 2 if chance(FINER, rng) else 1
     maps = some(restyled, pieces(fine, times * 2 * side, rng), RESTYLED[0], rng)
-    maps, known = crossed(some(restyled, recoloured(maps, rng), RESTYLED[1], rng), known, rng)
+    maps, known = blended(recoloured(maps, rng), known, rng)
+    maps, known = crossed(some(restyled, maps, RESTYLED[1], rng), known, rng)
     maps = some(polished, maps, POLISHED, rng)
     photo, maps = avg_pool2d(photographs(maps, rng), times), pooled(maps, (2 * side, 2 * side))
-    whole = {"overview": overview_of(photo), "guess": guess_of(photo)}
+    whole = patch_of(photo)
     if chance(WHOLE, rng):
         photo, maps = avg_pool2d(photo, 2), pooled(maps, (side, side))
         inputs = inputs_of(photo)

@@ -19,10 +19,10 @@ from metapp.appearance.flash import positions
 from metapp.appearance.precision import in_bfloat16
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import SLOPE, block, pointwise, twice
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED, RAW
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, dense
+from metapp.networks.layers import add_layer
 from metapp.runs.checkpoints.shipped import FULL, shipped_path
 from metapp.storage.records import load_checkpoint
 
@@ -38,6 +38,9 @@ OVERVIEW = 32  # side in px of the overview: highlights have the same size in it
 COARSER = 4  # how many times as coarse its second level is
 OVERVIEWS = (32, 48)  # channels of its levels
 GUESS, DARK = 3, 0.01  # channels of what the smaller network makes of a photograph; what is added before logs
+SMALLER = RECIPES["photo"][FULL].setup
+SHARE = 0.5  # the smaller network's share of diffuse colour, roughness and specular colour; it has none of slopes
+DECODER = "decoder."
 
 
 class FeatureEncoder(NamedTuple):
@@ -48,13 +51,11 @@ class FeatureEncoder(NamedTuple):
 
     Attributes:
         code: length of the code in a pixel.
-        flash: numbers that describe the flash.
         deviations: how many maps it says the deviation of.
         widths: channels of the levels, the finest first.
     """
 
     code: int
-    flash: int
     deviations: int
     widths: tuple[int, ...] = (32, 64, 96, 128)
 
@@ -81,19 +82,13 @@ class FeatureEncoder(NamedTuple):
             add_layer(encoder, rng, f"overview{level}.second", width, width, 3, 3, gain=0.7)
             add_layer(encoder, rng, f"overview{level}.mean", width, width, gain=0.5)
         add_layer(encoder, rng, "code", self.code, self.widths[0], gain=0.3)
-        add_layer(encoder, rng, "flash", self.flash, 2 * self.widths[-1], gain=0.1)
         if self.deviations:
             add_layer(encoder, rng, "deviation", self.deviations, self.widths[AT], gain=0.0)
             encoder["deviation.shift"] += math.log(DEVIATION)
         return encoder
 
     def __call__(
-        self,
-        encoder: Params,
-        photos: Tensor,
-        place: Tensor | None = None,
-        overview: Tensor | None = None,
-        guess: Tensor | None = None,
+        self, encoder: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None
     ) -> Params:
         """Read linear photographs [T, 3, H, H], H a multiple of LARGEST.
 
@@ -101,12 +96,11 @@ class FeatureEncoder(NamedTuple):
             encoder: the decoder's parameters.
             photos: of any exposure and white balance.
             place: where the pixels are, [T, 2, H, H]; None where they show all of the patch.
-            overview, guess: as `overview_of` and `guess_of` make them of all of the patch; None where the photographs
-                show that.
+            patch: as `patch_of` makes it of all of the patch; None where the photographs show that.
 
         Returns:
-            `z`, the code [T, code, H, H], `flash` [T, flash], and, if it says any, `deviation`
-            [T, deviations, H / 4, H / 4], logs.
+            `z`, the code [T, code, H, H] and after it that of the smaller network, `flash` [T, FLASH] by that, and, if
+            it says any, `deviation` [T, deviations, H / 4, H / 4], logs.
 
         Raises:
             ValueError: no weights of VGG-16; another side.
@@ -115,12 +109,11 @@ class FeatureEncoder(NamedTuple):
             raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {LARGEST}; set another size.")
         if place is None:
             place = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
-        overview = overview_of(photos) if overview is None else overview
-        guess, flash = _by_smaller(photos) if guess is None else (guess, None)
-        mean = overview.mean((2, 3), keepdim=True)
+        patch = patch_of(photos) if patch is None else patch
+        mean = patch["overview"].mean((2, 3), keepdim=True)
         balanced, known = _balanced(photos, place, mean)
         whole = positions(OVERVIEW, OVERVIEW, dtype=photos.dtype, device=photos.device)[None]
-        _, small = _balanced(overview, whole, mean)
+        _, small = _balanced(patch["overview"], whole, mean)
         with torch.autocast(photos.device.type, torch.bfloat16, enabled=in_bfloat16(photos.device)):
             surroundings = _surroundings(encoder, small)
             x, result = None, {}
@@ -128,20 +121,18 @@ class FeatureEncoder(NamedTuple):
                 here = pointwise(encoder, f"level{level}.features", features)
                 around = pointwise(encoder, f"level{level}.overview", surroundings)
                 at = avg_pool2d(place, 1 << level)
-                guessed = pointwise(encoder, f"level{level}.guess", _at(guess, at))  # finer than levels: first
+                guessed = pointwise(encoder, f"level{level}.guess", _at(patch["guess"], at))  # finer than levels: first
                 here = leaky_relu(here + _at(around, at).to(here) + guessed, SLOPE)
                 parts = [here, avg_pool2d(known, 1 << level).to(here)]
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
                 x = block(encoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
-                if level == len(TAPS) - 1:
-                    ends = torch.cat([x.mean((2, 3)), x.amax((2, 3))], 1)
-                    result["flash"] = dense(encoder, "flash", ends) if flash is None else flash
                 if level == AT and self.deviations:
                     result["deviation"] = pointwise(encoder, "deviation", x)
             assert x is not None
             result["z"] = pointwise(encoder, "code", x)
-        return {key: value.float() for key, value in result.items()}
+        read = {key: value.float() for key, value in result.items()}
+        return read | {"z": torch.cat([read["z"], _at(patch["code"], place)], 1), "flash": patch["flash"]}
 
 
 def overview_of(photos: Tensor) -> Tensor:
@@ -149,29 +140,50 @@ def overview_of(photos: Tensor) -> Tensor:
     return interpolate(avg_pool2d(photos, LARGEST), (OVERVIEW, OVERVIEW), mode="bilinear")
 
 
-def guess_of(photos: Tensor) -> Tensor:
-    """What General by "full" makes of linear photographs [T, 3, H, W] of all of a patch, [T, GUESS, S, S], S its side.
-
-    Roughness, and the logs of mean specular and diffuse reflectance.
-    """
-    return _by_smaller(photos)[0]
-
-
 @torch.no_grad()
-def _by_smaller(photos: Tensor) -> tuple[Tensor, Tensor]:
-    """What `guess_of` gives, and the flash [T, FLASH] as that General sees it: most windows, in training, show none."""
+def patch_of(photos: Tensor) -> Params:
+    """What is read of linear photographs [T, 3, H, W] of all of a patch, whatever window of it is looked at.
+
+    Returns:
+        `overview`, as of `overview_of`; of what General by "full" makes of them, S its side: `guess` [T, GUESS, S, S],
+        roughness and the logs of mean specular and diffuse reflectance, `code` [T, SMALLER.field.code, S, S], `flash`
+        [T, FLASH], as numbers of any size.
+    """
     app, encoder = _smaller(photos.device)
-    photos = interpolate(photos, (app.field.height, app.field.width), mode="bilinear")
-    theta = app.encode(encoder, {"photo": photos})
-    maps = app.maps_of(theta, photos)
+    small = interpolate(photos, (app.field.height, app.field.width), mode="bilinear")
+    theta = app.encode(encoder, {"photo": small})
+    maps = app.maps_of(theta, small)
     shades = [(each.mean(1, keepdim=True) + DARK).log() for each in (maps.specular, maps.diffuse)]
-    return torch.cat([maps.roughness, *shades], 1), app.field.gain * theta["flash"]
+    own = {"code": app.field.gain * theta["z"], "flash": app.field.gain * theta["flash"]}
+    return own | {"overview": overview_of(photos), "guess": torch.cat([maps.roughness, *shades], 1)}
+
+
+def beside_smaller(encoder: Params) -> Params:
+    """The same parameters with the field's decoder and the smaller network's side by side, as one twice as wide.
+
+    It makes the mean of what both make of their own codes, by SHARE: networks of other features and other training
+    materials err differently. Of slopes it makes what the first makes.
+    """
+    own = {key: value for key, value in encoder.items() if key.startswith(DECODER)}
+    other = {key: _smaller(value.device)[1][key] for key, value in own.items()}
+    share = torch.tensor([0.0] * RAW[0] + [SHARE] * sum(RAW[1:]), device=own[f"{DECODER}out.shift"].device)
+    joined = {}
+    for key, value in own.items():
+        if key == f"{DECODER}out.shift":
+            joined[key] = torch.lerp(value, other[key], share)
+        elif key.startswith(f"{DECODER}out."):
+            joined[key] = torch.cat([(1 - share[:, None]) * value, share[:, None] * other[key]], 1)
+        elif key.endswith(".shift") or key == f"{DECODER}layer0.kernel":
+            joined[key] = torch.cat([value, other[key]])
+        else:
+            joined[key] = torch.block_diag(value, other[key])
+    return encoder | joined
 
 
 @functools.cache
 def _smaller(device: torch.device) -> tuple[SvbrdfNonstationary, Params]:
     """The application of the recipe "full", and the encoder of its General that ships."""
-    app = SvbrdfNonstationary(RECIPES["photo"][FULL].setup, "photo")
+    app = SvbrdfNonstationary(SMALLER, "photo")
     general, _ = load_checkpoint(shipped_path(app.name, "general-photo", FULL), device)
     return app, general.encoder
 

@@ -10,7 +10,7 @@ from metapp.extensions.pretrained.app import PretrainedSetup
 from metapp.learning.recipe import OuterLoop
 
 _FULL = RECIPES["photo"]["full"]
-SEARCHED = replace(_FULL.quickft, rate=1.2e-3)
+SEARCHED = replace(_FULL.quickft, rate=8e-3, final=0.1)
 PRETRAINED = replace(
     _FULL,
     setup=PretrainedSetup(field_of(256, 32)),

@@ -20,24 +20,37 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
 from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
-from metapp.extensions.pretrained.augmentation import FLATTER, LEAST, crossed, pieces, polished, variants, windows
+from metapp.extensions.pretrained.augmentation import (
+    FLATTER,
+    LEAST,
+    blended,
+    crossed,
+    pieces,
+    polished,
+    variants,
+    windows,
+)
 from metapp.extensions.pretrained.encoder import (
     DARK,
     GUESS,
     OVERVIEW,
+    SHARE,
+    SMALLER,
     FeatureEncoder,
     _balanced,
     _smaller,
-    guess_of,
+    beside_smaller,
     overview_of,
+    patch_of,
 )
 from metapp.extensions.pretrained.recipe import PRETRAINED
 from metapp.learning.app import stack
 from metapp.learning.learn import descend, last
-from metapp.learning.rules import outer_adam
+from metapp.learning.rules import fixed_adam, outer_adam
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job
 from metapp.paradigms.general import outer_problem
+from metapp.paradigms.paradigm import plain_loss
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
 from metapp.storage.records import tensor_digest
@@ -45,7 +58,7 @@ from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
 SIDE = 32
-BESIDE = "f6bf608fb21e"  # the digest of General by "full" that the checkpoint's was trained beside
+DIGEST = "f6bf608fb21e"  # the digest of General by "full" that the checkpoint's was trained beside
 RECIPE = replace(PRETRAINED, setup=PretrainedSetup(field_of(SIDE, 8)))
 
 
@@ -87,11 +100,11 @@ def test_only_its_recipe_is_of_the_subclass() -> None:
 
 @pytest.mark.usefixtures("weights")
 def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
-    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    encoder = FeatureEncoder(5, len(PARTS))
     parameters = encoder.init(rng)
     for side in (32, 64):
         read = encoder(parameters, torch.rand(2, 3, side, side, generator=rng))
-        assert read["z"].shape == (2, 5, side, side)
+        assert read["z"].shape == (2, 5 + SMALLER.field.code, side, side)
         assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
         assert read["flash"].shape == (2, FLASH)
     with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
@@ -99,9 +112,9 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
 
 
 @pytest.mark.usefixtures("weights")
-def test_a_whole_photo_shows_the_flash_as_full_sees_it(rng: Generator) -> None:
-    """It is not in most windows; so what learns from these looks for it where a window is all that there is."""
-    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
+    """It is not in most windows."""
+    encoder = FeatureEncoder(5, len(PARTS))
     parameters, photos = encoder.init(rng), torch.rand(2, 3, 32, 32, generator=rng) ** 2
     smaller, its = _smaller(photos.device)
     side = smaller.field.height
@@ -109,8 +122,43 @@ def test_a_whole_photo_shows_the_flash_as_full_sees_it(rng: Generator) -> None:
     with torch.no_grad():
         seen = smaller.field.gain * smaller.encode(its, {"photo": large})["flash"]
     torch.testing.assert_close(encoder(parameters, photos)["flash"], seen)
-    window = encoder(parameters, photos, guess=guess_of(photos))["flash"]
-    assert (window - seen).abs().max() > 1e-3
+    window = photos[..., :16, :16], positions(32, 32)[None, :, :16, :16]
+    torch.testing.assert_close(encoder(parameters, *window, patch_of(photos))["flash"], seen)
+
+
+@pytest.mark.usefixtures("weights")
+def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, rng: Generator) -> None:
+    """Before their ranges are imposed, and at resolutions that the smaller one does not read."""
+    encoder = app.init_encoder(rng)
+    photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
+    inputs = inputs_of(photo)
+    theta = app.encode(encoder, {"photo": photo, "inputs": inputs})
+    size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
+    own = app.setup.field._replace(**size)
+    alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
+    first = own(alone | {"z": theta["z"][:, : own.code]}, inputs)
+    _, smaller = _smaller(torch.device("cpu"))
+    beside = {key.removeprefix("decoder."): value[None] for key, value in smaller.items() if "decoder." in key}
+    second = SMALLER.field._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
+    joined = app.field._replace(**size)(theta, inputs)
+    torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
+    assert set(beside_smaller(encoder)) == set(encoder)
+
+
+@pytest.mark.usefixtures("weights")
+def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    batch = app.sample(tasks, rng, 1)
+    before, photo = app.maps_of(theta, batch["photo"]), plain_loss(Job(app, RECIPE, ""))
+    end = last(
+        descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
+    ).theta
+    after = app.maps_of(end, batch["photo"])
+    assert torch.equal(after.normal, before.normal)
+    assert (app.loss(end, batch, {}) < app.loss(theta, batch, {})).all()
+    for was, now in zip(before[:3], after[:3], strict=True):
+        assert (was - now).abs().amax() > 1e-5
 
 
 def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
@@ -191,21 +239,22 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     fine = torch.rand(1, 3, 512, 512, generator=rng)
     smooth = torch.nn.functional.avg_pool2d(fine, 2)
     torch.testing.assert_close(overview_of(fine), overview_of(smooth))
-    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    encoder = FeatureEncoder(5, len(PARTS))
     untrained = encoder.init(rng)
     trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
-    overview, middle = overview_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
+    patch, middle = patch_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
     window = (smooth[middle], positions(256, 256)[None][middle])
     for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
-        read, other = (encoder(parameters, *window, each)["z"] for each in (overview, overview.flip(3)))
+        turned = patch | {"overview": patch["overview"].flip(3)}
+        read, other = (encoder(parameters, *window, each)["z"] for each in (patch, turned))
         assert torch.allclose(read, other, atol=1e-5) == same
 
 
 def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
     """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
-    assert tensor_digest(_smaller(torch.device("cpu"))[1]) == BESIDE, "train pretrained beside this General, too"
+    assert tensor_digest(_smaller(torch.device("cpu"))[1]) == DIGEST, "train pretrained beside this General, too"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
-    guess = guess_of(photo)
+    guess = patch_of(photo)["guess"]
     small, smaller = app_of(APP, recipes_of(APP, "photo")["full"], "photo"), _smaller(torch.device("cpu"))[1]
     assert isinstance(small, SvbrdfNonstationary)
     with torch.no_grad():
@@ -214,17 +263,19 @@ def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
     torch.testing.assert_close(guess[:, :1], maps.roughness)
     torch.testing.assert_close(guess[:, 1:].exp() - DARK, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
     twice = photo.repeat_interleave(2, 2).repeat_interleave(2, 3)
-    torch.testing.assert_close(guess_of(twice), guess)
+    torch.testing.assert_close(patch_of(twice)["guess"], guess)
 
 
 @pytest.mark.usefixtures("weights")
 def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
-    encoder = FeatureEncoder(5, FLASH, len(PARTS))
+    encoder = FeatureEncoder(5, len(PARTS))
     untrained = encoder.init(rng)
     trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
-    photo, guess = torch.rand(1, 3, 32, 32, generator=rng), torch.rand(1, GUESS, 16, 16, generator=rng)
+    photo = torch.rand(1, 3, 32, 32, generator=rng)
+    patch = patch_of(photo)
     for parameters, same in ((untrained, True), (trained, False)):
-        read, other = (encoder(parameters, photo, guess=each)["z"] for each in (guess, 1 - guess))
+        changed = patch | {"guess": 1 - patch["guess"]}
+        read, other = (encoder(parameters, photo, patch=each)["z"] for each in (patch, changed))
         assert torch.allclose(read, other, atol=1e-5) == same
 
 
@@ -235,6 +286,20 @@ def test_relief_beside_other_colours_keeps_what_is_known_of_it(rng: Generator) -
     assert torch.equal(mixed[:, 3:], maps[:, 3:])
     assert torch.equal(mixed[:, 0, 0, 0], of_mixed[:, 3])
     assert 0.1 < float((mixed[:, 0, 0, 0] != maps[:, 0, 0, 0]).float().mean()) < 0.6
+
+
+def test_of_mixed_materials_what_is_known_of_both_counts(rng: Generator) -> None:
+    """Maps that are as they were keep what is known of them; the others lie between two materials."""
+    maps = torch.arange(1, 41.0)[:, None, None, None].expand(-1, 10, 8, 8)
+    known = (torch.arange(40)[:, None] % torch.tensor([2, 3, 4, 5]) > 0).float()
+    both, of_both = blended(maps, known, rng)
+    alone = (both[:, 3] == maps[:, 3]).flatten(1).all(1)
+    assert 0.3 < float(alone.float().mean()) < 0.7
+    assert torch.equal(of_both[alone], known[alone])
+    assert torch.equal(of_both[~alone], torch.minimum(known, known.roll(1, 0))[~alone])
+    low, high = torch.minimum(maps, maps.roll(1, 0)), torch.maximum(maps, maps.roll(1, 0))
+    assert ((both >= low - 1e-4) & (both <= high + 1e-4))[:, 3:].all()
+    torch.testing.assert_close(both[:, :3].norm(dim=1), torch.ones(40, 8, 8))
 
 
 def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
