@@ -31,7 +31,7 @@ def panel(axes: Axes, path: Path) -> None:
     steps, errors, planned = curve[:, 0], np.minimum.accumulate(curve[:, 1]), info["training"]["steps"]
     axes.plot(steps, curve[:, 1], color=GRID, linewidth=0.8)
     axes.plot(steps, errors, color=COLOURS["meta"])
-    axes.set(xscale="log", xlabel="outer steps", title=f"{info['app']}, {info['checkpoint']}, {info['recipe']}")
+    axes.set(xscale="log", xlabel="outer steps", title=f"{info['app']}\n{info['checkpoint']}, {info['recipe']}")
     words = f"{path}: {errors[-1]:.3f} after {steps[-1]:,.0f} steps"
     if steps[-1] < planned and errors.min() > 0:
         until = np.geomspace(steps[-1], planned, 20)
@@ -39,8 +39,9 @@ def panel(axes: Axes, path: Path) -> None:
         words += f"; {extrapolated(steps, errors, until)[-1]:.3f} after {planned:,} by a power law of the second half"
     if errors.min() > 0:
         axes.set(yscale="log")
-        for axis in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
-            axis("{x:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
+        few = axes.get_ylim()[1] < 3 * axes.get_ylim()[0]  # of a decade: all of its ticks have room for a label
+        axes.yaxis.set_minor_formatter(lambda y, _: f"{y:g}" if few or f"{y:e}"[0] in "235" else "")
     print(words, file=sys.stderr)
 
 
