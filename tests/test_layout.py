@@ -211,7 +211,7 @@ EXTENSIONS = {
     "native": 730,
     "onnx_files": 560,
     "packs": 590,
-    "pretrained": 720,
+    "pretrained": 740,
     "report": 675,
     "reruns": 670,
     "rgl": 740,

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.features import describe_features, describe_precision
 from metapp.appearance.flash import Maps, unpack
@@ -30,6 +31,7 @@ from metapp.networks.coded import encoder_of, reader_of, with_decoder
 from metapp.networks.field import LocalField
 
 WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
+SHALLOW = 0.03  # slopes of this root mean square are as likely to be paint as relief: chosen on validation materials
 FLAT = 0.05  # of the slopes of untrained fields
 OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
 
@@ -86,14 +88,33 @@ class FromFeatures(SvbrdfNonstationary):
         return super().condition(tasks, rng) | window
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """By both networks; of windows a code in each of their pixels."""
+        """By both networks, shallow relief shrunk; of windows, which training sees, a code in each of their pixels."""
         encoder = beside_smaller(encoder)
         if "inputs" not in condition:
-            return super().encode(encoder, condition)
+            theta = super().encode(encoder, condition)
+            size = theta["z"].shape[-2:]
+            return self._shrunk(theta, inputs_of(adaptive_avg_pool2d(condition["photo"], (size[0], size[1]))))
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
         own = self.setup.encoder(reader_of(encoder), condition["photo"], place, patch or None)
         own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
-        return with_decoder(own, encoder)
+        theta = with_decoder(own, encoder)
+        return theta if patch else self._shrunk(theta, condition["inputs"])
+
+    def _shrunk(self, theta: Params, inputs: Tensor) -> Params:
+        """The same fields with slopes closer to a flat map, of mean square v times v / (v + SHALLOW^2).
+
+        Args:
+            theta: parameters of T fields with a code in each texel.
+            inputs: of all texels of the patch, [T, 8, h, w].
+        """
+        slopes = self.field.decoded(theta, self.field.gain * theta["z"], inputs)[:, : RAW[0]]
+        strength = slopes.square().sum(1).mean((1, 2))
+        share = (strength / (strength + SHALLOW**2))[:, None]
+        factor = torch.cat([share.expand(-1, RAW[0]), torch.ones_like(share).expand(-1, sum(RAW[1:]))], 1)
+        last = {name: value for name, value in theta.items() if name.startswith("out.")}
+        return theta | {
+            name: factor.reshape(factor.shape + (1,) * (value.ndim - 2)) * value for name, value in last.items()
+        }
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the photograph, which moves the smaller network's code and the flash alone, [T].

@@ -19,7 +19,7 @@ from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
-from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
+from metapp.extensions.pretrained.app import SHALLOW, FromFeatures, PretrainedSetup
 from metapp.extensions.pretrained.augmentation import (
     FLATTER,
     LEAST,
@@ -132,7 +132,7 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     encoder = app.init_encoder(rng)
     photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
     inputs = inputs_of(photo)
-    theta = app.encode(encoder, {"photo": photo, "inputs": inputs})
+    theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **patch_of(photo)})
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
     own = app.setup.field._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
@@ -144,6 +144,28 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
     assert set(beside_smaller(encoder)) == set(encoder)
+
+
+@pytest.mark.usefixtures("weights")
+def test_shallow_relief_is_shrunk_and_steep_relief_is_not(app: FromFeatures, rng: Generator) -> None:
+    """By the same share all over; other maps are as they were, and windows, which training sees."""
+    photo, encoder = torch.rand(1, 3, SIDE, SIDE, generator=rng), app.init_encoder(rng)
+    inputs = inputs_of(photo)
+    window = {"photo": photo, "inputs": inputs, **patch_of(photo)}
+
+    def raw(condition: Batch, steeper: float) -> Tensor:
+        slopes = {key: value.clone() for key, value in encoder.items() if key.startswith("decoder.out.")}
+        for value in slopes.values():
+            value[:2] *= steeper
+        return app.field(app.encode(encoder | slopes, condition), inputs)
+
+    for steeper in (0.1, 1.0, 100.0):
+        whole, as_read = raw({"photo": photo}, steeper), raw(window, steeper)
+        strength = as_read[:, :2].square().sum(1).mean()
+        torch.testing.assert_close(whole[:, :2], strength / (strength + SHALLOW**2) * as_read[:, :2])
+        torch.testing.assert_close(whole[:, 2:], as_read[:, 2:])
+        assert (steeper < 1) == bool(strength < SHALLOW**2 / 9)
+        assert (steeper > 1) == bool(strength > 9 * SHALLOW**2)
 
 
 @pytest.mark.usefixtures("weights")
