@@ -16,6 +16,7 @@ import argparse
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -95,7 +96,7 @@ class Bench:
         allowed = allowed_for(self.plans["meta"])
         prepared, rng = baseline.prepare(self.training, allowed), Generator().manual_seed(0)
         answers = [prepared.fit(stack(self.app, [task]), rng, allowed).answer() for task in tasks]
-        return [of_mean_1(answer) for answer in answers if isinstance(answer, Tensor)]
+        return [of_mean_1(cast(Tensor, answer)) for answer in answers]
 
     def errors(self, made: Tensor, task: Task) -> dict[str, float]:
         """Of a map [1, 3, H, W]; those of `Illumination.errors_of`, and of spheres under the radiance itself."""

@@ -81,11 +81,15 @@ class Page:
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.problems: list[str] = []
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
-        self.page.on("console", lambda message: self.problems.extend([message.text] * (message.type == "error")))
+        self.page.on("console", self._heard)
         self.page.goto(file.resolve().as_uri() if isinstance(file, Path) else file)
         self.page.evaluate("metapp.ready")
         if not adapts:
             self.page.evaluate(WHOLE)
+
+    def _heard(self, message: Any) -> None:
+        if message.type == "error":
+            self.problems.append(message.text)
 
     def sized(self, width: int, height: int) -> None:
         """Give the view a size in px."""

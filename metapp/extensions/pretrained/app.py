@@ -71,11 +71,11 @@ class FromFeatures(SvbrdfNonstationary):
 
     def init(self, rng: Generator, count: int) -> Params:
         """Of maps that are nearly flat: fits hold their normals."""
-        return _flat(super().init(rng, count))
+        return _sloped(super().init(rng, count), FLAT)
 
     def init_encoder(self, rng: Generator) -> Params:
         """Its own part, of maps that are nearly flat: training begins where nothing is known of relief."""
-        return encoder_of(self.init_reader(rng), _flat(self.setup.field.init(rng, 1)), ("z",))
+        return encoder_of(self.init_reader(rng), _sloped(self.setup.field.init(rng, 1), FLAT), ("z",))
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Windows of the same materials of half the field's side, photographed anew."""
@@ -107,14 +107,8 @@ class FromFeatures(SvbrdfNonstationary):
             theta: parameters of T fields with a code in each texel.
             inputs: of all texels of the patch, [T, 8, h, w].
         """
-        slopes = self.field.decoded(theta, self.field.gain * theta["z"], inputs)[:, : RAW[0]]
-        strength = slopes.square().sum(1).mean((1, 2))
-        share = (strength / (strength + SHALLOW**2))[:, None]
-        factor = torch.cat([share.expand(-1, RAW[0]), torch.ones_like(share).expand(-1, sum(RAW[1:]))], 1)
-        last = {name: value for name, value in theta.items() if name.startswith("out.")}
-        return theta | {
-            name: factor.reshape(factor.shape + (1,) * (value.ndim - 2)) * value for name, value in last.items()
-        }
+        strength = self._raw(theta, inputs)[:, : RAW[0]].square().sum(1).mean((1, 2))
+        return _sloped(theta, strength / (strength + SHALLOW**2))
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the photograph, which moves the smaller network's code and the flash alone, [T].
@@ -156,17 +150,21 @@ class FromFeatures(SvbrdfNonstationary):
 
     def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
         """The maps [T, C, h, w] of a code in each texel, of the field's inputs [T, 8, h, w]."""
-        height, width = inputs.shape[-2:]
-        field = self.field._replace(height=height, width=width, rows=theta["z"].shape[-2], columns=theta["z"].shape[-1])
-        return decoded(field(theta, inputs))
+        return decoded(self._raw(theta, inputs))
+
+    def _raw(self, theta: Params, inputs: Tensor) -> Tensor:
+        """What these maps are decoded from, [T, sum(RAW), h, w]."""
+        return self.field.decoded(theta, self.field.gain * theta["z"], inputs)
 
 
-def _flat(theta: Params) -> Params:
-    """The same parameters of fields [T, ...], of maps whose slopes are FLAT times as steep."""
-    slopes = {f"out.{part}": theta[f"out.{part}"].clone() for part in ("kernel", "code")}
-    for value in slopes.values():
-        value[:, : RAW[0]] *= FLAT
-    return theta | slopes
+def _sloped(theta: Params, share: Tensor | float) -> Params:
+    """The same parameters of fields [T, ...], of maps whose slopes are `share`, or [T], times as steep."""
+    shares = torch.as_tensor(share).to(theta["out.shift"]).expand(len(theta["out.shift"]))[:, None]
+    factor = torch.cat([shares.expand(-1, RAW[0]), torch.ones_like(shares).expand(-1, sum(RAW[1:]))], 1)
+    last = {name: value for name, value in theta.items() if name.startswith("out.")}
+    return theta | {
+        name: factor.reshape(factor.shape + (1,) * (value.ndim - 2)) * value for name, value in last.items()
+    }
 
 
 @dataclass(frozen=True)

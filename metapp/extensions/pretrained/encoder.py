@@ -165,8 +165,9 @@ def beside_smaller(encoder: Params) -> Params:
     materials err differently. Of slopes it makes what the first makes.
     """
     own = {key: value for key, value in encoder.items() if key.startswith(DECODER)}
-    other = {key: _smaller(value.device)[1][key] for key, value in own.items()}
-    share = torch.tensor([0.0] * RAW[0] + [SHARE] * sum(RAW[1:]), device=own[f"{DECODER}out.shift"].device)
+    device = own[f"{DECODER}out.shift"].device
+    share = torch.tensor([0.0] * RAW[0] + [SHARE] * sum(RAW[1:]), device=device)
+    _, other = _smaller(device)
     joined = {}
     for key, value in own.items():
         if key == f"{DECODER}out.shift":
