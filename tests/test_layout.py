@@ -209,9 +209,9 @@ EXTENSIONS = {
     "measures": 290,
     "mitsuba_bsdfs": 640,
     "native": 730,
-    "onnx_files": 560,
+    "onnx_files": 550,
     "packs": 590,
-    "pretrained": 740,
+    "pretrained": 770,
     "report": 675,
     "reruns": 670,
     "rgl": 740,
@@ -219,7 +219,7 @@ EXTENSIONS = {
     "several": 200,
     "shaders": 370,
     "side_by_side": 290,
-    "vgg": 350,
+    "vgg": 330,
     "viewer": 1_650,
 }
 

@@ -24,7 +24,7 @@ from metapp.apps.svbrdf_nonstationary.app import (
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
-from metapp.extensions.pretrained.encoder import SMALLER, FeatureEncoder, beside_smaller
+from metapp.extensions.pretrained.encoder import SMALLER, FeatureEncoder, beside_smaller, halves_of
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
@@ -115,10 +115,13 @@ class FromFeatures(SvbrdfNonstationary):
 
         So normals stay those of General: a photograph under one light says less of them than General has read.
         """
-        own, code = self.setup.field.code, theta["z"]
-        fitted = torch.cat([code[:, :own].detach(), code[:, own:]], 1)
-        held = {key: value if key == "flash" else value.detach() for key, value in theta.items()}
-        return super().loss(held | {"z": fitted}, batch, learned)
+        own, inputs = self.setup.field, inputs_of(batch["photo"])
+        field = {key: value if key == "z" else value.detach() for key, value in theta.items()}
+        held, moved = halves_of(field, own.code, own.hidden)
+        with torch.no_grad():
+            kept = own.decoded(held, own.gain * held["z"], inputs)
+        raw = kept + SMALLER.field.decoded(moved, SMALLER.field.gain * moved["z"], inputs)
+        return self._photo_loss(theta, decoded(raw), batch, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.

@@ -181,6 +181,28 @@ def beside_smaller(encoder: Params) -> Params:
     return encoder | joined
 
 
+def halves_of(theta: Params, code: int, hidden: int) -> tuple[Params, Params]:
+    """The two fields [T, ...] that `beside_smaller` has made one of; what they make adds up to what it makes.
+
+    Args:
+        theta: parameters of the field.
+        code, hidden: how long the first one's code is, how many hidden units it has.
+    """
+
+    def half(units: slice, cells: slice) -> Params:
+        part = {"z": theta["z"][:, cells]}
+        for name, value in theta.items():
+            layer, _, kind = name.partition(".")
+            if kind:
+                part[name] = value if layer == "out" else value[:, units]
+                if kind != "shift" and name != "layer0.kernel":
+                    part[name] = part[name][..., cells if kind == "code" else units]
+        return part
+
+    second = half(slice(hidden, None), slice(code, None))
+    return half(slice(hidden), slice(code)), second | {"out.shift": torch.zeros_like(theta["out.shift"])}
+
+
 @functools.cache
 def _smaller(device: torch.device) -> tuple[SvbrdfNonstationary, Params]:
     """The application of the recipe "full", and the encoder of its General that ships."""
