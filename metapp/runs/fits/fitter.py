@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple, Protocol
 
 import torch
@@ -112,7 +113,7 @@ class Fitter:
         """
         plan, app = self.plan, self.plan.app
         self._warm_up(tasks[0])
-        fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
+        begun, fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
         theta = fit.theta
         if isinstance(app, Finishing):
             clock = Stopwatch(plan.device)
@@ -120,7 +121,7 @@ class Fitter:
         for watching in self.watching:
             watching.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
-        warnings = warnings_of(plan, stacked, fit, self._rng(tasks))
+        warnings = warnings_of(plan, stacked, begun, fit)
         results = []
         for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
@@ -176,7 +177,7 @@ class Fitter:
         """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
         spent = 0.0
         while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
-            spent += self._timed([task], self.plan.job._replace(steps=PACED), math.inf)[1]
+            spent += self._timed([task], self.plan.job._replace(steps=PACED), math.inf)[2]
 
     def _rng(self, tasks: Sequence[Task]) -> Rng:
         rngs = tuple(rng_of(self.plan, task) for task in tasks)
@@ -184,8 +185,8 @@ class Fitter:
 
     def _timed(
         self, tasks: Sequence[Task], job: Job, budget: float | None = None, watching: Sequence[Watching] = ()
-    ) -> tuple[Step, float, Tasks, int]:
-        """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
+    ) -> tuple[Params, Step, float, Tasks, int]:
+        """Initialisations, fits at their end, their seconds, stacked tasks, steps taken; a budget learns their pace."""
         plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
         clock = Stopwatch(plan.device)
         usual_pace = usual(self._paces) if self._paces and budget != math.inf else None
@@ -194,11 +195,13 @@ class Fitter:
         descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
         for watcher in watching:
             descent = watcher.follow(descent, tasks[0], count, clock)
-        fit = last(descent)
+        first = next(descent)
+        begun = {key: value.clone() for key, value in first.theta.items()}  # engines may step in place
+        fit = last(chain([first], descent))
         seconds = clock()
         pace = deadline and deadline.pace()
         self._paces += [pace] if pace else []
-        return fit, seconds, stacked, deadline.taken[0] if deadline else count
+        return begun, fit, seconds, stacked, deadline.taken[0] if deadline else count
 
 
 def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
@@ -215,7 +218,7 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
         )
 
 
-def warnings_of(plan: Plan, stacked: Tasks, fit: Step, rng: Rng) -> list[list[str]]:
+def warnings_of(plan: Plan, stacked: Tasks, begun: Params, fit: Step) -> list[list[str]]:
     """Warnings in records of fits that are doubtful, as some applications see themselves, or worse than they began.
 
     Fits that a guard compared with their beginning are none of the latter.
@@ -223,8 +226,8 @@ def warnings_of(plan: Plan, stacked: Tasks, fit: Step, rng: Rng) -> list[list[st
     Args:
         plan: what the fits were made by.
         stacked: the tasks.
+        begun: their initialisations.
         fit: their fits at their end.
-        rng: as it was at the beginning of the fits, so that the initialisations are the same.
 
     Returns:
         Clauses for each task, [] where there is nothing to say.
@@ -232,18 +235,16 @@ def warnings_of(plan: Plan, stacked: Tasks, fit: Step, rng: Rng) -> list[list[st
     app = plan.app
     doubts = app.doubts(fit.theta, stacked) if isinstance(app, Doubtful) else [[] for _ in range(len(stacked))]
     compared = fit.guarded is not None or not plan.steps
-    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan, stacked, fit.theta, rng)
+    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan.job, stacked, begun, fit.theta)
     return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
 
 
-def _rises(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:
+def _rises(job: Job, stacked: Tasks, begun: Params, theta: Params) -> list[list[str]]:
     """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
-    job = plan.job
-    first = plan.paradigm.initialisation(job, plan.prepared, stacked, rng)
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
-        before, after = (job.app.loss(params, batch, {}).tolist() for params in (first, theta))
+        before, after = (job.app.loss(params, batch, {}).tolist() for params in (begun, theta))
     pairs = zip(before, after, strict=True)
     return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]
 
