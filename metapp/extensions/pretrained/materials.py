@@ -2,14 +2,14 @@
 
 A set of maps without roughness gets one of ROUGHNESS, and a specular reflectance of dielectrics; the task says that
 both are made up, and the loss of these maps counts nothing. A specular map without a roughness is that of an old game,
-whose colours have shading baked in: such a set counts less. Tasks of data sets that are named are drawn materials.
+whose colours have shading baked in: they count less. Smaller sets are repeated, as they tile. Tasks of data sets that
+are named are drawn materials.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 
@@ -39,15 +39,8 @@ UNITS = {
     "kind": "uint8 [1], 1 of real materials, 0 of drawn ones",
 }
 ROUGHNESS = 0.6  # where there is none
-OLD = 0.3  # what sets with shading in their colours count
+OLD = 0.3  # what colours with shading in them count
 _ROUGH = ("roughness", "gloss")
-
-
-class _Drawn(NamedTuple):
-    """A task of a data set, and where it belongs."""
-
-    task: Task
-    label: Label
 
 
 def read_task(source: Path, size: int, normals: str) -> Task:
@@ -66,19 +59,19 @@ def read_task(source: Path, size: int, normals: str) -> Task:
     files = material.files
     has = any(role in files for role in _ROUGH)
     old = PLAIN in files or ("specular" in files and not has)
-    if has:
-        task = read_material(material, size, normals)
-    else:
+    if not has:
         # any map stands for the one that is missing until its values are known
         other = next((maps for role, maps in files.items() if role.startswith("normal")), ())
         kept = {role: maps for role, maps in files.items() if role != "specular"}
-        stand_in = {"roughness": other} if other else {}
-        read = read_material(material._replace(files=kept | stand_in), size, normals)
-        maps = read.data["maps"].float()
+        material = material._replace(files=kept | ({"roughness": other} if other else {}))
+    task = read_material(material, size, normals, least=1)
+    times = -(-size // task.data["maps"].shape[-1])
+    maps = task.data["maps"].float().repeat(1, times, times)[:, :size, :size]
+    if not has:
         maps[6] = ROUGHNESS
-        task = svbrdf_task(read.name, maps)
-    weight, made_up = OLD if old else 1.0, 1.0 if has else 0.0
-    return _with(task, weight * torch.tensor([1.0, made_up, made_up, 1.0]), 1)
+    made_up = 1.0 if has else 0.0
+    known = torch.tensor([OLD if old else 1.0, made_up, made_up, 1.0])
+    return _with(svbrdf_task(task.name, maps), known, 1)
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
@@ -95,10 +88,10 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) ->
         return [*sources, *(source for source in drawn if source.parent in some)], skipped
 
     def read(source: Path) -> Task:
-        return _with(drawn[source].task, torch.ones(4), 0) if source in drawn else read_task(source, size, normals)
+        return _with(drawn[source][0], torch.ones(4), 0) if source in drawn else read_task(source, size, normals)
 
     def label(source: Path) -> Label:
-        return drawn[source].label if source in drawn else labels[source.resolve()]
+        return drawn[source][1] if source in drawn else labels[source.resolve()]
 
     notes = {"made_by": "metapp data materials", "size": size, "normals": normals}
     return Conversion(APP, "material", UNITS, found, read, notes, label)
@@ -112,8 +105,8 @@ def _is_set(path: Path) -> bool:
     return (path / MANIFEST).is_file()
 
 
-def _drawn(folder: Path, size: int) -> dict[Path, _Drawn]:
-    """The tasks of a data set by their files.
+def _drawn(folder: Path, size: int) -> dict[Path, tuple[Task, Label]]:
+    """The tasks of a data set by their files, and where they belong.
 
     Raises:
         ValueError: as `read_shard`; maps of another size; photos alone.
@@ -126,5 +119,5 @@ def _drawn(folder: Path, size: int) -> dict[Path, _Drawn]:
             found = f"maps of {side} px" if side else "a photo without maps"
             raise ValueError(f"{folder / entry.file}: {found}, expected maps of {size} px; set --size, or draw others.")
         task = task._replace(data={key: task.data[key] for key in OF_MAPS})
-        drawn[folder / entry.file] = _Drawn(task, Label(entry.name, entry.group, entry.split))
+        drawn[folder / entry.file] = task, Label(entry.name, entry.group, entry.split)
     return drawn

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Generator
 
 from metapp.storage.shards import read_shard
 from tests.readers.test_material_maps import folder
@@ -20,7 +21,7 @@ APP = "svbrdf_nonstationary"
         ({}, [1.0, 1.0, 1.0, 1.0]),
         ({"specular": 0.5}, [1.0, 1.0, 1.0, 1.0]),
         ({"roughness": None}, [1.0, 0.0, 0.0, 1.0]),
-        ({"roughness": None, "specular": 0.5}, [0.3, 0.0, 0.0, 0.3]),
+        ({"roughness": None, "specular": 0.5}, [0.3, 0.0, 0.0, 1.0]),
         ({"roughness": None, "gloss": 0.4}, [1.0, 1.0, 1.0, 1.0]),
     ],
 )
@@ -33,6 +34,22 @@ def test_what_a_set_lacks_is_known(metapp: Callable, tmp_path: Path, maps: dict,
     assert task.data["maps"].shape == (10, 32, 32)
     if "roughness" in maps and "gloss" not in maps:
         assert set(task.data["maps"][6:].unique().tolist()) == {*torch.tensor([0.6, 0.04]).half().tolist()}
+
+
+@pytest.mark.parametrize("size", [32, 128, 160])
+def test_maps_that_are_smaller_are_repeated(metapp: Callable, tmp_path: Path, rng: Generator, size: int) -> None:
+    """Such sets tile; larger ones are made smaller."""
+    given = folder(tmp_path / "rock", diffuse=torch.rand(3, 64, 64, generator=rng))
+    for side in (64, size):
+        words = ("data", "materials", given, "--size", side, "--split", "train", "--out", tmp_path / f"{side}")
+        assert metapp(*words).code == 0
+    own, made = (read_shard(tmp_path / f"{side}", "train")[0].data for side in (64, size))
+    assert made["photo"].shape[-1] == made["maps"].shape[-1] == size
+    if size > 64:
+        assert torch.equal(made["maps"], own["maps"].repeat(1, 3, 3)[:, :size, :size])
+    else:
+        pooled = torch.nn.functional.avg_pool2d(own["maps"][3:6].float(), 2)
+        torch.testing.assert_close(made["maps"][3:6].float(), pooled, atol=0.02, rtol=0)
 
 
 def test_drawn_materials_stay_as_they_are(metapp: Callable, tmp_path: Path) -> None:
