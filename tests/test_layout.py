@@ -211,7 +211,7 @@ EXTENSIONS = {
     "native": 730,
     "onnx_files": 550,
     "packs": 590,
-    "pretrained": 770,
+    "pretrained": 745,
     "report": 675,
     "reruns": 670,
     "rgl": 740,

@@ -326,7 +326,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     whole = decoded(field(theta, inputs_of(photo)))
     pictures = relit(whole)
     monkeypatch.setattr(fields, "TEXELS", 150 * 64)
-    for found, wanted in zip(fine_maps(field, theta, photo), whole, strict=True):
+    for found, wanted in zip(fine_maps(app, theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
 

@@ -166,7 +166,11 @@ class SvbrdfNonstationary(CodedApp):
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
         height, width = photo.shape[-2:]
-        return decoded(self.field._replace(height=height, width=width)(theta, inputs_of(photo)))
+        return self.maps_from(self.field._replace(height=height, width=width)(theta, inputs_of(photo)))
+
+    def maps_from(self, raw: Tensor) -> Maps:
+        """The maps [T, C, h, w] of what fields make, [T, sum(RAW), h, w]."""
+        return decoded(raw)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""

@@ -16,7 +16,6 @@ from metapp.apps.svbrdf_nonstationary.app import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.confidence import deviations
 from metapp.apps.svbrdf_nonstationary.maps import (
     Flash,
-    decoded,
     flash_of,
     flashes_of,
     inputs_of,
@@ -25,7 +24,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.learning.task import Params, Task
-from metapp.networks.field import LocalField, field_by_rows, strips_of
+from metapp.networks.field import field_by_rows, strips_of
 from metapp.networks.presentation import CodedPresentation
 
 LOOSE = 0.25  # the deviation of a map that is white in its picture
@@ -102,9 +101,7 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
         one = {key: value[None] for key, value in theta.items()}
 
         def make() -> Maps:
-            photo = photo_of(task, FINEST)
-            height, width = photo.shape[-2:]
-            return fine_maps(self.app.field._replace(height=height, width=width), one, photo)
+            return fine_maps(self.app, one, photo_of(task, FINEST))
 
         return self.kept(theta, task, make)
 
@@ -131,12 +128,13 @@ def rephotographed(app: SvbrdfNonstationary, theta: Params, task: Task, maps: Ma
         yield photographed(maps, Flash(*(part[None] for part in flash)))[0]
 
 
-def fine_maps(field: LocalField, theta: Params, photo: Tensor) -> Maps:
-    """The maps [T, C, H, W] that a field makes of linear photographs [T, 3, H, W], whose size it has.
+def fine_maps(app: SvbrdfNonstationary, theta: Params, photo: Tensor) -> Maps:
+    """The maps [T, C, H, W] that fields make of linear photographs [T, 3, H, W], at these photographs' size.
 
     Made by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB.
     """
-    parts = [decoded(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
+    field = app.field._replace(height=photo.shape[-2], width=photo.shape[-1])
+    parts = [app.maps_from(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
     return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import decoded, inputs_of
+from metapp.apps.svbrdf_nonstationary.maps import inputs_of
 from metapp.extensions.onnx_files.models import write_model
 from metapp.learning.task import Params
 
@@ -42,7 +42,7 @@ class Material(torch.nn.Module):
         encoder = {name: self.encoder[short] for short, name in self.names.items()}
         theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
         code = self.app.field.gain * theta["z"]  # one in each pixel
-        maps = decoded(self.app.field.decoded(theta, code, inputs))
+        maps = self.app.maps_from(self.app.field.decoded(theta, code, inputs))
         return tuple(getattr(maps, name) for name in OUTPUTS)
 
     def any_size(self) -> bool:

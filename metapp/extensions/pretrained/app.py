@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.features import describe_features, describe_precision
 from metapp.appearance.flash import Maps, unpack
@@ -31,7 +30,7 @@ from metapp.networks.coded import encoder_of, reader_of, with_decoder
 from metapp.networks.field import LocalField
 
 WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
-SHALLOW = 0.03  # slopes of this root mean square are as likely to be paint as relief: chosen on validation materials
+SHALLOW, STEEPER = 0.1, 1.5  # the slope that is halved, how many times as steep others are: by validation materials
 FLAT = 0.05  # of the slopes of untrained fields
 OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
 
@@ -71,11 +70,11 @@ class FromFeatures(SvbrdfNonstationary):
 
     def init(self, rng: Generator, count: int) -> Params:
         """Of maps that are nearly flat: fits hold their normals."""
-        return _sloped(super().init(rng, count), FLAT)
+        return _flat(super().init(rng, count))
 
     def init_encoder(self, rng: Generator) -> Params:
         """Its own part, of maps that are nearly flat: training begins where nothing is known of relief."""
-        return encoder_of(self.init_reader(rng), _sloped(self.setup.field.init(rng, 1), FLAT), ("z",))
+        return encoder_of(self.init_reader(rng), _flat(self.setup.field.init(rng, 1)), ("z",))
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Windows of the same materials of half the field's side, photographed anew."""
@@ -88,27 +87,24 @@ class FromFeatures(SvbrdfNonstationary):
         return super().condition(tasks, rng) | window
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """By both networks, shallow relief shrunk; of windows, which training sees, a code in each of their pixels."""
+        """By both networks; of windows, which training sees, a code in each of their pixels."""
         encoder = beside_smaller(encoder)
         if "inputs" not in condition:
-            theta = super().encode(encoder, condition)
-            size = theta["z"].shape[-2:]
-            return self._shrunk(theta, inputs_of(adaptive_avg_pool2d(condition["photo"], (size[0], size[1]))))
+            return super().encode(encoder, condition)
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
         own = self.setup.encoder(reader_of(encoder), condition["photo"], place, patch or None)
         own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
-        theta = with_decoder(own, encoder)
-        return theta if patch else self._shrunk(theta, condition["inputs"])
+        return with_decoder(own, encoder)
 
-    def _shrunk(self, theta: Params, inputs: Tensor) -> Params:
-        """The same fields with slopes closer to a flat map, of mean square v times v / (v + SHALLOW^2).
+    def maps_from(self, raw: Tensor) -> Maps:
+        """Slopes s are s |s|^2 / (|s|^2 + SHALLOW^2) times STEEPER.
 
-        Args:
-            theta: parameters of T fields with a code in each texel.
-            inputs: of all texels of the patch, [T, 8, h, w].
+        The network makes conditional means; the mean difference of normals asks for medians, which are flat where a
+        photograph tells little, and steeper where it tells a lot.
         """
-        strength = self._raw(theta, inputs)[:, : RAW[0]].square().sum(1).mean((1, 2))
-        return _sloped(theta, strength / (strength + SHALLOW**2))
+        slopes, rest = raw.split((RAW[0], sum(RAW[1:])), 1)
+        square = slopes.square().sum(1, keepdim=True)
+        return super().maps_from(torch.cat([STEEPER * square / (square + SHALLOW**2) * slopes, rest], 1))
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the photograph, which moves the smaller network's code and the flash alone, [T].
@@ -121,7 +117,7 @@ class FromFeatures(SvbrdfNonstationary):
         with torch.no_grad():
             kept = own.decoded(held, own.gain * held["z"], inputs)
         raw = kept + SMALLER.field.decoded(moved, SMALLER.field.gain * moved["z"], inputs)
-        return self._photo_loss(theta, decoded(raw), batch, learned)
+        return self._photo_loss(theta, self.maps_from(raw), batch, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
@@ -153,21 +149,14 @@ class FromFeatures(SvbrdfNonstationary):
 
     def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
         """The maps [T, C, h, w] of a code in each texel, of the field's inputs [T, 8, h, w]."""
-        return decoded(self._raw(theta, inputs))
-
-    def _raw(self, theta: Params, inputs: Tensor) -> Tensor:
-        """What these maps are decoded from, [T, sum(RAW), h, w]."""
-        return self.field.decoded(theta, self.field.gain * theta["z"], inputs)
+        return decoded(self.field.decoded(theta, self.field.gain * theta["z"], inputs))
 
 
-def _sloped(theta: Params, share: Tensor | float) -> Params:
-    """The same parameters of fields [T, ...], of maps whose slopes are `share`, or [T], times as steep."""
-    shares = torch.as_tensor(share).to(theta["out.shift"]).expand(len(theta["out.shift"]))[:, None]
-    factor = torch.cat([shares.expand(-1, RAW[0]), torch.ones_like(shares).expand(-1, sum(RAW[1:]))], 1)
+def _flat(theta: Params) -> Params:
+    """The same parameters of fields [T, ...], of maps whose slopes are FLAT times as steep."""
+    factor = theta["out.shift"].new_tensor([FLAT] * RAW[0] + [1.0] * sum(RAW[1:]))
     last = {name: value for name, value in theta.items() if name.startswith("out.")}
-    return theta | {
-        name: factor.reshape(factor.shape + (1,) * (value.ndim - 2)) * value for name, value in last.items()
-    }
+    return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last.items()}
 
 
 @dataclass(frozen=True)
