@@ -113,7 +113,7 @@ class Fitter:
         """
         plan, app = self.plan, self.plan.app
         self._warm_up(tasks[0])
-        begun, fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
+        first, fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
         theta = fit.theta
         if isinstance(app, Finishing):
             clock = Stopwatch(plan.device)
@@ -121,7 +121,7 @@ class Fitter:
         for watching in self.watching:
             watching.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
-        warnings = warnings_of(plan, stacked, begun, fit)
+        warnings = warnings_of(plan, stacked, first, fit)
         results = []
         for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
@@ -185,8 +185,8 @@ class Fitter:
 
     def _timed(
         self, tasks: Sequence[Task], job: Job, budget: float | None = None, watching: Sequence[Watching] = ()
-    ) -> tuple[Params, Step, float, Tasks, int]:
-        """Initialisations, fits at their end, their seconds, stacked tasks, steps taken; a budget learns their pace."""
+    ) -> tuple[Step, Step, float, Tasks, int]:
+        """Fits at their beginning and end, their seconds, stacked tasks, steps taken; a budget learns their pace."""
         plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
         clock = Stopwatch(plan.device)
         usual_pace = usual(self._paces) if self._paces and budget != math.inf else None
@@ -196,12 +196,11 @@ class Fitter:
         for watcher in watching:
             descent = watcher.follow(descent, tasks[0], count, clock)
         first = next(descent)
-        begun = {key: value.clone() for key, value in first.theta.items()}  # engines may step in place
         fit = last(chain([first], descent))
         seconds = clock()
         pace = deadline and deadline.pace()
         self._paces += [pace] if pace else []
-        return begun, fit, seconds, stacked, deadline.taken[0] if deadline else count
+        return first, fit, seconds, stacked, deadline.taken[0] if deadline else count
 
 
 def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
@@ -218,7 +217,7 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
         )
 
 
-def warnings_of(plan: Plan, stacked: Tasks, begun: Params, fit: Step) -> list[list[str]]:
+def warnings_of(plan: Plan, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
     """Warnings in records of fits that are doubtful, as some applications see themselves, or worse than they began.
 
     Fits that a guard compared with their beginning are none of the latter.
@@ -226,8 +225,7 @@ def warnings_of(plan: Plan, stacked: Tasks, begun: Params, fit: Step) -> list[li
     Args:
         plan: what the fits were made by.
         stacked: the tasks.
-        begun: their initialisations.
-        fit: their fits at their end.
+        first, fit: their fits at their beginning and end.
 
     Returns:
         Clauses for each task, [] where there is nothing to say.
@@ -235,16 +233,16 @@ def warnings_of(plan: Plan, stacked: Tasks, begun: Params, fit: Step) -> list[li
     app = plan.app
     doubts = app.doubts(fit.theta, stacked) if isinstance(app, Doubtful) else [[] for _ in range(len(stacked))]
     compared = fit.guarded is not None or not plan.steps
-    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan.job, stacked, begun, fit.theta)
+    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan.job, stacked, first, fit)
     return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
 
 
-def _rises(job: Job, stacked: Tasks, begun: Params, theta: Params) -> list[list[str]]:
+def _rises(job: Job, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
     """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
-        before, after = (job.app.loss(params, batch, {}).tolist() for params in (begun, theta))
+        before, after = (job.app.loss(step.theta, batch, {}).tolist() for step in (first, fit))
     pairs = zip(before, after, strict=True)
     return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]
 
