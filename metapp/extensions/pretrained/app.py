@@ -115,9 +115,8 @@ class FromFeatures(SvbrdfNonstationary):
         field = {key: value if key == "z" else value.detach() for key, value in theta.items()}
         held, moved = halves_of(field, own.code, own.hidden)
         with torch.no_grad():
-            kept = own.decoded(held, own.gain * held["z"], inputs)
-        raw = kept + SMALLER.field.decoded(moved, SMALLER.field.gain * moved["z"], inputs)
-        return self._photo_loss(theta, self.maps_from(raw), batch, learned)
+            kept = self._raw(held, inputs)
+        return self._photo_loss(theta, self.maps_from(kept + self._raw(moved, inputs)), batch, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
@@ -149,7 +148,11 @@ class FromFeatures(SvbrdfNonstationary):
 
     def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
         """The maps [T, C, h, w] of a code in each texel, of the field's inputs [T, 8, h, w]."""
-        return decoded(self.field.decoded(theta, self.field.gain * theta["z"], inputs))
+        return decoded(self._raw(theta, inputs))
+
+    def _raw(self, theta: Params, inputs: Tensor) -> Tensor:
+        """What maps are made of, [T, sum(RAW), h, w], of the field or of one of its halves."""
+        return self.field.decoded(theta, self.field.gain * theta["z"], inputs)
 
 
 def _flat(theta: Params) -> Params:

@@ -2,8 +2,7 @@
 
 A set of maps without roughness gets one of ROUGHNESS, and a specular reflectance of dielectrics; the task says that
 both are made up, and the loss of these maps counts nothing. A specular map without a roughness is that of an old game,
-whose colours have shading baked in: they count less. Smaller sets are repeated, as they tile. Tasks of data sets that
-are named are drawn materials.
+whose colours have shading baked in: they count less. Smaller sets tile and are repeated. Data sets hold drawn ones.
 """
 
 from __future__ import annotations
@@ -40,7 +39,6 @@ UNITS = {
 }
 ROUGHNESS = 0.6  # where there is none
 OLD = 0.3  # what colours with shading in them count
-_ROUGH = ("roughness", "gloss")
 
 
 def read_task(source: Path, size: int, normals: str) -> Task:
@@ -57,7 +55,7 @@ def read_task(source: Path, size: int, normals: str) -> Task:
     material = material_of(source)
     assert material is not None, source  # it was found by its name
     files = material.files
-    has = any(role in files for role in _ROUGH)
+    has = "roughness" in files or "gloss" in files
     old = PLAIN in files or ("specular" in files and not has)
     if not has:
         # any map stands for the one that is missing until its values are known
@@ -69,8 +67,7 @@ def read_task(source: Path, size: int, normals: str) -> Task:
     maps = task.data["maps"].float().repeat(1, times, times)[:, :size, :size]
     if not has:
         maps[6] = ROUGHNESS
-    made_up = 1.0 if has else 0.0
-    known = torch.tensor([OLD if old else 1.0, made_up, made_up, 1.0])
+    known = torch.tensor([OLD if old else 1.0, has, has, 1.0])
     return _with(svbrdf_task(task.name, maps), known, 1)
 
 
