@@ -12,8 +12,8 @@ theta_0 alone), the same network and batches, where they can be imported. All of
 beforehand; loss and gradient of (a) and of metapp are compared first, in the same run; (c) JAX, `vmap` over tasks on
 [features, samples], `scan` over the steps, jitted. (b) and (c) are extras: `pip install metapp[bench]`.
 
-The machine's limit is that of a loop of fused multiply-adds in C, and of these the network's layers need 1764 for a
-gradient's sample.
+The machine's limit is that of a loop of multiply-adds in C. The network's layers need 1764 of these for a gradient's
+sample, 3969 for a product's. The kernel alone is timed for this CPU and as CPUs with AVX2 and without AVX run it.
 
 How: all contestants take turns, round after round, and the median over the rounds counts. Seconds are the process's
 CPU seconds, the same as the clock's where nothing else runs. Compiling happens before the first round and is not
@@ -36,6 +36,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import torch
 from torch import Generator, Tensor
@@ -45,6 +46,7 @@ from torch.utils._pytree import tree_leaves
 
 from benchmarks.bench_growth import Size, draw
 from metapp.apps.brdf.app import Brdf
+from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.fastest import FASTEST, Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
@@ -188,7 +190,6 @@ def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatc
 
 PEAK = """
 #include <time.h>
-typedef float V __attribute__((vector_size(64)));
 double peak(void) {
   V a[12], x = (V){0} + 0.999f, y = (V){0} + 0.001f;
   for (int i = 0; i < 12; i++) a[i] = (V){0} + (float)i;
@@ -198,24 +199,56 @@ double peak(void) {
     for (int i = 0; i < 12; i++) a[i] = a[i] * x + y;
   volatile float kept = 0;
   for (int i = 0; i < 12; i++) kept += a[i][0];
-  return n * 12 * 32 / 1e9 * CLOCKS_PER_SEC / (clock() - start);
+  return n * 12 * 2. * LANES / 1e9 * CLOCKS_PER_SEC / (clock() - start);
 }
 """
 
 
-def limit() -> float:
-    """Multiply-adds of this machine's core, in GFLOP/s; NaN without a compiler."""
+def limit(march: str = "native") -> float:
+    """Multiply-adds of this machine's core by these instructions, in GFLOP/s; NaN without a compiler."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "peak.c"
-        source.write_text(PEAK)
-        library = load(source)
+        source.write_text(Path(nbrdf.__file__).with_name("vectors.h").read_text() + PEAK)
+        library = load(source, "peak", march=march)
     if library is None:
         return float("nan")
     library.peak.restype = ctypes.c_double
     return float(library.peak())
 
 
-def medians(contestants: dict[str, Callable[[], Any]]) -> dict[str, float]:
+OPERATIONS = {"gradient": 2 * 1764, "product": 2 * 3969}  # of the layers, for a sample
+
+
+def bench_kernel() -> None:
+    """The loss of the BRDF network in C by instruction set: microseconds of a task, and of the limit."""
+    rng = Generator().manual_seed(0)
+    theta, batch = APP.init(rng, TASKS), draw(SIZE, rng)
+    flat = torch.cat([value.flatten(1) for value in theta.values()], 1)
+    capability = torch.backends.cpu.get_cpu_capability()
+    runs = ["native", *(["x86-64-v3"] if capability in ("AVX2", "AVX512") else []), "x86-64-v2"]
+    print(f"\nBRDF network in C, {SAMPLES} samples of a task, one thread; torch says {capability}")
+    print(f"  {'-march':12} {'lanes':>5} {'limit':>13} {'gradient':>24} {'product':>24}")
+    for march in runs:
+        library = nbrdf.library(march)
+        if library is None:
+            print(f"  {march:12} is not compiled here")
+            continue
+        with mock.patch.object(nbrdf, "library", return_value=library):
+            times = medians(
+                {
+                    "gradient": lambda: nbrdf.gradient(flat, batch, {}),
+                    "product": lambda: nbrdf.product(flat, batch, {}, flat),
+                },
+                rounds=200,
+            )
+        peak, cells = limit(march), ""
+        for name, seconds in times.items():
+            rate = OPERATIONS[name] * TASKS * SAMPLES / seconds / 1e9
+            cells += f" {1e6 * seconds / TASKS:8.1f} us, {rate / peak:4.0%} of it"
+        print(f"  {march:12} {library.nbrdf_lanes():5} {peak:5.0f} GFLOP/s {cells}")
+
+
+def medians(contestants: dict[str, Callable[[], Any]], rounds: int = ROUNDS) -> dict[str, float]:
     """CPU seconds of each, taking turns."""
     seconds: dict[str, list[float]] = {name: [] for name in contestants}
     for name, run in contestants.items():
@@ -224,7 +257,7 @@ def medians(contestants: dict[str, Callable[[], Any]]) -> dict[str, float]:
         if "compiled" in name:
             print(f"  {name}: {time.perf_counter() - start:.1f} s to compile")
         run()
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, run in contestants.items():
             start = time.process_time()
             run()
@@ -454,6 +487,7 @@ def main() -> None:
     """Print the tables."""
     torch.set_num_threads(1)
     bench_memory()
+    bench_kernel()
     bench_brdf()
 
 

@@ -23,23 +23,29 @@ if TYPE_CHECKING:
 
 # no -ffast-math: what it saves here is lost in noise, and it changes results and hides NaN
 FLAGS = (
-    *("-std=gnu11", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
+    *("-std=gnu11", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fopenmp-simd", "-shared", "-fPIC"),
 )
 SECONDS = 60  # until a compiler is given up
 
 
 @functools.cache
-def load(source: Path, *names: str) -> CDLL | None:
-    """The functions of a C source, these names; None where it can neither be found compiled nor be compiled."""
-    file = f"{source.stem}-{_key(source)}.so"
+def load(source: Path, *names: str, march: str = "native") -> CDLL | None:
+    """The functions of a C source, these names; None where it can neither be found compiled nor be compiled.
+
+    Args:
+        source: a C file; the headers in its folder count as part of it.
+        names: of the functions.
+        march: the instructions to use, a name that the compiler knows. Other than this CPU's: tests and benchmarks.
+    """
+    file = f"{source.stem}-{_key(source, march)}.so"
     try:
-        return _loaded(source, code_folder(cache_folder() / "native", "METAPP_CACHE") / file, names)
+        return _loaded(source, code_folder(cache_folder() / "native", "METAPP_CACHE") / file, names, march)
     except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
         return None
 
 
-def _loaded(source: Path, path: Path, names: Sequence[str]) -> CDLL:
+def _loaded(source: Path, path: Path, names: Sequence[str], march: str) -> CDLL:
     """A library that is whole, the user's own and has these functions, compiled where it is not.
 
     Raises:
@@ -48,7 +54,7 @@ def _loaded(source: Path, path: Path, names: Sequence[str]) -> CDLL:
     import ctypes
 
     if not _is_whole(path, names):
-        _compile(source, path)
+        _compile(source, path, march)
     return ctypes.CDLL(str(path))
 
 
@@ -58,9 +64,10 @@ def compiler() -> str | None:
     return next((path for path in map(shutil.which, names) if path), None)
 
 
-def _key(source: Path) -> str:
-    """A digest of all that a compiled source depends on: itself, the options, the CPU."""
-    return hashlib.sha256("\0".join((source.read_text("utf-8"), *FLAGS, _cpu())).encode()).hexdigest()[:24]
+def _key(source: Path, march: str) -> str:
+    """A digest of all that a compiled source, and the width of its vectors, depend on: text, options, CPU."""
+    texts = (path.read_text("utf-8") for path in (source, *sorted(source.parent.glob("*.h"))))
+    return hashlib.sha256("\0".join((*texts, *FLAGS, march, _cpu())).encode()).hexdigest()[:24]
 
 
 def _cpu() -> str:
@@ -107,7 +114,7 @@ def _digest_path(path: Path) -> Path:
     return path.with_suffix(".sha256")
 
 
-def _compile(source: Path, path: Path) -> None:
+def _compile(source: Path, path: Path, march: str) -> None:
     """Compile a source and keep its digest; of processes that do so at the same time the last one's file stays.
 
     Raises:
@@ -120,7 +127,7 @@ def _compile(source: Path, path: Path) -> None:
         raise FileNotFoundError("no C compiler")
 
     def write(partial: Path) -> None:
-        arguments = [command, *FLAGS, str(source), "-o", str(partial), "-lm"]
+        arguments = [command, *FLAGS, f"-march={march}", str(source), "-o", str(partial), "-lm"]
         try:
             subprocess.run(arguments, check=True, capture_output=True, timeout=SECONDS)
             partial.chmod(0o700)

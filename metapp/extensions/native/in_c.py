@@ -75,7 +75,7 @@ def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
         or any(value.dtype != torch.float32 or value.device.type != "cpu" for value in theta.values())
     ):
         return None
-    return kernel(theta) if _library() is not None else None
+    return kernel(theta) if library() is not None else None
 
 
 def _kernel(function: Callable[..., object]) -> Callable[[Params], LossInC | None] | None:
@@ -140,13 +140,14 @@ def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 @functools.cache
-def _library() -> ctypes.CDLL | None:
-    library = load(Path(__file__).with_name("step.c"), "step", "step_back")
-    if library is not None:
+def library(march: str = "native") -> ctypes.CDLL | None:
+    """The functions of `step.c` by the instructions of a CPU; None where there is no compiler for it."""
+    result = load(Path(__file__).with_name("step.c"), "step", "step_back", march=march)
+    if result is not None:
         counts, pointer = [ctypes.c_int] * 3, ctypes.c_void_p
-        library.step.argtypes = [*counts, *[pointer] * 7]
-        library.step_back.argtypes = [*counts, *[pointer] * 9]
-    return library
+        result.step.argtypes = [*counts, *[pointer] * 7]
+        result.step_back.argtypes = [*counts, *[pointer] * 9]
+    return result
 
 
 def _first_state(theta: Params) -> Params:
@@ -167,9 +168,9 @@ class _Step:
 
     def __init__(self, layout: Layout, loss: LossInC, order: int) -> None:
         self.loss, self.order = loss, order
-        library = _library()
-        assert library is not None, "a loss in C is offered with the library alone"
-        self.functions = library
+        functions = library()
+        assert functions is not None, "a loss in C is offered with the library alone"
+        self.functions = functions
         pairs = [
             (*_matrix(shape), shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, math.prod(shape), False, False)
             for _, shape in layout.shapes

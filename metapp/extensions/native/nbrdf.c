@@ -5,16 +5,18 @@
 #include <math.h>
 #include <string.h>
 
-enum { LANES = 16, VECTORS = 8, BLOCK = LANES * VECTORS, IN = 6, HIDDEN = 21, OUT = 3, KNOTS = 8 };
+#include "vectors.h"
+
+enum { BLOCK = 128, VECTORS = BLOCK / LANES, IN = 6, HIDDEN = 21, OUT = 3, KNOTS = 8 };
+enum { ROWS = 3, ACROSS = 4 };  // sums in registers: 12, and 3 weights and a vector beside them fill the 16 of AVX and SSE
 enum { W1 = 0, B1 = W1 + HIDDEN * IN, W2 = B1 + HIDDEN, B2 = W2 + HIDDEN * HIDDEN, W3 = B2 + HIDDEN };
 enum { B3 = W3 + OUT * HIDDEN, WEIGHTS = B3 + OUT };
 #define QUARTER_TURN 1.57079632679f
 #define INLINE static inline __attribute__((always_inline))
 #define ALONE static __attribute__((noinline))
 
-typedef float V __attribute__((vector_size(4 * LANES)));
 typedef int I __attribute__((vector_size(4 * LANES)));
-typedef float Half __attribute__((vector_size(2 * LANES)));
+typedef float Four __attribute__((vector_size(16)));  // the narrowest V
 typedef V Row[VECTORS];  // a number of each sample of a block
 
 // Functions of vectors, to two units in the last place
@@ -69,39 +71,40 @@ INLINE V arc_cosine(V x) {
 // then 0 where a ReLU is closed: that of `open`, or, where that is out itself, of what is computed. NaN stays.
 INLINE void multiply(int outs, int ins, int row, int column, const float *w, const float *bias, int more, Row *x,
                      Row *out, Row *open) {
-  const int rows = outs % 7 ? 3 : 7;
-  for (int o = 0; o < outs; o += rows)
-    for (int v = 0; v < VECTORS; v += 2) {
-      V sum[7][2];
-      for (int a = 0; a < rows; a++)
-        for (int b = 0; b < 2; b++) sum[a][b] = more ? out[o + a][v + b] : splat(bias ? bias[o + a] : 0);
-      for (int i = 0; i < ins; i++)
-        for (int a = 0; a < rows; a++)
-          for (int b = 0; b < 2; b++) sum[a][b] += w[(o + a) * row + i * column] * x[i][v + b];
+  for (int o = 0; o < outs; o += ROWS)
+    for (int v = 0; v < VECTORS; v += ACROSS) {
+      V sum[ROWS][ACROSS];
+      for (int a = 0; a < ROWS; a++)
+        for (int b = 0; b < ACROSS; b++) sum[a][b] = more ? out[o + a][v + b] : splat(bias ? bias[o + a] : 0);
+      for (int i = 0; i < ins; i++) {
+        V weight[ROWS];
+        for (int a = 0; a < ROWS; a++) weight[a] = splat(w[(o + a) * row + i * column]);
+        for (int b = 0; b < ACROSS; b++)
+          for (int a = 0; a < ROWS; a++) sum[a][b] += weight[a] * x[i][v + b];
+      }
       if (open == out)
-        for (int a = 0; a < rows; a++)
-          for (int b = 0; b < 2; b++) sum[a][b] = pick(sum[a][b] < 0.0f, splat(0), sum[a][b]);
+        for (int a = 0; a < ROWS; a++)
+          for (int b = 0; b < ACROSS; b++) sum[a][b] = pick(sum[a][b] < 0.0f, splat(0), sum[a][b]);
       else if (open)
-        for (int a = 0; a < rows; a++)
-          for (int b = 0; b < 2; b++) sum[a][b] = pick(open[o + a][v + b] > 0.0f, sum[a][b], splat(0));
-      for (int a = 0; a < rows; a++)
-        for (int b = 0; b < 2; b++) out[o + a][v + b] = sum[a][b];
+        for (int a = 0; a < ROWS; a++)
+          for (int b = 0; b < ACROSS; b++) sum[a][b] = pick(open[o + a][v + b] > 0.0f, sum[a][b], splat(0));
+      for (int a = 0; a < ROWS; a++)
+        for (int b = 0; b < ACROSS; b++) out[o + a][v + b] = sum[a][b];
     }
 }
 
 // sums[o][i] += sum over the block of d[o] x[i]
 INLINE void outer(int outs, int ins, Row *d, Row *x, V *sums) {
-  const int rows = outs % 7 ? 3 : 7;
-  for (int o = 0; o < outs; o += rows)
-    for (int i = 0; i < ins; i += 3) {
-      V sum[7][3];
-      for (int a = 0; a < rows; a++)
-        for (int b = 0; b < 3; b++) sum[a][b] = sums[(o + a) * ins + i + b];
+  for (int o = 0; o < outs; o += ROWS)
+    for (int i = 0; i < ins; i += ROWS) {
+      V sum[ROWS][ROWS];
+      for (int a = 0; a < ROWS; a++)
+        for (int b = 0; b < ROWS; b++) sum[a][b] = sums[(o + a) * ins + i + b];
       for (int v = 0; v < VECTORS; v++)
-        for (int a = 0; a < rows; a++)
-          for (int b = 0; b < 3; b++) sum[a][b] += d[o + a][v] * x[i + b][v];
-      for (int a = 0; a < rows; a++)
-        for (int b = 0; b < 3; b++) sums[(o + a) * ins + i + b] = sum[a][b];
+        for (int a = 0; a < ROWS; a++)
+          for (int b = 0; b < ROWS; b++) sum[a][b] += d[o + a][v] * x[i + b][v];
+      for (int a = 0; a < ROWS; a++)
+        for (int b = 0; b < ROWS; b++) sums[(o + a) * ins + i + b] = sum[a][b];
     }
 }
 
@@ -127,9 +130,10 @@ INLINE void total(int rows, Row *d, V *sums) {
 }
 
 INLINE float reduced(const V *x) {
-  const float *p = (const float *)x;
-  Half h = *(const Half *)p + *(const Half *)(p + LANES / 2);
-  return ((h[0] + h[4]) + (h[1] + h[5])) + ((h[2] + h[6]) + (h[3] + h[7]));
+  const Four *p = (const Four *)x;
+  Four sum = p[0];
+  for (int i = 1; i < LANES / 4; i++) sum += p[i];
+  return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
 // What both functions share: the samples of a task, and a block of them in the network
@@ -264,3 +268,5 @@ void nbrdf_product(int tasks, int count, const float *theta, const float *where,
     for (int k = 0; k < KNOTS && by_knots; k++) by_knots[t * KNOTS + k] = reduced(tilted + k);
   }
 }
+
+int nbrdf_lanes(void) { return LANES; }

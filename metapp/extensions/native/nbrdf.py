@@ -19,26 +19,27 @@ from metapp.learning.task import Batch, Params
 def loss(theta: Params) -> LossInC | None:
     """The loss for parameters of this network; None for others, or without a compiler."""
     same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == shapes_of(NBRDF)
-    return LossInC(tuple(shapes_of(NBRDF)), gradient, product) if same and _library() is not None else None
+    return LossInC(tuple(shapes_of(NBRDF)), gradient, product) if same and library() is not None else None
 
 
 @functools.cache
-def _library() -> ctypes.CDLL | None:
-    library = load(Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product")
-    if library is not None:
+def library(march: str = "native") -> ctypes.CDLL | None:
+    """The functions of `nbrdf.c` by the instructions of a CPU; None where there is no compiler for it."""
+    result = load(Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product", "nbrdf_lanes", march=march)
+    if result is not None:
         count, pointer = ctypes.c_int, ctypes.c_void_p
         read = (count, count, pointer, pointer, pointer, pointer, count, pointer, count)
-        library.nbrdf_gradient.argtypes = [*read, *[pointer] * 2]
-        library.nbrdf_product.argtypes = [*read, *[pointer] * 4]
-    return library
+        result.nbrdf_gradient.argtypes = [*read, *[pointer] * 2]
+        result.nbrdf_product.argtypes = [*read, *[pointer] * 4]
+    return result
 
 
 def gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
     """Gradient [T, 675] and loss [T]."""
     result, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
-    dense, library = _dense(theta, batch), _library()
-    assert library is not None
-    library.nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
+    dense, functions = _dense(theta, batch), library()
+    assert functions is not None
+    functions.nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
     return result, losses
 
 
@@ -47,9 +48,9 @@ def product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tupl
     dense, result, along = _dense(theta, batch), torch.empty_like(theta), along.contiguous()
     pulled = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
     pulls = [pulled[key].data_ptr() if key in pulled else None for key in ("smoothing", "weights")]
-    library = _library()
-    assert library is not None
-    library.nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
+    functions = library()
+    assert functions is not None
+    functions.nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
     return result, pulled
 
 

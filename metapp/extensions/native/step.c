@@ -3,8 +3,9 @@
 #include <math.h>
 #include <string.h>
 
-enum { LANES = 16, AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two as in in_c.py
-typedef float V __attribute__((vector_size(4 * LANES)));
+#include "vectors.h"
+
+enum { AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two as in in_c.py
 
 typedef struct {
   int rows, columns, left, right;  // left, right: whether there is a matrix on that side

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,22 @@ TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "adam+loss", "meta-encoder", "meta-curvature"]
 EPS = torch.finfo(torch.float32).eps
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
+
+
+@pytest.fixture(params=["native", "x86-64-v3", "x86-64-v2"])
+def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Both C sources for one set of instructions, as CPUs with AVX-512, with AVX2 and without AVX run them."""
+    wide = torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512")
+    march: str = request.param
+    if march != "native" and not (platform.machine() in ("x86_64", "AMD64") and (wide or march == "x86-64-v2")):
+        pytest.skip(f"this CPU does not run {march}")
+    for module in (nbrdf, in_c):
+        library = module.library(march)
+        assert library is not None
+        monkeypatch.setattr(module, "library", lambda library=library: library)
+    lanes: int = nbrdf.library().nbrdf_lanes()
+    assert lanes == {"x86-64-v3": 8, "x86-64-v2": 4}.get(march, lanes)
+    return lanes
 
 
 def loss_of(batches: list[Batch], registered: bool = True) -> Loss:
@@ -73,7 +90,7 @@ def away(actual: Tensor, expected: Tensor) -> float:
 @needs_compiler
 @pytest.mark.parametrize("samples", [1, 16, 100, 128, 300, 512])
 @pytest.mark.parametrize("names", [(), ("smoothing",), ("smoothing", "weights")])
-def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int) -> None:
+def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, form: int) -> None:
     rng = Generator().manual_seed(samples)
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
     layout = Layout.of(theta)
@@ -174,7 +191,7 @@ def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
 @needs_compiler
 @pytest.mark.parametrize("tasks", [1, TASKS])
 @pytest.mark.parametrize("name", ["sgd", "sgd by task", "adam", *IN_C])
-def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
+def test_fits_are_those_of_torch(name: str, tasks: int, form: int) -> None:
     rng = Generator().manual_seed(4)
     theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
     theta = {key: theta[key] for key in sorted(theta)}  # as files have them
