@@ -38,6 +38,7 @@ class Chosen(NamedTuple):
         formats: the names of the formats that such inputs have.
         has: what these inputs have and the application's others lack, in words.
         tensor: the one that their tasks alone hold; "" where there is none, and data sets do not choose it.
+        without: a tensor that their tasks do not hold: another recipe is chosen by it; "" for none.
         tells: the function `tells(path) -> bool` of the formats' modules, which sources these are; "" for all. Where
             there is no such tensor, the one of this name and `_task` tells which tasks in memory are.
         paradigms: those that its checkpoints serve; () for all.
@@ -47,6 +48,7 @@ class Chosen(NamedTuple):
     formats: tuple[str, ...]
     has: str
     tensor: str = ""
+    without: str = ""
     tells: str = ""
     paradigms: tuple[str, ...] = ()
     lacks: str = ""

@@ -27,9 +27,10 @@ OFFERS = (
         f"{_HERE}.recipe:PRETRAINED",
         "photo",
         Chosen(
-            ("svbrdf", "placed"),
-            has="a flash photo",
+            ("svbrdf",),
+            has="one flash photo",
             tensor="photo",
+            without="places",
             paradigms=("general", "quickft", "meta"),
             lacks=f"{_HERE}.encoder:lacks",
         ),

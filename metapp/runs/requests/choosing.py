@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 from data_tools.formats import inputs_of
@@ -62,7 +62,7 @@ def _lacking(choice: door.Chosen) -> str:
 
 def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
     if choice.tensor:
-        return choice.tensor in task.data
+        return _holds(choice, task.data)
     (form, *_) = (form for form in inputs_of(app) if form.name in choice.formats)
     tells: Callable[[Task], bool] = getattr(form.files(), f"{choice.tells}_task")
     return tells(task)
@@ -93,4 +93,9 @@ def _is_set_of(choice: door.Chosen, data: Path | None) -> bool:
     # of a folder that is not there, whatever reads it says so
     if not choice.tensor or data is None or not data.exists():
         return False
-    return choice.tensor in read_manifest(data).units
+    return _holds(choice, read_manifest(data).units)
+
+
+def _holds(choice: door.Chosen, tensors: Collection[str]) -> bool:
+    """True if tasks of these tensors choose a recipe."""
+    return choice.tensor in tensors and choice.without not in tensors

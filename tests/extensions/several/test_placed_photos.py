@@ -15,9 +15,12 @@ from data_tools.formats import inputs_of
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from metapp.extensions.several import photos
+from metapp.learning.task import Task
 from metapp.runs import BadOption
+from metapp.runs.requests.choosing import chosen_recipe, recipe_of_tasks
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
+from metapp.storage.shards import ShardWriter
 
 APP = "svbrdf_nonstationary"
 
@@ -70,23 +73,43 @@ def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
     assert [name for name, _ in found(folder)] == ["svbrdf"] * 3
 
 
-def test_folders_with_places_have_a_recipe_of_their_own(folder: Path) -> None:
+@pytest.fixture(params=["", "no weights"])
+def lacking(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What the recipe of one photo, `pretrained`, finds missing."""
+    monkeypatch.setattr("metapp.extensions.pretrained.encoder.lacks", lambda: request.param)
+    lack: str = request.param
+    return lack
+
+
+def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: str) -> None:
+    one = "full" if lacking else "pretrained"
+
     def recipe(*inputs: Path, observe: str = "photo") -> str:
         return plan(Request(APP, "general", inputs, observe=observe)).request.recipe
 
     assert recipe(folder) == "several"
     assert recipe(folder.parent) == "several"
-    assert recipe(folder / "a.png") == "full"
+    assert recipe(folder / "a.png") == one
     assert recipe(folder, observe="reference") == "full"
     assert recipe(folder, folder / "a.png", observe="reference") == "full"
     assert recipe() == "full"
+
+
+def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tmp_path: Path, lacking: str) -> None:
+    task = photos.read_task(folder)
+    with ShardWriter(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), {}) as writer:
+        writer.add(task, "test")
+    request = Request(APP, "meta", observe="photo", data=tmp_path / "set")
+    assert chosen_recipe(request) == recipe_of_tasks(request, [task]) == "several"
+    one = Task("one", {"photo": task.data["photo"]})
+    assert recipe_of_tasks(request, [one]) == ("full" if lacking else "pretrained")
 
 
 def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:
     """Or one recipe that is asked for; whether they are named or found in one folder."""
     plain = write(folder.parent / "wall.png", 4)
     line = (
-        f"{APP}: {folder} has several photos, {plain} has not, and recipes for these differ; fit them by two commands"
+        f"{APP}: {plain} has one flash photo, {folder} has not, and recipes for these differ; fit them by two commands"
     )
     for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
         with pytest.raises(BadOption, match=re.escape(line)):
