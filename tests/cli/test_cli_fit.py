@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 import subprocess
@@ -49,6 +50,33 @@ def fit(metapp: Callable, ten_materials: Path) -> Callable:
 
 
 # What works
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
+    """Parameters and records are written first; a file in the place of a folder, or a full disk, is said by its path."""
+    assert fit("general", *STEPS).code == 0
+    (folder,) = Path("runs/brdf/general").iterdir()
+    shutil.rmtree(folder)
+    folder.mkdir()
+
+    def write(*arguments: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if full:
+        monkeypatch.setattr("data_tools.readers.merl.export", write)
+    else:
+        (folder / "merl").touch()
+    result = fit("general", *STEPS, "--export", "merl,nbrdf")
+    assert result.code == 1
+    said = " ".join(result.err.split())
+    for name in ("m4", "m9"):
+        assert f"{folder}/merl/{name}: not written as merl: {'No space left' if full else 'File exists'}" in said
+        assert (folder / "params" / f"{name}.safetensors").is_file()
+    assert "error: 2 exports were not written; all fits are kept." in said
+    assert "inputs were not fitted" not in said
+    assert {record["name"] for record in read_records(folder / "record.jsonl")} == {"m4", "m9"}
+    assert len(list((folder / "nbrdf").iterdir())) == 2
 
 
 def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: Callable) -> None:

@@ -39,20 +39,24 @@ def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
     """
     from metapp.runs.fits.execution import Failure, execute
 
-    failed = total = 0
+    failed = total = unwritten = 0
     for done in execute(plan, lines):
         if isinstance(done, Failure):
             failed, total = failed + 1, total + 1
             print_json({"input": done.source, "failure": one_line(what_failed(done.error))})
             continue
-        failed += len(done.counted_failures)
-        total += len(done.counted_failures) + len(done.records) if lines is None else 1
+        unfitted = [failure for failure in done.counted_failures if not failure.kept]
+        failed, unwritten = failed + len(unfitted), unwritten + len(done.counted_failures) - len(unfitted)
+        total += len(unfitted) + len(done.records) if lines is None else 1
         if lines is not None:
             print_json({"input": str(done.plan.request.inputs[0])} | done.document())
         else:
             _show(done, json=json)
     if failed:
         say(f"error: {failed} of {total} inputs were not fitted.")
+    if unwritten:
+        say(f"error: {unwritten} export{'s were' if unwritten > 1 else ' was'} not written; all fits are kept.")
+    if failed or unwritten:
         raise typer.Exit(Exit.FAILED)
 
 

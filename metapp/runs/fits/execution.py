@@ -16,10 +16,10 @@ from metapp.paradigms import ranks
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
-from metapp.runs.fits.fitter import Fitter, Result
+from metapp.runs.fits.fitter import Fitter
 from metapp.runs.inputs.addresses import kept
 from metapp.runs.inputs.sources import SOURCED, Source, content_of, numbered, sources_to_fit
-from metapp.runs.outputs.files import OUTPUTS, listed, write_fit, write_outputs
+from metapp.runs.outputs.files import OUTPUTS, export_fit, listed, write_files, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
 from metapp.runs.requests.choosing import chosen_recipe
@@ -32,17 +32,25 @@ from metapp.runs.surroundings import make_folder, threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.records import FIT, RunFolder, guarded, summary
+from metapp.storage.records import FIT, RunFolder, file_name, guarded, summary
 
 FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # what is wrong with inputs and fits
 
 
 class Failure(NamedTuple):
-    """A source that was not fitted, and why; `named`: whether the user named it, so that it should have been good."""
+    """A source that was not fitted, or not exported, and why.
+
+    Attributes:
+        source: its place.
+        error: why.
+        named: whether the user named it, so that it should have been good.
+        kept: whether its fit is kept and a form of --export was not written.
+    """
 
     source: str
     error: Exception
     named: bool = True
+    kept: bool = False
 
     @property
     def reason(self) -> str:
@@ -196,8 +204,8 @@ def _run(fitter: Fitter, sources: list[Source], label: str, folder: RunFolder) -
     records = loop.known(mine)
     if not records:
         raise _first_error(loop.failures, len(mine))
-    for form in request.exports if loop.count else ():
-        say(f"written as {form}: {listed(folder.path / form, [each['name'] for each in records.values()])}")
+    for form, names in loop.exported.items():
+        say(f"written as {form}: {listed(folder.path / form, names)}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
     picture, gallery = loop.sheet(mine, records), None
     if request.resumes:
@@ -242,7 +250,8 @@ class _Loop:
     Attributes:
         anew: whether inputs are fitted although there is a record of the same content.
         count: how many were fitted.
-        failures: what was not.
+        exported: the names of fits by the form that they were written in.
+        failures: what was not fitted, or not exported.
         remarks: what outputs say of themselves.
         lines: what those that watch say before the first fit.
     """
@@ -258,6 +267,7 @@ class _Loop:
         self.failures: list[Failure] = []
         self.remarks: list[str] = []
         self.anew, self.count = False, 0
+        self.exported: dict[str, list[str]] = {}
         self._columns: dict[str, Column] = {}
         self._places: dict[str, str] = {}  # of tasks by name: sources of different stems may hold tasks of one name
         self._touched: set[str] = set()  # places of files with another time, and the content of their record
@@ -343,17 +353,34 @@ class _Loop:
             return
         self.size.note(len(pairs), sum(result.record["seconds"] for result in results))
         for (source, task), result in zip(pairs, results, strict=True):
+            theta = {key: value.detach().cpu() for key, value in result.theta.items()}
             try:
-                yield self._keep(source, task, result, len(pairs))
+                yield self._keep(source, task, theta, result.record, len(pairs))
             except ValueError as error:
                 self._fail(source, error)
+            else:
+                self._export(task, theta)
 
-    def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Document:
-        """Write all that a fit makes, then its record."""
-        record, plan = result.record, self.fitter.plan
-        theta = {key: value.detach().cpu() for key, value in result.theta.items()}
+    def _export(self, task: Task, theta: Params) -> None:
+        """Write a fit that is kept in each form of --export."""
+        run = self.folder.path
+        for form in self.fitter.plan.request.exports:
+            path = run / form / file_name(task.name)
+            try:
+                with torch.no_grad():
+                    export_fit(self.presentation, task, theta, path, form, self.folder.settings)
+            except (ValueError, OSError) as error:
+                why = getattr(error, "strerror", None) or str(error).removesuffix(".")
+                line = f"{path}: not written as {form}: {why}; the fit is kept, write it by metapp export {run} {form}"
+                self.failures.append(Failure(str(path), ValueError(f"{line} --out FOLDER."), kept=True))
+            else:
+                self.exported.setdefault(form, []).append(task.name)
+
+    def _keep(self, source: Source, task: Task, theta: Params, record: Document, beside: int) -> Document:
+        """Write the pictures, the parameters and the record of a fit, in this order."""
+        plan = self.fitter.plan
         with torch.no_grad():
-            write_fit(self.presentation, self.folder, task, theta, plan.request.exports)
+            write_files(self.presentation, task, theta, self.folder.path / OUTPUTS)
             self.remarks += write_outputs(self.presentation, self.outputs, self.folder, task, theta)
             if plan.request.resumes:
                 write_thumbnail(plan.app, task, theta, self.folder.path)

@@ -33,13 +33,6 @@ OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
 
 
-def write_fit(presentation: Presentation[Any], run: RunFolder, task: Task, theta: Params, forms: Sequence[str]) -> None:
-    """Write what a fit makes, <run>/outputs, and in each form of --export, <run>/<form>."""
-    write_files(presentation, task, theta, run.path / OUTPUTS)
-    for form in forms:
-        export_fit(presentation, task, theta, run.path / form / file_name(task.name), form, run.settings)
-
-
 def write_files(presentation: Presentation[Any], task: Task, theta: Params, folder: Path) -> None:
     """Write what a fit makes for its user, if anything, <folder>/<task>/<name>.png, 8 bits.
 
