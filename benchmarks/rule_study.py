@@ -13,7 +13,7 @@ from metapp.learning.names import rule_names
 from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import rule_of
 from metapp.paradigms import Job, paradigms
-from metapp.runs.checkpoints.finding import find_checkpoint, has_general, trained_path
+from metapp.runs.checkpoints.finding import find_checkpoint, trained_path
 from metapp.runs.checkpoints.training import Trained, general_of, train_checkpoint
 from metapp.runs.requests.naming import observe_of
 from metapp.runs.requests.plan import Checkpoint, Plan
@@ -136,9 +136,7 @@ class Study:
     @functools.cached_property
     def general(self) -> Checkpoint:
         """The General that all rules begin at and QuickFT is tuned for, trained now if this data has none."""
-        general = self.plan.by("general")
-        checkpoint = find_checkpoint(general).checkpoint if has_general(general) else None
-        return checkpoint or general_of(self.plan)
+        return general_of(self.plan)
 
     @functools.cached_property
     def _general_digest(self) -> str:

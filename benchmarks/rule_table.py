@@ -78,7 +78,7 @@ def _trained(subject: Subject, case: Case) -> Record:
     """Train a case; a training that diverges is a result, too."""
     begin = time.process_time()
     try:
-        _, prepared, seconds = study_of(subject).train(case)
+        _, _, prepared, seconds = study_of(subject).train(case)
     except FloatingPointError as error:
         say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
         return {"error": None, "seconds": time.process_time() - begin, "step": None}

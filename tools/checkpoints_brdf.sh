@@ -9,12 +9,12 @@ metapp=$1 data=$2 runs=$3
 "$metapp" data join "$runs/data/synthetic" "$runs/data/nbrdf-merl" --out "$runs/data/joint" --overwrite
 common=(brdf --recipe quick --data "$runs/data/joint" --out "$runs")
 "$metapp" general "${common[@]}" --train --train-steps 30000
-"$metapp" quickft "${common[@]}" --train
-"$metapp" meta "${common[@]}" --rule meta-curvature --train --train-steps 30000
-for rule in meta-sgd ridge; do
-  "$metapp" meta "${common[@]}" --rule "$rule" --train
-done
 folder=$(ls -td "$runs"/brdf/checkpoints/joint-*-quick-seed0 | head -1)
+general=(--checkpoint "$folder/general.safetensors")
+"$metapp" quickft "${common[@]}" "${general[@]}" --train
+"$metapp" meta "${common[@]}" "${general[@]}" --rule meta-curvature --train --train-steps 30000
+"$metapp" meta "${common[@]}" "${general[@]}" --rule meta-sgd --train
+"$metapp" meta "${common[@]}" --rule ridge --train
 cp -v "$folder"/{general,quickft,meta-sgd,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/
 # ridge goes on with RGL networks, too: not those whose measurements judge it, nor every fifth of the others
 networks=() number=0

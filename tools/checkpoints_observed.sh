@@ -6,11 +6,12 @@ set -euo pipefail
 metapp=$1 runs=$2 app=$3
 common=("$app" --recipe quick --out "$runs" --train)
 "$metapp" general "${common[@]}"
-for observe in reference photo; do
-  "$metapp" quickft "${common[@]}" --observe "$observe"
-  "$metapp" meta "${common[@]}" --observe "$observe"
-done
 folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
+general=(--checkpoint "$folder/general.safetensors")
+for observe in reference photo; do
+  "$metapp" quickft "${common[@]}" "${general[@]}" --observe "$observe"
+  "$metapp" meta "${common[@]}" "${general[@]}" --observe "$observe"
+done
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"
 [ "$app" != illumination ] || "$(dirname "$metapp")/python" tools/confidence.py
 

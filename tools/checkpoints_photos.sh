@@ -6,9 +6,9 @@ rule=meta-basis
 for app in texture svbrdf_stationary; do
   common=("$app" --recipe quick --out "$runs" --train)
   "$metapp" general "${common[@]}"
-  "$metapp" quickft "${common[@]}"
-  "$metapp" meta "${common[@]}" --rule "$rule"
   folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
+  "$metapp" quickft "${common[@]}" --checkpoint "$folder/general.safetensors"
+  "$metapp" meta "${common[@]}" --checkpoint "$folder/general.safetensors" --rule "$rule"
   mkdir -p "metapp/checkpoints/$app"
   cp -v "$folder"/{general,quickft,"$rule"}.safetensors "metapp/checkpoints/$app/"
 done

@@ -3,10 +3,12 @@
 set -euo pipefail
 metapp=$1 runs=$2
 app=transport
-for paradigm in general quickft meta; do
-  "$metapp" "$paradigm" "$app" --recipe quick --out "$runs" --train
-done
+common=("$app" --recipe quick --out "$runs" --train)
+"$metapp" general "${common[@]}"
 folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
+for paradigm in quickft meta; do
+  "$metapp" "$paradigm" "${common[@]}" --checkpoint "$folder/general.safetensors"
+done
 mkdir -p "metapp/checkpoints/$app"
 find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' ! -name '*.training.*' \
   -exec cp -v {} "metapp/checkpoints/$app/" \;

@@ -6,9 +6,11 @@ set -euo pipefail
 metapp=$1 runs=$2
 shift 2
 for app in "$@"; do
-  for paradigm in general quickft meta; do
-    "$metapp" "$paradigm" "$app" --recipe paper --train --out "$runs"
-  done
+  common=("$app" --recipe paper --train --out "$runs")
+  "$metapp" general "${common[@]}"
+  folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-paper-seed0 | head -1)
+  "$metapp" quickft "${common[@]}" --checkpoint "$folder/general.safetensors"
+  "$metapp" meta "${common[@]}"
+  "$metapp" evaluate "$app" --checkpoint "$folder" --recipe paper --whole --observe reference --which all --out "$runs" \
+    --figures "$runs/figures/$app" --report "$runs/report/$app" --overwrite
 done
-"$metapp" evaluate "$@" --recipe paper --whole --observe reference --which all --out "$runs" \
-  --figures "$runs/figures" --report "$runs/report" --overwrite

@@ -13,12 +13,11 @@ done
 folder=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-paper-seed0 | head -1)
 "$(dirname "$metapp")/python" tools/training_curves.py "$runs/figures/paper-brdf.png" "$folder/meta-sgd.safetensors"
 for table in results quickft; do
-  "$metapp" evaluate brdf --recipe paper --data "$fits" --whole --which "$table" --out "$runs"
+  "$metapp" evaluate brdf --recipe paper --data "$fits" --checkpoint "$folder" --whole --which "$table" --out "$runs"
 done
 # the embedded materials are unlike those of training
 for paradigm in general overfit finetune quickft meta; do
-  checkpoint=(--checkpoint "$folder/general.safetensors")
-  [ "$paradigm" = meta ] && checkpoint=(--checkpoint "$folder/meta-sgd.safetensors")
+  checkpoint=(--checkpoint "$folder")
   [ "$paradigm" = overfit ] && checkpoint=()
   "$metapp" "$paradigm" brdf --recipe paper "${checkpoint[@]}" --out "$runs"
 done

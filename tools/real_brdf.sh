@@ -15,5 +15,6 @@ for seed in "$@"; do
   for rule in meta-sgd meta-curvature; do
     "$metapp" meta "${common[@]}" --rule "$rule" --train --quiet
   done
-  "$metapp" evaluate "${common[@]}" --table --whole
+  trained=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-quick-seed"$seed" | head -1)
+  "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --table --whole
 done

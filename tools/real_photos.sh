@@ -16,6 +16,7 @@ for seed in "$@"; do
     "$metapp" general "${common[@]}" --train --quiet
     "$metapp" quickft "${common[@]}" --train --quiet
     "$metapp" meta "${common[@]}" --train --quiet
-    "$metapp" evaluate "${common[@]}" --table --whole
+    trained=$(ls -td "$runs/${pair%:*}"/checkpoints/"${pair#*:}"-*-quick-seed"$seed" | head -1)
+    "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --table --whole
   done
 done

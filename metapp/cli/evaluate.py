@@ -68,6 +68,10 @@ class Evaluation:
         ),
     ] = ""
     data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of trained checkpoints of one APP; default: those that ship."),
+    ] = None
     out: Annotated[Path, typer.Option(help="Where runs are kept.")] = Path("runs")
     recipe: Annotated[
         str,
@@ -143,6 +147,12 @@ def subjects_of(options: Evaluation) -> list[Subject]:
 
     run = not options.no_run
     names = options.apps or app_names()
+    if options.checkpoint and not (len(names) == 1 and options.checkpoint.is_dir()):
+        found = f"{len(names)} applications" if options.checkpoint.is_dir() else "no folder"
+        raise typer.BadParameter(
+            f"--checkpoint {options.checkpoint}: {found}, expected one APP and the folder of its trained checkpoints, "
+            "such as runs/brdf/checkpoints/..."
+        )
     for name in names:
         check_name(name)
     for name in [name for name in names if protocols_of(name)] or names:
@@ -157,6 +167,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
                 rule=options.rule,
                 recipe=options.recipe if options.apps or options.recipe in recipes_of(name) else "quick",
                 data=options.data,
+                checkpoint=options.checkpoint,
                 out=options.out,
                 seed=options.seed,
                 device=options.device,

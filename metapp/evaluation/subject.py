@@ -13,7 +13,7 @@ from metapp.evaluation.cell import Cell, Measure
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
-from metapp.runs.checkpoints.finding import find_checkpoint, trained_path
+from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.fits.fitter import fit_tasks
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import tasks_of_data
@@ -55,11 +55,11 @@ class Subject:
             ValueError: a checkpoint is missing that a row must have, and that is an error.
         """
         fits = {name: self._found(name) for name in paradigms()}
-        others = [rule for rule in self.plan.job.recipe.meta if rule != self.plan.job.rule]
-        if self.plan.request.data:  # beside checkpoints of this data, none that was trained on other data
-            others = [rule for rule in others if trained_path(self.plan, rule).is_file()]
-        for rule in others:
-            with suppress(ValueError):  # nobody trained this rule
+        request, job = self.plan.request, self.plan.job
+        # on data of one's own the others that ship would say little
+        others = job.recipe.meta if request.checkpoint or not request.data else ()
+        for rule in (rule for rule in others if rule != job.rule):
+            with suppress(ValueError):  # there is no checkpoint of this rule
                 fits[f"meta:{rule}"] = find_checkpoint(self.plan.by("meta", rule))
         return fits
 
@@ -171,4 +171,5 @@ def shared_words(plan: Plan) -> list[str]:
     request, protocol = plan.request, plan.app.protocol
     words = ["--out", str(request.out), "--recipe", request.recipe]
     words += ["--observe", protocol] if protocol else []
+    words += ["--checkpoint", str(request.checkpoint)] if request.checkpoint else []
     return words + ["--seed", str(request.seed)] + (["--data", str(request.data)] if request.data else [])

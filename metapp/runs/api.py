@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 # options of `Request` that programs give
-GENERAL = ("observe", "rule", "recipe", "steps", "budget", "data", "checkpoint", "seed", "device", "out")
+GENERAL = ("observe", "rule", "recipe", "steps", "budget", "data", "checkpoint", "seed", "device")
 
 
 class Fit:
@@ -250,7 +250,7 @@ def fit_all(
             embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
         options: observe, rule, recipe, steps, budget, data, checkpoint, seed, device, and those of the application,
-            with the names of the command line; `out` is where checkpoints that were trained here are looked for.
+            with the names of the command line.
 
     Returns:
         The fits, a list.
@@ -289,7 +289,7 @@ def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:
         BadOption: no such application, protocol or general option, or one of another type.
     """
     general: dict[str, Any] = {name: value for name, value in options.items() if name in GENERAL}
-    for key in ("data", "out", "checkpoint"):
+    for key in ("data", "checkpoint"):
         if isinstance(general.get(key), str | PathLike):
             general[key] = Path(general[key])
     names = [*GENERAL, "app", "paradigm", *all_options()]

@@ -49,12 +49,16 @@ def fit(metapp: Callable, ten_materials: Path) -> Callable:
     return call
 
 
+def errors_of(result: Result) -> list[float]:
+    return [task["error"] for task in result.document["tasks"]]
+
+
 # What works
 
 
 @pytest.mark.parametrize("full", [False, True])
 def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
-    """Parameters and records are written first; a file in the place of a folder, or a full disk, is said by its path."""
+    """Parameters and records are written first; a file in a folder's place, or a full disk, is said by its path."""
     assert fit("general", *STEPS).code == 0
     (folder,) = Path("runs/brdf/general").iterdir()
     shutil.rmtree(folder)
@@ -109,14 +113,18 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     assert Path(document["out"]).is_dir()
 
 
-def test_a_checkpoint_trained_on_this_data_is_found_again_or_named(fit: Callable) -> None:
+def test_a_trained_checkpoint_is_used_where_it_is_named(fit: Callable) -> None:
+    """By its file or its folder; else fits begin at the one that ships, whatever was trained here."""
+    ships = fit("general", "--json")
     trained = fit("general", *STEPS, "--json")
-    again = fit("general", "--json")
-    assert "checkpoints" in again.err
-    assert "general.safetensors" in again.err
-    assert again.document["tasks"][0]["error"] == trained.document["tasks"][0]["error"]
-    assert fit("finetune", "--json").document["steps"] == 5
     (checkpoint,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
+    assert errors_of(fit("general", "--json")) == errors_of(ships) != errors_of(trained)
+    for named in (checkpoint, checkpoint.parent):
+        again = fit("general", "--json", "--checkpoint", named)
+        assert str(checkpoint) in again.err
+        assert errors_of(again) == errors_of(trained)
+    assert fit("finetune", "--json", "--checkpoint", checkpoint.parent).document["steps"] == 5
+    refuse(fit("meta", "--checkpoint", checkpoint.parent), "holds general, expected meta-curvature.safetensors")
     assert load_checkpoint(checkpoint)[1]["training"]["steps"] == 3
     fit("general", *STEPS)
     assert not checkpoint.with_suffix(".previous.safetensors").exists()  # it would be the same
@@ -125,6 +133,19 @@ def test_a_checkpoint_trained_on_this_data_is_found_again_or_named(fit: Callable
     result = fit("general", "--checkpoint", checkpoint.rename("mine.safetensors"))
     assert result.code == 0
     assert "mine.safetensors" in result.err
+
+
+def test_a_table_compares_the_checkpoints_of_a_folder(fit: Callable, metapp: Callable, ten_materials: Path) -> None:
+    trained = {paradigm: fit(paradigm, *STEPS, "--json") for paradigm in ("general", "quickft", "meta")}
+    (folder,) = Path("runs/brdf/checkpoints").iterdir()
+    table = ("evaluate", "brdf", "--which", "quickft", "--data", ten_materials, "--json")
+    ships, own = (metapp(*table, *more).done["rows"] for more in ((), ("--checkpoint", folder)))
+    found = {row["paradigm"]: row["error"] for row in own}
+    means = {name: sum(errors_of(result)) / 2 for name, result in trained.items()}
+    assert {name: found[name] for name in means} == pytest.approx(means)
+    assert found != {row["paradigm"]: row["error"] for row in ships}
+    both = metapp("evaluate", "brdf", "texture", "--checkpoint", folder)
+    assert (both.code, "expected one APP and the folder" in " ".join(both.err.split())) == (2, True)
 
 
 @pytest.mark.parametrize(("paradigm", "rule"), [("general", "general"), ("meta", "meta-sgd")])
@@ -146,11 +167,18 @@ def test_a_training_goes_on_from_a_checkpoint(fit: Callable, paradigm: str, rule
     assert str(path) in more.err
 
 
-def test_a_search_goes_on_from_no_checkpoint(fit: Callable) -> None:
+def test_a_training_begins_at_the_general_that_is_named(fit: Callable) -> None:
     fit("general", *STEPS)
     (kept,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
-    result = fit("quickft", "--train", "--checkpoint", kept)
-    assert (result.code, "leave --checkpoint out" in result.err) == (2, True)
+    kept = kept.rename("mine.safetensors")
+    for paradigm in ("quickft", "meta"):
+        result = fit(paradigm, *STEPS, "--checkpoint", kept)
+        assert (result.code, "General: mine.safetensors" in result.err) == (0, True)
+    assert not list(Path("runs/brdf/checkpoints").rglob("general.safetensors"))
+    (tuned,) = Path("runs/brdf/checkpoints").rglob("quickft.safetensors")
+    refuse(fit("quickft", "--train", "--checkpoint", tuned), "expected the General that an Adam is searched for")
+    folder = fit("quickft", "--train", "--checkpoint", tuned.parent)
+    assert (folder.code, "with --train name a file in it" in folder.err) == (2, True)
 
 
 def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
@@ -158,8 +186,10 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0)))
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
     assert fit("general", *STEPS).code == 0
-    assert "no Adam was tuned" in fit("quickft").err
-    tuned = fit("quickft", "--train")
+    (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
+    assert "no Adam was tuned" in fit("quickft", "--checkpoint", general).err
+    tuned = fit("quickft", "--train", "--checkpoint", general, "--json")
+    assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
     (file,) = Path("runs/brdf/quickft").rglob("record.jsonl")
@@ -192,9 +222,14 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:
+    """One that was trained by the same settings is not trained again, one of other settings is."""
     result = fit("meta", *STEPS)
-    assert "no General that was trained on this data yet" in result.err
-    assert list(Path("runs/brdf/checkpoints").rglob("general.safetensors"))
+    assert "no General ships for this data: training it first, 3 steps" in result.err
+    (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
+    before = general.stat().st_mtime_ns
+    assert "training it first" not in fit("quickft", *STEPS).err
+    assert general.stat().st_mtime_ns == before
+    assert "training it first, 2 steps" in fit("meta", *STEPS[:-1], "2").err
 
 
 def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(fit: Callable, networks: Path) -> None:
@@ -320,7 +355,7 @@ def test_a_composition_is_trained_and_used(fit: Callable) -> None:
     assert info["checkpoint"] == "adam+curvature"
     assert info["training"]["clip"] == RECIPES["quick"].meta["meta-curvature"].clip
     assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
-    again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet").document
+    again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet", "--checkpoint", path.parent).document
     assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.document["tasks"]]
     assert "adam+curvature" in Path(again["out"]).name
     refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule adam+curvature")

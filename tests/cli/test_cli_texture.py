@@ -75,7 +75,9 @@ def data(app: str, metapp: Callable) -> str:
 def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: str, metapp: Callable, wall: Path) -> None:
     common = ("--data", data, "--rule", "meta-sgd", "--json")
     assert metapp("meta", app, *common, "--train").done
-    document = metapp("meta", app, wall, *common, "--steps", "2", "--export", "asset").done
+    (folder,) = Path("runs", app, "checkpoints").iterdir()
+    trained = ("--checkpoint", folder, "--steps", "2")
+    document = metapp("meta", app, wall, *common, *trained, "--export", "asset").done
     assert [task["name"] for task in document["tasks"]] == ["wall"]
     assert "random filters" in document["features"]
     made = Path(document["out"]) / "outputs" / "wall"
@@ -155,7 +157,8 @@ def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, 
     common = (app, "--data", data)
     assert metapp("meta", *common, "--rule", "meta-sgd", "--train", "--quiet").code == 0
     save_file(made_up(), weights_path())
-    assert "its encoder reads random filters" in metapp("general", *common).refusal
-    meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet")
+    (folder,) = Path("runs", app, "checkpoints").iterdir()
+    assert "its encoder reads random filters" in metapp("general", *common, "--checkpoint", folder).refusal
+    meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet", "--checkpoint", folder)
     assert meta.code == 0
     assert "warning: meta-sgd.safetensors was trained with random filters" in meta.err

@@ -57,7 +57,7 @@ OPTIONS: Document = {
     "checkpoint": typer.Option(
         metavar="FILE",
         rich_help_panel=FIT,
-        help="Initialisation from this checkpoint; default: trained here, else shipped.",
+        help="Checkpoint, or folder of trained ones; default: the one that ships.",
     ),
     "train": typer.Option(
         "--train",

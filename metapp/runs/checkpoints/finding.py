@@ -1,4 +1,4 @@
-"""Checkpoints: find the best there is, trained here or shipped, and check what it holds."""
+"""Checkpoints: the one that is named, else the one that ships, and checks of what it holds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from metapp.networks.field import regridded
 from metapp.paradigms import paradigms
 from metapp.paradigms.quickft import TUNED
 from metapp.runs.checkpoints.shipped import QUICK, shipped_path, ships
-from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import say
 from metapp.runs.requests.naming import is_first_protocol, name_of
@@ -29,7 +28,7 @@ FOLDER = "checkpoints"  # of what was trained for an application
 
 
 def find_checkpoint(plan: Plan) -> Plan:
-    """The plan with the best checkpoint there is: the one asked for, else one trained on this data, else the shipped.
+    """The plan with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
 
     Raises:
         ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
@@ -80,14 +79,11 @@ def checkpoint_name(app: App, name: str) -> str:
     return name if is_first_protocol(app) or shared else f"{name}-{app.protocol}"
 
 
-def has_general(plan: Plan) -> bool:
-    """True if there is a General for this data.
+def ships_general(plan: Plan) -> bool:
+    """True if a General ships that training may begin at.
 
-    For a data set of the user's own only one trained on its training tasks will do: the shipped one may have seen its
-    test tasks.
+    On a data set of the user's own none may: the shipped one may have seen its test tasks.
     """
-    if trained_path(plan, "general").is_file():
-        return True
     return not plan.request.data and _has_shipped(plan) and _shipped(plan, "general").is_file()
 
 
@@ -117,52 +113,50 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Do
 
 
 def _with_tuning(plan: Plan, checkpoint: Checkpoint, name: str) -> Checkpoint:
-    """Put the Adam that was tuned for this very encoder into its checkpoint."""
-    data, app = plan.request.data, plan.app
+    """Put the Adam that was tuned for this very encoder into its checkpoint: one beside that, or the one that ships."""
+    request, app = plan.request, plan.app
     encoder = tensor_digest(checkpoint.prepared.encoder)
     candidates = [_shipped(plan, name)]
-    if data or embedded_exists(app.name):
-        candidates.insert(0, trained_path(plan, name))
+    if request.checkpoint:
+        folder = request.checkpoint if request.checkpoint.is_dir() else request.checkpoint.parent
+        candidates.insert(0, folder / f"{checkpoint_name(app, name)}.safetensors")
     for path in candidates:
         if path.is_file():
             tuned, info = load_checkpoint(path)
             if info.get("encoder") == encoder:
                 require_tuned(path, tuned)
-                prepared = checkpoint.prepared._replace(alpha=tuned.alpha)
-                return Checkpoint(prepared, f"{checkpoint.source}, tuned Adam", digest(path))
+                return tuned_by(checkpoint, tuned, path)
     words = ["metapp", name, app.name, "--train"]
     words += ["--observe", app.protocol] if app.protocol else []
-    remedy = shlex.join(words + (["--data", str(data)] if data else []))
+    remedy = shlex.join(words + (["--data", str(request.data)] if request.data else []))
     say(f"{name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
     return checkpoint
 
 
+def tuned_by(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoint:
+    """General's checkpoint with an Adam that was tuned for it."""
+    return Checkpoint(general.prepared._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", digest(path))
+
+
 def _checkpoint_path(plan: Plan, name: str) -> Path:
-    request = plan.request
-    if request.checkpoint:
-        return request.checkpoint
-    trained_any = (_of_app(plan) / FOLDER).is_dir()
-    if request.data or (trained_any and embedded_exists(plan.app.name)):
-        path = trained_path(plan, name)
-        if path.is_file():
-            return path
-        _say_other_recipe(plan, name)
+    given = plan.request.checkpoint
+    if given and given.is_dir():
+        path = given / f"{checkpoint_name(plan.app, name)}.safetensors"
+        if not path.is_file():
+            held = ", ".join(sorted(file.stem for file in given.glob("*.safetensors"))) or "no checkpoints"
+            raise ValueError(
+                f"{given}: holds {held}, expected {path.name}; train it with --train, or name another one."
+            )
+        return path
+    if given:
+        return given
     path = _shipped(plan, name)
     if path.is_file() and _has_shipped(plan):
         return path
     raise ValueError(
-        f"{name_of(plan.app)} {name}, recipe {request.recipe}: no checkpoint, neither trained on this data nor "
-        "shipped; train one with --train."
+        f"{name_of(plan.app)} {name}, recipe {plan.request.recipe}: no checkpoint ships; train one with --train, or "
+        "name one with --checkpoint."
     )
-
-
-def _say_other_recipe(plan: Plan, name: str) -> None:
-    """Warn that this data has such a checkpoint by another recipe, or that of its default rule; here there is none."""
-    for recipe, settings in recipes_of(plan.app.name, plan.app.protocol).items():
-        by_other = replace(plan, request=replace(plan.request, recipe=recipe))
-        path = trained_path(by_other, settings.rule if name == plan.job.recipe.rule else name)
-        if recipe != plan.request.recipe and path.is_file():
-            say(f"warning: {path} is used with --recipe {recipe} alone; here the recipe is {plan.request.recipe}.")
 
 
 def _has_shipped(plan: Plan) -> bool:

@@ -18,7 +18,7 @@ from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.paradigms.validation import split_validation
 from metapp.runs import BadOption
-from metapp.runs.checkpoints.finding import find_checkpoint, has_general, trained_path
+from metapp.runs.checkpoints.finding import find_checkpoint, ships_general, trained_path
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import progress, say
 from metapp.runs.requests.naming import name_of, observe_of
@@ -26,7 +26,7 @@ from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.runs.surroundings import make_folder, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.files import remove_partial
-from metapp.storage.records import digest, save_checkpoint, tensor_digest
+from metapp.storage.records import digest, load_checkpoint, save_checkpoint, tensor_digest
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 
@@ -36,11 +36,13 @@ class Trained(NamedTuple):
 
     Attributes:
         path: its file; the one it replaces is kept as `<name>.previous.safetensors`.
+        general: the one that training went on from or tuned for, if it did.
         prepared: what it holds.
         seconds: processor time of training, that before it was cut off included.
     """
 
     path: Path
+    general: Checkpoint | None
     prepared: Prepared
     seconds: float
 
@@ -51,21 +53,24 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     Args:
         plan: what for.
         steps: outer steps instead of the recipe's.
-        general: the one that training goes on from or tunes for, if it does; None: the one there is, else trained now.
+        general: the one that training goes on from or tunes for, if it does; None: as `general_of` has it.
 
     Raises:
-        BadOption: there is nothing to train, or a checkpoint was given to what only a search finds.
+        BadOption: there is nothing to train, or a folder of checkpoints was given.
+        ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
     """
     name, app, request = _name_of(plan), plan.app, plan.request
     path = trained_path(plan, name)
     make_folder(request.out)
     make_folder(path.parent)
     folder = data_folder(app, request.data, request.quiet)
-    first = _first(plan)
+    first = _first(plan, name)
     begins = not first.digest and _needs_general(plan, name)
-    encoder = (general or general_of(plan, steps)).prepared if begins else None
+    general = general or general_of(plan, steps) if begins else None
+    encoder = general.prepared if general else None
     tasks = _tasks_of(plan, name, folder)
     info = _about(plan, name, folder, encoder) | ({"first": first.digest} if first.digest else {})
+    info["training_digest"] = digest(_settings(plan, name, steps, folder, encoder) | info)
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
@@ -74,6 +79,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
 
     writes, phi = ranks.number() == 0, first.prepared
     settings = _settings(plan, name, steps, folder, encoder) | info
+    settings |= {"device": str(plan.device), "threads": get_num_threads()}
     checkpoint, since = _opened(path, settings, plan, training_of(plan.job, name, steps))
     with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
         rng = Generator(plan.device).manual_seed(request.seed)
@@ -99,8 +105,9 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         keep(prepared, path, _previous(path))
         checkpoint.remove()
     ranks.wait()  # until the file is there, from which all go on
-    say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
-    return Trained(path, prepared, checkpoint.spent)
+    at = f"validation error {prepared.validation:.3f} at step {prepared.step}"
+    say(f"{name}: {at}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
+    return Trained(path, general, prepared, checkpoint.spent)
 
 
 def _opened(
@@ -128,10 +135,13 @@ def _tasks_of(plan: Plan, name: str, folder: Path) -> Tasks:
     return tasks
 
 
-def _first(plan: Plan) -> Checkpoint:
-    """The checkpoint that a training goes on from; an empty one where none was given."""
-    if not plan.request.checkpoint:
+def _first(plan: Plan, name: str) -> Checkpoint:
+    """The checkpoint that a training goes on from; an empty one where none was given, or a General to begin at."""
+    given = plan.request.checkpoint
+    if not given or (_needs_general(plan, name) and load_checkpoint(given)[1].get("checkpoint") == "general"):
         return Checkpoint(MetaParameters(), "", "")
+    if name == "quickft":
+        raise ValueError(f"{given}: expected the General that an Adam is searched for; name its file, or leave it out.")
     checkpoint = find_checkpoint(plan).checkpoint
     assert checkpoint is not None
     say(f"going on from {checkpoint.source}")
@@ -150,15 +160,34 @@ def _remove_partial(path: Path) -> None:
 
 
 def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
-    """The General that QuickFT is tuned for or that Meta's training begins at, trained now if this data has none."""
-    plan = replace(plan, paradigm=paradigms()["general"])
-    if not has_general(plan):
-        say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")
-        train_checkpoint(plan, steps)
+    """The General that QuickFT is tuned for or that Meta's training begins at.
+
+    It is the one that --checkpoint names, else the one that ships, else one that is trained now, for as many steps. A
+    training with the same settings that has ended is not repeated.
+    """
+    request = replace(plan.request, paradigm="general")
+    plan = replace(plan, request=request, paradigm=paradigms()["general"])
+    if not request.checkpoint and not ships_general(plan):
+        begin = replace(plan, request=replace(request, checkpoint=None))
+        path = trained_path(begin, "general")
+        if not _is_trained(begin, steps):
+            say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
+            train_checkpoint(begin, steps)
+        plan = replace(plan, request=replace(request, checkpoint=path))
     checkpoint = find_checkpoint(plan).checkpoint
     assert checkpoint is not None
     say(f"General: {checkpoint.source}")
     return checkpoint
+
+
+def _is_trained(plan: Plan, steps: int | None) -> bool:
+    """True if the General that would be trained now is there, by the same settings."""
+    path = trained_path(plan, "general")
+    if not path.is_file():
+        return False
+    folder = data_folder(plan.app, plan.request.data, plan.request.quiet)
+    settings = _settings(plan, "general", steps, folder, None) | _about(plan, "general", folder, None)
+    return load_checkpoint(path)[1].get("training_digest") == digest(settings)
 
 
 def _name_of(plan: Plan) -> str:
@@ -166,12 +195,8 @@ def _name_of(plan: Plan) -> str:
     needs = plan.paradigm.needs(plan.job)
     if not needs:
         raise BadOption(f"--train: {plan.paradigm.name} needs no preparation; leave the option out.")
-    if plan.request.checkpoint:
-        training = training_of(plan.job, needs[-1], None)
-        if training is None or not training.steps:
-            raise BadOption(
-                f"--train: {needs[-1]} is found by a search, which goes on from no checkpoint; leave --checkpoint out."
-            )
+    if plan.request.checkpoint and plan.request.checkpoint.is_dir():
+        raise BadOption(f"--checkpoint {plan.request.checkpoint}: a folder; with --train name a file in it.")
     return needs[-1]
 
 
@@ -192,7 +217,7 @@ def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) 
 
 
 def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
-    """All that the result of a training depends on, beside what its checkpoint says about itself."""
+    """All that the result of a training depends on but for rounding, beside what its checkpoint says about itself."""
     return {
         "app": plan.app.name,
         "checkpoint": name,
@@ -200,8 +225,6 @@ def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: M
         "settings of the recipe": digest(repr(plan.job.recipe)),
         "content of the data": fingerprint(folder),
         "General": encoder and tensor_digest(encoder.flat()),
-        "device": str(plan.device),
-        "threads": get_num_threads(),
     }
 
 

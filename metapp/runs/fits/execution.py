@@ -13,7 +13,7 @@ import torch
 from metapp import door
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
-from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints.finding import find_checkpoint, tuned_by
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter
@@ -169,12 +169,14 @@ def _plan_of_line(plan: Plan, request: Request) -> Plan:
 
 
 def with_checkpoint(plan: Plan) -> Plan:
-    """The plan with the best checkpoint, trained first if that is asked for, by all ranks together."""
+    """The plan with its checkpoint, trained first if that is asked for, by all ranks together."""
     with threads(threads_of(plan.app)):
         if plan.request.train:
             with ranks.joined(plan.device):
-                train_checkpoint(plan, plan.request.train_steps)
-            plan = replace(plan, request=replace(plan.request, checkpoint=None))  # where training began
+                trained = train_checkpoint(plan, plan.request.train_steps)
+            if plan.paradigm.name == "quickft" and trained.general:  # which may ship
+                return replace(plan, checkpoint=tuned_by(trained.general, trained.prepared.phi, trained.path))
+            plan = replace(plan, request=replace(plan.request, checkpoint=trained.path))
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
