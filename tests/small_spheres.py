@@ -11,8 +11,7 @@ from metapp.appearance.sphere import sphere_scene
 def shrink_spheres(patch: pytest.MonkeyPatch) -> None:
     """Have BRDFs drawn at 16 px instead of 96."""
     small = functools.cache(functools.partial(sphere_scene, 16))
-    readers = ("data_tools.readers.brdf_task", "data_tools.readers.measured_pairs")
-    for module in ("metapp.apps.brdf.presentation", *readers):
+    for module in ("metapp.apps.brdf.presentation", "data_tools.readers.brdf_task"):
         patch.setattr(f"{module}.reference_scene", small)
 
 

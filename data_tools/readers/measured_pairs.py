@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,11 +13,7 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.appearance.sphere import reference_scene, shade_sphere
 from metapp.learning.task import Task
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
@@ -26,7 +21,6 @@ LEAST = 4  # pairs of directions
 FEW = 1000  # up to so many none is held out
 LARGEST = 1e9  # of a BRDF, in 1/sr
 LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
-NEIGHBOURS = 6  # measurements that a pixel of the picture is made of
 COMPARED, PAIRED = 20_000, 8  # measurements that tell whether phi_h counts, and neighbours of each
 EXPLAINED = 0.1  # share of the squared differences of neighbours, from which on phi_h counts
 TOLD = 64  # measurements that tell so at least
@@ -56,8 +50,8 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
 
     Nothing is resampled: the samples are the measurements, in random order, half of them for fits to see; where there
     are FEW at most, fits see all of them, and errors are of what fits saw. Those of the same half and difference
-    angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen. Only the picture interpolates,
-    and there is none under an environment map.
+    angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen. There is no picture of a sphere:
+    it would be interpolated, and no reference.
 
     Args:
         name: of the task.
@@ -65,14 +59,12 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
         source: the file that errors name; the task's name where there is none.
 
     Returns:
-        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, and render [96, 96, 4], float32; phi_h [N] where that
-        counts, as `depends_on_azimuth` says.
+        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, float32; phi_h [N] where that counts, as
+        `depends_on_azimuth` says.
 
     Raises:
         ValueError: too few measurements.
     """
-    from scipy.spatial import KDTree  # here: every BRDF file is first shown to readers of such, whatever it is
-
     angles = directions_to_four_angles(pairs.wi, pairs.wo)
     azimuths = depends_on_azimuth(angles, pairs.reflectance)
     angles, reflectance = angles if azimuths else angles[:, :3], pairs.reflectance
@@ -82,12 +74,10 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
         found = f"different pairs of directions: {len(angles)} of {len(pairs.wi)}"
         raise ValueError(f"{source or name}: {found}, expected {LEAST} or more; measure more.")
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
-    near = functools.partial(_near, KDTree(_points(angles)), reflectance.log1p())
-    render = shade_sphere(reference_scene(azimuths=azimuths), near).float()
     if len(order) <= FEW:
         order = order.repeat(2)
     samples = brdf_task.columns_of(angles[order].float())
-    return Task(name, {**samples, "reflectance": reflectance[order].float(), "render": render})
+    return Task(name, {**samples, "reflectance": reflectance[order].float()})
 
 
 def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
@@ -100,7 +90,7 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
         angles: [N, 4] in rad.
         reflectance: [N, 3] in 1/sr.
     """
-    from scipy.spatial import KDTree
+    from scipy.spatial import KDTree  # here: every BRDF file is first shown to readers of such, whatever it is
 
     tilted = angles[:, 0] > STEEPEST_RAD
     angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
@@ -145,12 +135,3 @@ def _points(angles: Tensor) -> Array:
     radius = 2 * theta_h.sqrt()
     half = [radius] if angles.shape[1] == 3 else [radius * angles[:, 3].cos(), radius * angles[:, 3].sin()]
     return torch.stack([*half, theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
-
-
-def _near(tree: KDTree, values: Tensor, angles: Tensor) -> Tensor:
-    """Reflectance [M, 3] beside measurements of log(1 + f) [N, 3]: the mean of the nearest, by inverse distance."""
-    distance, index = tree.query(_points(angles), k=min(NEIGHBOURS, len(values)))
-    weights = torch.from_numpy(1 / (distance + 1e-3))[..., None]
-    total: Tensor = (values[index] * weights).sum(1)
-    result: Tensor = torch.expm1(total / weights.sum(1)).to(angles.dtype)
-    return result

@@ -65,11 +65,11 @@ def one(result: Result) -> str:
 
 
 def cut(data: dict) -> dict:
-    return {key: value for key, value in data.items() if key != "render"}
+    return {key: value for key, value in data.items() if key != "reflectance"}
 
 
 MISSHAPED = {
-    "missing": (cut, "'render' is missing"),
+    "missing": (cut, "'reflectance' is missing"),
     "eight bits": (lambda data: data | {"angles": data["angles"].to(torch.float8_e4m3fn)}, "float8_e4m3fn"),
     "NaN": (lambda data: data | {"reflectance": data["reflectance"] / 0}, "NaN or infinite"),
 }

@@ -39,7 +39,7 @@ class Brdf(App):
         "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
         "phi_h": Held(("N",), low=0.0, high=2 * math.pi, optional=True),
         "reflectance": Held(("N", 3), low=0.0),
-        "render": Held(("H", "W", 4)),
+        "render": Held(("H", "W", 4), optional=True),
         "environment": Held(("h", "w", 4), optional=True),
     }
 

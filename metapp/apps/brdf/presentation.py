@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from collections.abc import Mapping
 
+import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
@@ -15,6 +18,9 @@ from metapp.apps.brdf.app import CONDITION, Brdf
 from metapp.apps.brdf.networks import network_of
 from metapp.learning.task import Params, Task
 
+SIDE, DOT = 96, 3  # px, of a picture of samples and of a sample
+DOTS = 1024  # samples that are drawn, at most
+
 
 class BrdfPresentation(Presentation[Brdf]):
     """A sphere of each material; fits are kept as parameters alone."""
@@ -24,10 +30,15 @@ class BrdfPresentation(Presentation[Brdf]):
     image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The sphere, on black with coverage."""
+        """The sphere, on black with coverage; of a material known by samples alone these and the fit's values there."""
         scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
-        fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
-        return {"reference": task.data["render"], "fit": fit}
+        evaluate = functools.partial(network_of(theta).evaluate, theta)
+        fit = shade_sphere(scene, evaluate)
+        if "render" in task.data:
+            return {"reference": task.data["render"], "fit": fit}
+        angles, reflectance = task.data["angles"][-DOTS:], task.data["reflectance"][-DOTS:]  # those held out
+        four = torch.cat([angles, task.data["phi_h"][-DOTS:, None]], 1) if "phi_h" in task.data else angles
+        return {"samples": dots(angles, reflectance), "predicted": dots(angles, evaluate(four)), "fit": fit}
 
     def compared(self, theta: Params, task: Task) -> Compared | None:
         """The sphere under the environment map; None where a data set was made before it had such pictures."""
@@ -50,6 +61,25 @@ class BrdfPresentation(Presentation[Brdf]):
         """The first half of the samples, three angles and a colour each."""
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION)
+
+
+def dots(angles: Tensor, reflectance: Tensor) -> Tensor:
+    """Draw samples in the half-vector plane: theta_h from left to right, by its root, theta_d from the bottom up.
+
+    Args:
+        angles: theta_h, theta_d, phi_d [N, 3] in rad.
+        reflectance: linear RGB [N, 3] in 1/sr.
+
+    Returns:
+        [SIDE, SIDE, 4], pi f as linear RGB on black, and coverage.
+    """
+    picture = reflectance.new_zeros(SIDE, SIDE, 4)
+    shares = angles[:, :2] / (math.pi / 2)
+    x, y = ((SIDE - DOT) * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, SIDE - DOT)
+    colour = torch.cat([math.pi * reflectance, torch.ones_like(reflectance[:, :1])], 1)
+    for row, column in itertools.product(range(DOT), repeat=2):
+        picture[y + row, x + column] = colour
+    return picture
 
 
 def _display(linear: Tensor) -> Tensor:

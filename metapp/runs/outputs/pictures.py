@@ -122,6 +122,7 @@ def _short(name: str, width: int, font: object) -> str:
 
 
 COMPARED = 20  # tasks in a picture of all paradigms
+GIVEN = ("reference", "samples")  # pictures that are the task's, not of a fit
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
@@ -178,12 +179,12 @@ def picture_of_table(
 
 
 def column_of(task: Task, fits: Sequence[tuple[str, App, Path, Document]]) -> Column:
-    """The reference of a task, and its fits below it: (label, application, run folder, record) of each."""
+    """The reference or the samples of a task, and its fits below: (label, application, run folder, record) of each."""
     rows: dict[str, np.ndarray] = {}
     for label, app, folder, record in fits:
         theta = read_theta(folder, task.name)
         pictures = {"fit": theta[PICTURE]} if PICTURE in theta else presentation_of(app).outputs(theta, task)
-        rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
+        rows |= {} if rows else _shown({name: pictures[name] for name in GIVEN if name in pictures})
         rows[f"{label} {_label(record)}".rstrip()] = to_srgb(pictures["fit"])
     return Column(rows, task.name)
 

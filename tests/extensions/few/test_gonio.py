@@ -16,7 +16,9 @@ from data_tools.readers import measured_pairs
 from data_tools.readers.measured_pairs import FEW, Pairs
 from metapp.appearance.colorimetry import colour_science, spectra_to_rgb
 from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
+from metapp.door import load
 from metapp.extensions.few import gonio
+from metapp.runs import api
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
@@ -83,16 +85,7 @@ def test_a_task_holds_each_measurement_once_and_its_picture(write: Callable[...,
     assert torch.equal(task.data["angles"], gonio.read_task(file).data["angles"])
     first = task.data["angles"][: len(angles) // 2, 0]
     assert abs(float(first.mean() - angles[:, 0].mean())) < 0.05  # in random order
-    from data_tools.readers.brdf_task import reference_scene  # as it is patched
-    from metapp.appearance.sphere import shade_sphere
-
-    render = task.data["render"]
-    half_turn = torch.tensor([0, 0, math.pi])  # pictures know both directions alike: the nearest are of both sides
-    expected = shade_sphere(
-        reference_scene(), lambda at: (material(at.double()) + material((at.double() + half_turn) % math.tau)) / 2
-    )
-    assert float((render[..., 3] - expected[..., 3]).abs().max()) < 1e-6
-    assert float((render - expected).abs().mean()) < 0.15 * float(expected[..., :3].mean())
+    assert set(task.data) == {"angles", "reflectance"}  # no picture: it would be interpolated
 
 
 def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> None:
@@ -230,3 +223,24 @@ def test_repeated_measurements_are_averaged_whatever_their_number_and_order() ->
         expected, inverse = torch.unique((angles[rows, :columns] * 1e5).round(), dim=0, return_inverse=True)
         torch.testing.assert_close((distinct * 1e5).round(), expected)
         torch.testing.assert_close(means[7], values[inverse == 7].mean(0))
+
+
+def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_path: Path) -> None:
+    """No reference sphere, and no differences from one, in pictures, comparisons and pages."""
+    assert metapp("examples", "--make", tmp_path).code == 0
+    runs = [metapp(paradigm, "brdf", tmp_path / "paint.csv", "--json").done["out"] for paradigm in ("meta", "quickft")]
+    fit = api.fit("brdf", tmp_path / "paint.csv")
+    pictures = fit.pictures()
+    assert list(pictures) == ["samples", "predicted", "fit"]
+    for name in ("samples", "predicted"):
+        coverage = pictures[name][..., 3]
+        assert set(coverage.unique().tolist()) == {0.0, 1.0}
+        assert torch.equal(coverage, pictures["samples"][..., 3])
+    samples, predicted = (pictures[name][..., :3].log1p() for name in ("samples", "predicted"))
+    assert float((samples - predicted).abs().mean()) < 0.05 * float(samples.mean())
+    compared = metapp("compare", *runs, "--json").done
+    assert compared["measures"] == {}
+    assert compared["picture"]
+    view = load("metapp.extensions.viewer.pages.brdf:view")
+    assert "residual" not in view(fit.plan.presentation, fit.parameters, fit.task, quick=True).arrays
+    assert "samples" in view(fit.plan.presentation, fit.parameters, fit.task, quick=True).arrays

@@ -91,4 +91,3 @@ def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: P
     assert fitted["error"] < 1
     task = task_of_pairs("arrays", pairs)
     assert len(task.data["angles"].unique(dim=0)) == rows
-    assert bool(task.data["render"].isfinite().all())

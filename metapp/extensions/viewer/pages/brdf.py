@@ -27,7 +27,7 @@ PLOTTED = 8192  # samples of plots, at most
 
 
 def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bool) -> View:
-    """The fit, its samples where the task has some, and a reference made of these."""
+    """The fit, its samples where the task has some, and a reference where the material is known everywhere."""
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
     lobes = fit_lobes(evaluate, folded.turn)
@@ -35,6 +35,7 @@ def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bo
     if "angles" in task.data:
         columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
         arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:PLOTTED].half()
+    if "render" in task.data:  # between samples alone the material is not known
         arrays["residual"] = _residual(evaluate, folded.turn, task)
     facts = {
         "network": folded.inputs,
