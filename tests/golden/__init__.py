@@ -1,0 +1,1 @@
+"""Golden values: what fits, tables and readers gave at a commit; a rebuild gives the same."""

@@ -1,0 +1,26 @@
+"""Write golden values anew: python -m tests.golden [PART]..."""
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+
+from metapp.appearance import precision
+from tests.golden.measured import PARTS
+from tests.golden.test_golden import FILE
+
+if __name__ == "__main__":
+    import os
+
+    os.environ[precision.FLOAT32] = "1"
+    torch.set_num_threads(1)
+    values = json.loads(FILE.read_text()) if FILE.exists() else {}
+    for part in sys.argv[1:] or PARTS:
+        begin = time.perf_counter()
+        with tempfile.TemporaryDirectory() as folder:
+            values[part] = PARTS[part](Path(folder))
+        print(f"{part}: {len(values[part])} values, {time.perf_counter() - begin:.1f} s", flush=True)
+        FILE.write_text(json.dumps(values, indent=0) + "\n")

@@ -1,0 +1,148 @@
+"""The values themselves: errors and parameters of fits, rows of a table, tensors of tasks that are read from files.
+
+`python -m tests.golden` writes them anew, after a change that is meant to change them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import torch
+from torch import Tensor
+
+from data_tools.readers.nbrdf import SHAPES
+from metapp.cli import console
+from metapp.cli.commands import app as commands
+from metapp.runs.api import fit_all
+
+PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
+APPS = ("brdf", "texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination", "transport")
+SIZES = {"texture": "128", "svbrdf_stationary": "128", "svbrdf_nonstationary": "64", "illumination": "32"}
+STEPS = {"overfit": 4, "finetune": 4}  # of Adam; the others take those of their checkpoints
+Values = dict[str, list[float]]
+
+
+def run(*words: object) -> None:
+    """A command that must succeed."""
+    code = console.run(lambda: commands([str(word) for word in words], standalone_mode=False))
+    assert int(code) == 0, words
+
+
+def summary(tensor: Tensor) -> list[float]:
+    """Mean, root mean square, and a random projection of a tensor, in double precision."""
+    values = tensor.detach().double().flatten()
+    if not len(values):
+        return [0.0, 0.0, 0.0]
+    waves = torch.cos(torch.arange(len(values), dtype=torch.float64) * 0.7)
+    return [float(values.mean()), float(values.square().mean().sqrt()), float((values * waves).mean())]
+
+
+def fits(app: str, folder: Path) -> Values:
+    """Errors of two test tasks by all paradigms, and summaries of their parameters."""
+    data = folder / app
+    size = ("--size", SIZES[app]) if app in SIZES else ()
+    run("data", "synth", app, "--count", 10, *size, "--out", data, "--quiet")
+    values: Values = {}
+    protocols = ("reference", "photo") if app in ("svbrdf_nonstationary", "illumination") else ("",)
+    for observe in protocols:
+        for paradigm in PARADIGMS:
+            options = {"observe": observe} if observe else {}
+            made = fit_all(app, paradigm=paradigm, recipe="quick", data=data, steps=STEPS.get(paradigm), **options)
+            for fit in made[:2]:
+                key = " ".join(filter(None, (app, observe, paradigm, fit.name)))
+                values[f"{key} error"] = [fit.error if fit.error is not None else -1.0]
+                whole = torch.cat([fit.parameters[name].flatten() for name in sorted(fit.parameters)])
+                values[f"{key} theta"] = summary(whole)
+    return values
+
+
+def table(folder: Path) -> Values:
+    """The rows of a table that `metapp evaluate --json` prints."""
+    data = folder / "table"
+    run("data", "synth", "brdf", "--count", 10, "--out", data, "--quiet")
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        words = ("--data", data, "--out", folder / "runs", "--quiet", "--json")
+        run("evaluate", "brdf", "--which", "quickft", *words)
+    rows = json.loads(out.getvalue().splitlines()[-1])["rows"]
+    return {f"table {row['paradigm']}": [row["error"], float(row["tasks"])] for row in rows}
+
+
+def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
+    """A file of every kind that fits take: application, path, options."""
+    run("examples", "--make", folder)
+    names = {"brdf": "paint.csv", "texture": "bricks.png", "svbrdf_stationary": "leather.png"}
+    yield from ((app, folder / name, {}) for app, name in names.items())
+    yield "svbrdf_nonstationary", folder / "mosaic.png", {"observe": "photo"}
+    yield "illumination", folder / "ball.png", {"observe": "photo"}
+    yield "illumination", folder / "courtyard.exr", {}
+    yield "transport", folder / "box.xml", {}
+    for suffix, kind in ((".hdr", oiio.FLOAT), (".tif", oiio.HALF)):
+        picture = oiio.ImageBuf(str(folder / "courtyard.exr"))
+        picture.write(str(folder / f"courtyard{suffix}"), kind)
+        yield "illumination", folder / f"courtyard{suffix}", {}
+    oiio.ImageBuf(str(folder / "bricks.png")).write(str(folder / "sixteen.tif"), oiio.UINT16)
+    yield "texture", folder / "sixteen.tif", {}
+    run("data", "synth", "brdf", "--count", 2, "--as", "merl", "--out", folder / "merl", "--quiet")
+    table = sorted((folder / "merl").rglob("*.binary"))[0]
+    yield "brdf", table, {}
+    (folder / "network").mkdir()
+    for index, (part, shape) in enumerate(SHAPES.items()):
+        weights = 0.3 * np.cos(np.arange(np.prod(shape)) * (index + 1.0)).reshape(shape)
+        np.save(folder / "network" / f"{part}.npy", weights.astype(np.float32))
+    yield "brdf", folder / "network", {}
+    run("meta", "brdf", folder / "network", "--export", "bsdf", "--out", folder / "bsdf", "--quiet")
+    (table,) = (folder / "bsdf").rglob("*.bsdf")
+    yield "brdf", table, {}
+    run("meta", "svbrdf_stationary", folder / "leather.png", "--recipe", "quick", "--out", folder / "maps", "--quiet")
+    (maps,) = (folder / "maps").rglob("outputs/leather")
+    yield "svbrdf_nonstationary", maps / "diffuse.png", {}
+    placed = folder / "placed"
+    placed.mkdir()
+    for index in range(3):
+        shutil.copy(folder / "mosaic.png", placed / f"{index}.png")
+    places = "".join(f"{i},0,16\n" for i in range(3))
+    (placed / "camera_pos.txt").write_text(places)
+    (placed / "light_pos.txt").write_text(places)
+    (placed / "light_power.txt").write_text("1500,1500,1500\n")
+    (placed / "image_size.txt").write_text("8\n")
+    yield "svbrdf_nonstationary", placed, {"observe": "photo"}
+
+
+def read(folder: Path) -> Values:
+    """Summaries of the tensors of tasks, by file."""
+    values: Values = {}
+    for app, path, options in files(folder):
+        (fit,) = fit_all(app, [path], paradigm="overfit", steps=1, recipe="quick", **options)
+        for name, tensor in sorted(fit.task.data.items()):
+            values[f"file {app} {path.name} {name} shape"] = [*map(float, tensor.shape)]
+            values[f"file {app} {path.name} {name}"] = summary(tensor)
+    return values
+
+
+def best(folder: Path) -> Values:
+    """Summaries of parameters, and errors, of the examples by the default recipe and Meta."""
+    run("examples", "--make", folder)
+    names = {"brdf": "paint.csv", "texture": "bricks.png", "svbrdf_stationary": "leather.png"}
+    names |= {"svbrdf_nonstationary": "mosaic.png", "illumination": "courtyard.exr", "transport": "box.xml"}
+    values: Values = {}
+    for app, name in names.items():
+        (fit,) = fit_all(app, [folder / name], **({"observe": "photo"} if name == "mosaic.png" else {}))
+        whole = torch.cat([fit.parameters[name].flatten() for name in sorted(fit.parameters)])
+        values[f"best {app} theta"] = [*summary(whole), -1.0 if fit.error is None else fit.error]
+    return values
+
+
+PARTS: dict[str, Callable[[Path], Values]] = {
+    **{app: lambda folder, app=app: fits(app, folder) for app in APPS},
+    "table": table,
+    "read": read,
+    "best": best,
+}
