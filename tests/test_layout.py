@@ -210,7 +210,6 @@ EXTENSIONS = {
     "mitsuba_bsdfs": 640,
     "native": 730,
     "onnx_files": 550,
-    "packs": 590,
     "pretrained": 745,
     "report": 675,
     "reruns": 670,

@@ -66,7 +66,6 @@ CARDS: dict[str, list[list[list[Part]]]] = {
         [[("garden/garden.exr*3", None)], [("garden/garden.exr*0.3", None)]],
     ],
     "compare": [[[("compare.png", (0, 30, 991, 525))]]],
-    "pack": [[[("packed.jpg", (0, 8, 991, 503))]]],
     "report": [[[("report.jpg", (14, 0, 714, 350))]]],
     "baseline": [[[("bricks.png", None)]], [[("runs/texture/baseline/*bricks*/outputs/*/texture.png", None)]]],
     "guided": [[[("guiding-scenes.jpg", (0, 14, 258, 272))]], [[("guiding-scenes.jpg", (261, 14, 519, 272))]]],

@@ -22,7 +22,7 @@ from torture.seeds import Files
 
 CASE, PRINTED = "case.json", "printed"
 IN_RUN = ("record.jsonl", "params", "params/{task}.safetensors", "params/x", "outputs", "outputs/{task}.png",
-          "thumbnails", "pictures.png", "view.html", "gallery.html", "index.html", "fits.pack", "x", "merl", "nbrdf",
+          "thumbnails", "pictures.png", "view.html", "gallery.html", "index.html", "x", "merl", "nbrdf",
           "nbrdf/{task}", "nbrdf/{task}/fc1.npy", "merl/{task}.binary", "mitsuba", "mitsuba/{task}", "bsdf",
           "bsdf/{task}.bsdf", ".partial-1-record.jsonl")  # fmt: skip
 ABOVE = ("brdf", "brdf/meta", "{run}", "brdf/general", "checkpoints", "training")  # in the folder that --out names
@@ -31,8 +31,7 @@ COMMANDS = (
     *(FIT, f"{FIT} --batch 2", f"{FIT} --export {{kind}}", f"{FIT} --batch 2 --export {{kind}}"),
     "general brdf --train --train-steps 1 --recipe quick --data {data} --out runs -q",
     *("export {run} {kind} -q", "view {run} --no-open -q", "view {run} --no-open -q --out {run}/x/a.html --overwrite"),
-    *("pack {run} --bits 8 -q", "pack {run} --bits 8 -q --out {run}/x/a.pack", "unpack {pack} --out {run}"),
-    *("unpack {pack} --out {run} --overwrite", "compare {run} {run} -q --out {run}/x/a.pdf"),
+    "compare {run} {run} -q --out {run}/x/a.pdf",
 )
 KINDS = ("nbrdf", "merl", "mitsuba", "bsdf")
 
@@ -45,19 +44,18 @@ def cases() -> list[Files]:
 
 @functools.cache
 def _words() -> dict[str, str]:
-    """What the words of commands and places stand for: a data set, its run, a task and a pack, made once."""
+    """What the words of commands and places stand for: a data set, its run and a task, made once."""
     from metapp.cli.commands import app
     from tests.small_spheres import shrink_spheres
 
     shrink_spheres(pytest.MonkeyPatch())  # for the whole process
     place = place_of_process()
-    words = {"data": f"{place}/data", "pack": f"{place}/a.pack", "place": str(place)}
+    words = {"data": f"{place}/data", "place": str(place)}
     with contextlib.chdir(place):
         app(f"data synth brdf --count 6 --out {place}/data -q".split(), standalone_mode=False)
         app(FIT.format(**words).split(), standalone_mode=False)
         words["run"] = str(next(Path("runs").glob("brdf/meta/*")))
         words["task"] = next(Path("runs").rglob("params/*")).stem
-        app("pack {run} --bits 8 -q --out {pack}".format(**words).split(), standalone_mode=False)
     return words
 
 

@@ -297,7 +297,6 @@ TARGETS: dict[str, Target] = {
     "checkpoint": Target(seeds.checkpoints, _read_checkpoint),
     "record": Target(seeds.records, _read_records),
     "rerun": Target(results.runs, results.read_run, results.write_run),
-    "pack": Target(results.packs, results.read_pack, results.write_pack),
     "caches": Target(caches.cases, caches.read, caches.write, (1000, 40)),
     "links": Target(links.cases, links.read, links.write, (240, 8)),
     "arrays": Target(arrays.cases, arrays.read, arrays.write, (2000, 40)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,19 +16,17 @@ pytestmark = pytest.mark.usefixtures("small_spheres")
 
 @pytest.fixture(scope="module")
 def runs(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run, its pack, and the network that it is a fit of."""
+    """A run, and the network that it is a fit of."""
     folder = tmp_path_factory.mktemp("overwrite")
     network = shutil.copytree(neural_fits(1) / "m0", folder / "m0")
     run_small("meta", "brdf", network, "--rule", "meta-curvature", "--steps", "1", "--out", folder / "runs", "--quiet")
     (run,) = (folder / "runs" / "brdf" / "meta").iterdir()
     run.rename(folder / "run")
-    run_small("pack", folder / "run", "--bits", "8", "--quiet")
     return folder
 
 
 FILES = {
     "view": "view {run} --no-open --quiet --out",
-    "pack": "pack {run} --bits 8 --quiet --out",
     "compare": "compare {run} {run} --quiet --out",
     "plan": "plan brdf --samples 2 --quiet --out",
 }
@@ -59,16 +56,6 @@ def test_a_marker_sheet_is_replaced_by_overwrite_alone(metapp: Callable[..., Res
     assert "is there already" in metapp("data", "markers", "out.pdf").misuse
     assert metapp("data", "markers", "out.pdf", "--overwrite").code == 0
     assert Path("out.pdf").read_bytes().startswith(b"%PDF")
-
-
-def test_an_unpacked_run_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path) -> None:
-    Path("run").mkdir()
-    Path("run/record.jsonl").write_text("mine")
-    unpack = ("unpack", runs / "run" / "fits.pack", "--out", "run")
-    assert "record.jsonl: is there already, expected a new folder; add --overwrite" in metapp(*unpack).error
-    assert Path("run/record.jsonl").read_text() == "mine"
-    assert metapp(*unpack, "--overwrite").code == 0
-    assert json.loads(Path("run/record.jsonl").read_text())["name"] == "m0"
 
 
 SETS = {
