@@ -28,7 +28,7 @@ SETTINGS = {
     **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "method")},
     **{"seed?": range(1 << 63), "steps?": range(1 + 10**9), "options?": dict, "versions?": {...: str}},
 }
-ORIGIN = {**{f"{name}?": str for name in ("machine", "data", "checkpoint")}, "inputs?": [str]}
+ORIGIN = {"data?": str, "inputs?": [str]}
 FORM = {
     **FIT,
     **SOURCED,
@@ -93,13 +93,14 @@ def plan_as(settings: Document, options: Mapping[str, object] | None = None, **m
         BadOption: one of `options`.
         ValueError: settings that are not known here.
     """
+    kept = options_from_record(settings["app"], settings.get("options", {}), inputs=bool(more.get("inputs")))
     request = Request(
         settings["app"],
         settings.get("paradigm", "meta"),
         rule=settings.get("rule", "") if settings.get("paradigm") == "meta" else "",
         recipe=settings["recipe"],
         observe=settings.get("observe", ""),
-        options=options_from_record(settings["app"], settings.get("options", {})) | dict(options or {}),
+        options=kept | dict(options or {}),
         quiet=True,
         **more,
     )

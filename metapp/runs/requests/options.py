@@ -169,13 +169,16 @@ def recorded_options(app: str, options: Mapping[str, object]) -> dict[str, objec
     return {name: _as_recorded(value) for name, value in sorted(options.items()) if name in names}
 
 
-def options_from_record(app: str, recorded: Mapping[str, object]) -> dict[str, object]:
-    """Options as a record states them, for a `Request`; those that the application does not have are left out."""
+def options_from_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
+    """Options as a record states them, for a `Request`, those about INPUT only with `inputs`.
+
+    Those that the application does not have are left out.
+    """
     kinds = {option.name: option for option, _ in options_of(app)}
     return {
         name: [path_of(str(path)) for path in value] if kinds[name].several and isinstance(value, list) else value
         for name, value in recorded.items()
-        if name in kinds
+        if name in kinds and (inputs or not kinds[name].of_inputs)
     }
 
 
