@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from torture import arrays, caches, links, results, scene_data, seeds
+from torture import arrays, caches, links, scene_data, seeds
 from torture.child import BadResult
 from torture.mutate import mutate_bytes, mutate_json, mutate_xml
 
@@ -296,7 +296,6 @@ TARGETS: dict[str, Target] = {
     "manifest": Target(_manifest_alone, _read_manifest),
     "checkpoint": Target(seeds.checkpoints, _read_checkpoint),
     "record": Target(seeds.records, _read_records),
-    "rerun": Target(results.runs, results.read_run, results.write_run),
     "caches": Target(caches.cases, caches.read, caches.write, (1000, 40)),
     "links": Target(links.cases, links.read, links.write, (240, 8)),
     "arrays": Target(arrays.cases, arrays.read, arrays.write, (2000, 40)),

@@ -43,7 +43,7 @@ def _none(subject: Subject) -> list[Any]:
 
 
 def _nothing(*_: object) -> None:
-    """No picture of a table, and no cell that repeats a record of a table that makes none but those of fits."""
+    """No picture of a table."""
 
 
 class Table(NamedTuple):
@@ -59,7 +59,6 @@ class Table(NamedTuple):
         heading: above it in the report; "" for its name.
         picture: draws the fits that it compares side by side, where there are any.
         plane: further rows of the quality-speed plane.
-        repeat: the cell that measures a record of these settings again; None where it makes no such record.
     """
 
     name: str
@@ -71,7 +70,6 @@ class Table(NamedTuple):
     heading: str = ""
     picture: Callable[[Subject], Path | None] = _nothing
     plane: Callable[[Subject], list[Row]] = _none
-    repeat: Callable[[Subject, Record], Cell | None] = _nothing
 
 
 # Columns

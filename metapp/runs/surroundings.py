@@ -30,13 +30,6 @@ def find_device(name: str, app: App) -> torch.device:
     return torch.device(automatic if name == "auto" else name)
 
 
-def machine(device: torch.device) -> str:
-    """The hardware of the arithmetic: the GPU's name, or the processor's architecture and vector instructions."""
-    if device.type == "cuda":
-        return str(torch.cuda.get_device_name(device))
-    return f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
-
-
 def versions() -> dict[str, str]:
     """The versions that a figure depends on."""
     return {

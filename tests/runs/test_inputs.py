@@ -67,7 +67,7 @@ def test_a_task_that_its_reader_named_by_the_folder_is_not_marked_again(name: st
 
 
 def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
-    """A link that is given is what `metapp rerun` reads again, wherever it leads then."""
+    """A link that is given is what pages and exports read again, wherever it leads then."""
     first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
     first.write_text("")
     link.symlink_to(first)

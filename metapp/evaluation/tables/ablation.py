@@ -20,7 +20,7 @@ from metapp.paradigms.quickft import QUICKFT, adam_of
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.requests.naming import caption_of
 from metapp.runs.requests.plan import Checkpoint
-from metapp.storage.records import Record, tensor_digest
+from metapp.storage.records import tensor_digest
 
 # which fits by a rule are doubtful is known from its own initialisation alone
 RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
@@ -113,17 +113,6 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     return [*lines, *warned(all_rows), *paired_note(all_rows)]
 
 
-def repeat(subject: Subject, settings: Record) -> Cell | None:
-    """The cell of a half of a learned rule's row."""
-    if settings.get("paradigm") not in (RULE_ALONE.name, INITIALISATION_ALONE.name):
-        return None
-    halves = [cell for name in learned(subject) for _, _, cell in combined(subject, name)]
-    for cell in halves:
-        if cell.folder and all(cell.folder.settings[key] == settings[key] for key in ("paradigm", "rule")):
-            return cell
-    return None
-
-
 COLUMNS = columns(
     words("initialisation", "start"),
     *("rule", "error", "vs quickft", "interval", "steps", "seconds", "median", "worst"),
@@ -136,5 +125,4 @@ ABLATION = Table(
     notes,
     cells,
     heading="Ablation: initialisation and rule",
-    repeat=repeat,
 )

@@ -24,11 +24,10 @@ from metapp.extensions.baselines.fits import (
     training_of,
 )
 from metapp.learning.task import Params, Task
-from metapp.runs.inputs.sources import tasks_to_fit
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import say
 from metapp.runs.requests.naming import caption_of, name_of
-from metapp.storage.records import Record, RunFolder
+from metapp.storage.records import Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
@@ -76,18 +75,6 @@ def _measured(
             yield fitted.record, fitted.kept
     except ValueError as error:
         say(f"{name_of(subject.app)} {baseline.name}: {error}")
-
-
-def repeat(subject: Subject, settings: Record) -> Cell | None:
-    """The cell that measures records of a baseline again, those of the table and those of `metapp baseline`."""
-    plan, named = subject.plan, {baseline.name: baseline for baseline in baselines_of(subject.app)}
-    baseline = named.get(settings.get("method", ""))
-    if baseline is None:
-        return None
-    source, (tasks, label) = training_folder(plan) if baseline.learns else None, tasks_to_fit(plan)
-    path = plan.request.out / plan.app.name / "baselines" / baseline.name
-    folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM)
-    return Cell(baseline.name, tasks, folder, functools.partial(_measured, subject, baseline, source), 0)
 
 
 def picture(subject: Subject) -> Path | None:
@@ -209,6 +196,4 @@ COLUMNS = columns(
     *("interval", "median", "worst"),
 )
 TITLE = "mean error{factor} and what is kept, of paradigms and of methods without a network"
-BASELINES = Table(
-    "baselines", TITLE, COLUMNS, rows, notes, cells, "Methods without a network", picture, baseline_rows, repeat
-)
+BASELINES = Table("baselines", TITLE, COLUMNS, rows, notes, cells, "Methods without a network", picture, baseline_rows)

@@ -30,7 +30,7 @@ from metapp.runs.requests.options import (
     without_adapted,
 )
 from metapp.runs.requests.request import Request, portion_of, seconds_of, time_text
-from metapp.runs.surroundings import find_device, machine, precision_of, versions
+from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.text import meant
 
@@ -138,14 +138,13 @@ class Plan:
         return request.out / self.app.name / self.paradigm.name / name
 
     def origin(self) -> Document:
-        """The origin by which `metapp rerun` finds inputs: absolute paths as far as given, and the machine."""
+        """Where inputs and data set are, by which they are found again: absolute paths, as far as given."""
         request = self.request
         places: Document = {
             "inputs": [place_of(path) if at_address(path) else str(path.absolute()) for path in request.inputs],
             "data": request.data and str(request.data.absolute()),
-            "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }
-        return {"machine": machine(self.device)} | {key: value for key, value in places.items() if value}
+        return {key: value for key, value in places.items() if value}
 
 
 def plan(request: Request) -> Plan:

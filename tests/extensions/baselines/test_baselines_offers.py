@@ -12,7 +12,6 @@ from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.evaluation.tables import table_names
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.examples.commands import lines_of
-from tests.pictures import photograph
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -25,11 +24,8 @@ def test_the_methods_offered_are_those_of_all_protocols(name: str) -> None:
 def test_without_it_its_command_and_table_are_refused_by_its_name(
     metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    photograph(Path("wall.png"), 9, 80)
-    done = metapp("baseline", "texture", "wall.png", "--method", "patches", "--recipe", "quick", "--json").done
     monkeypatch.setenv(door.WITHOUT, "baselines")
     assert "a command of the extension baselines" in metapp("baseline", "texture", "wall.png").misuse
     assert "a table of the extension baselines" in metapp("evaluate", "--which", "baselines").misuse
-    assert "a record of patches, expected one of a fit" in metapp("rerun", done["out"]).refusal
     assert "baselines" not in table_names()
     assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in lines_of(app, Path()))

@@ -16,7 +16,7 @@ from metapp.runs.reporter import number, say
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from metapp.extensions.reruns.compare import Comparison
+    from metapp.extensions.compare.compare import Comparison
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def command(options: Options) -> None:
 
     Example: metapp compare RUN OTHER_RUN
     """
-    from metapp.extensions.reruns.compare import compare, draw
+    from metapp.extensions.compare.compare import compare, draw
 
     check_new(options.out_file, options.overwrite)
     compared = compare(options.first, options.second, options.task, options.inputs or [], options.data)
