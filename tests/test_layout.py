@@ -214,7 +214,7 @@ EXTENSIONS = {
     "pretrained": 745,
     "report": 675,
     "rgl": 740,
-    "scene_files": 1_360,
+    "scene_files": 835,
     "several": 200,
     "shaders": 370,
     "side_by_side": 290,

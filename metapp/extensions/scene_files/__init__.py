@@ -1,10 +1,10 @@
-"""Scene files of Mitsuba as inputs of light transport, and upgrades of those of version 0.6."""
+"""Scene files of Mitsuba as inputs of light transport."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from metapp.door import Command, Format, InMemory, Option, SceneCheck
+from metapp.door import Format, InMemory, Option, SceneCheck
 
 _HERE = "metapp.extensions.scene_files"
 
@@ -35,5 +35,4 @@ OFFERS = (
     ),
     InMemory("transport", f"{_HERE}.reading:from_object"),
     SceneCheck(f"{_HERE}.checking:stored"),
-    Command("upgrade", f"{_HERE}.upgrade.command:upgrade", under="data", bare_is_help=True),
 )

@@ -17,9 +17,9 @@ from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, tr
 from metapp.extensions.scene_files.checking import checked
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
+from metapp.extensions.scene_files.xml import of_version
 from metapp.learning.task import Task
 from metapp.rendering.scenes.instances import Json
-from metapp.rendering.scenes.plugins import Unsupported
 from metapp.rendering.scenes.rules import DEPTH, SceneDict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
@@ -106,7 +106,7 @@ def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
     except ValueError as error:
         reason = str(error)
         if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason += f"; metapp data upgrade {subject}"
+            reason = of_version(scene["xml"], reason)
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
     raise ValueError(f"{subject}: {reason}")
 
@@ -125,9 +125,6 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         text = read_text(path)
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
         return checked(scene, Places.beside(path, roots), str(path.resolve()))
-    except Unsupported as error:
-        remedy = f", or metapp data upgrade {path}" if path.suffix.lower() == ".xml" else ""
-        raise ValueError(f"{path}: {str(error).rstrip('.')}{remedy or '.'}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from io import StringIO
 from typing import TYPE_CHECKING, NoReturn
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element, iterparse, tostring
 from xml.parsers import expat
 
 from metapp.extensions.scene_files.places import TEXT_BYTES, Places
@@ -20,7 +21,6 @@ from metapp.rendering.scenes.plugins import (
     check_parameters,
     check_plugin,
     number_of,
-    snake_case,
 )
 from metapp.rendering.scenes.rules import DEPTH, PARTS, TEXT, checked_string
 
@@ -47,29 +47,23 @@ def checked_xml(text: str, places: Places, name: str = "") -> str:
         ValueError: no scene in XML, or something that a scene may not hold.
     """
     reader = _Reader()
-    root = reader.document(text, places, (name,))
+    try:
+        root = reader.document(text, places, (name,))
+    except Unsupported as error:
+        raise ValueError(of_version(text, str(error))) from None
     for element in (element for tag in ("ref", "alias") for element in root.iter(tag)):
         if element.get("id") in reader.media:
             check_plugin(reader.media[element.attrib["id"]])
     return tostring(root, encoding="unicode")
 
 
-def merged(text: str, places: Places, name: str = "") -> SceneElement:
-    """The tree of a scene of any version, with all includes, defaults and absolute file names in it.
-
-    Args:
-        text: a document.
-        places: where its files may lie.
-        name: resolved path of its file, if it has one.
-
-    Returns:
-        Its root. Elements, plugins and parameters are not checked, a `$name` without a default stays: nothing but
-        an upgrade may take it.
-
-    Raises:
-        ValueError: no scene in XML, or files and includes that a scene may not name.
-    """
-    return _Reader(strict=False).document(text, places, (name,))
+def of_version(text: str, reason: str) -> str:
+    """The reason why Mitsuba 3 cannot take a document, with its version and what to do where that is an older one."""
+    version = next(iterparse(StringIO(text), ("start",)))[1].get("version", "")
+    if not re.fullmatch(r"[01](\.[0-9]{1,4}){0,2}", version):
+        return reason
+    remedy = f"change this scene of version {version} to 3.0.0 by hand: Mitsuba renames parameters alone"
+    return f"{reason.rstrip('.')}, or {remedy}."
 
 
 class SceneElement(Element):
@@ -92,15 +86,14 @@ class SceneElement(Element):
 
 
 class _Reader:
-    """Puts one document together, within bounds on all of it; if strict, out of what Mitsuba 3 knows alone.
+    """Puts one document together, within bounds on all of it, out of what Mitsuba 3 knows alone.
 
     Attributes:
-        media: types of the participating media that the scene declares, by name; a strict document goes without them,
-            since they do nothing where no shape and no sensor refers to them.
+        media: types of the participating media that the scene declares, by name; the document goes without them, since
+            they do nothing where no shape and no sensor refers to them.
     """
 
-    def __init__(self, strict: bool = True) -> None:
-        self.strict = strict
+    def __init__(self) -> None:
         self.media: dict[str, str] = {}
         self.parts, self.characters, self.read, self.includes = 0, 0, 0, 0
         self.defaults: dict[str, str] = {}
@@ -111,7 +104,7 @@ class _Reader:
         self.read += len(text)
         if self.read > TEXT_BYTES:
             raise ValueError(f"more than {TEXT_BYTES:,} characters with all includes, expected fewer.")
-        root = parse(text, self.strict)
+        root = parse(text)
         version = root.attrib.pop("version", "")
         if not re.fullmatch(r"\d{1,4}(\.\d{1,4}){0,2}", version):
             raise ValueError(f"a version {version[:20]!r} of <{root.tag[:20]}>, expected one such as 3.0.0; add it.")
@@ -138,14 +131,14 @@ class _Reader:
                 self._default(child)
             elif child.tag == "path":
                 places = places.first(places.folder(self._substituted(child.get("value", ""))))
-            elif self.strict and child.tag == "medium" and source.tag == "scene":
+            elif child.tag == "medium" and source.tag == "scene":
                 declared = self._attributes(child, places)
                 self.media[declared.get("id", "")] = declared.get("type", "")
             elif child.tag == "scene":
                 raise ValueError("a <scene> within a <scene>, expected one around all else; leave it out.")
             else:
                 made.append(self._element(child, places, chain, depth + 1))
-        if self.strict and (made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib)):
+        if made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib):
             _check_object(made, places)
         return made
 
@@ -156,9 +149,7 @@ class _Reader:
         if self.parts > PARTS or self.characters > TEXT_BYTES:
             raise ValueError(f"more than {PARTS:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
         if source.tag == "string":
-            name = made.get("name", "")
-            if self.strict or snake_case(name).endswith("filename"):
-                made["value"] = checked_string(name, made.get("value", ""), places)
+            made["value"] = checked_string(made.get("name", ""), made.get("value", ""), places)
         elif "filename" in made:  # of a spectrum
             made["filename"] = checked_string("filename", made["filename"], places)
         return made
@@ -171,7 +162,7 @@ class _Reader:
             longest_first = sorted(self.defaults, key=len, reverse=True)  # as Mitsuba does
             names = "|".join(map(re.escape, longest_first))
             value = re.sub(rf"\$({names})", lambda found: self.defaults[found[1]], value)
-        if len(value) > TEXT or ("$" in value and self.strict):
+        if len(value) > TEXT or "$" in value:
             raise Unsupported(f"{value[:60]!r}, expected a <default> before it for each '$'; add it.")
         return value
 
@@ -227,15 +218,11 @@ def _parameter(element: Element) -> tuple[str, object]:
     return name, value if element.tag == "string" else None
 
 
-def parse(text: str, strict: bool = True) -> SceneElement:
+def parse(text: str) -> SceneElement:
     """The tree of a document; text between elements is left out, as it says nothing to Mitsuba.
 
-    Args:
-        text: the document.
-        strict: refuse elements and attributes that Mitsuba 3 has not.
-
     Raises:
-        ValueError: no XML, or XML with a DOCTYPE, names of other languages, too many elements or too deep.
+        ValueError: no XML, or XML with a DOCTYPE, elements or attributes that Mitsuba 3 has not, too many or too deep.
     """
     parser = expat.ParserCreate()
     stack, count = [SceneElement("document")], 0
@@ -247,7 +234,7 @@ def parse(text: str, strict: bool = True) -> SceneElement:
             raise ValueError(f"more than {PARTS:,} elements, or {DEPTH} within each other, expected fewer.")
         line = parser.CurrentLineNumber
         known = tag in _OBJECTS | _VALUES | _OURS | {"scene"} and attributes.keys() <= _ATTRIBUTES
-        if strict and not known:
+        if not known:
             shown = f"<{tag} {' '.join(attributes)}>"
             raise Unsupported(f"line {line}: an element {shown[:60]!r}, expected those of Mitsuba 3; leave it out.")
         made = SceneElement(tag, attributes)

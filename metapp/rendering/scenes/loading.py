@@ -61,26 +61,17 @@ def load_scene(scene: SceneDict) -> Loaded:
         ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that Mitsuba's own path
             tracer leaves dark; a sensor other than a perspective one; fog; a file that was not read before.
     """
-    mi, loaded = load_any(checked(scene))
-    check_traced(mi, loaded)
+    scene, mi = checked(scene), load_mitsuba()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        loaded = instantiate(mi, scene)
+    except Exception as error:  # whatever it is, the scene is to blame
+        raise ValueError(f"no scene that Mitsuba can load: {reason_of(error)}") from None
+    _check_traced(mi, loaded)
     brightest = max(_brightest(mi, emitter) for emitter in loaded.emitters())
     if not 0 <= brightest < math.inf:
         raise ValueError(f"a light of luminance {brightest}, expected a finite one of 0 or more; change its radiance.")
     return Loaded(mi, loaded, brightest)
-
-
-def load_any(scene: SceneDict) -> tuple[Mitsuba, Scene]:
-    """Mitsuba, and in it a checked scene, whatever lights and sensors it has.
-
-    Raises:
-        ValueError: no Mitsuba that can render here; no scene that it can load.
-    """
-    mi = load_mitsuba()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        return mi, instantiate(mi, scene)
-    except Exception as error:  # whatever it is, the scene is to blame
-        raise ValueError(f"no scene that Mitsuba can load: {reason_of(error)}") from None
 
 
 def reason_of(error: BaseException) -> str:
@@ -93,7 +84,7 @@ def brightness(radiance: Tensor) -> Tensor:
     return luminance(radiance.T[..., None])[:, 0]
 
 
-def check_traced(mi: Mitsuba, scene: Scene) -> None:
+def _check_traced(mi: Mitsuba, scene: Scene) -> None:
     """Refuse a scene in Mitsuba whose paths cannot be traced.
 
     Raises:

@@ -16,7 +16,7 @@ _SIDE = 2**15  # px of a film: pictures of it are made
 
 
 class Unsupported(ValueError):
-    """Something of other versions of Mitsuba, or of other people's plugins, which an upgrade may repair."""
+    """Something of other versions of Mitsuba, or of other people's plugins."""
 
 
 def own_folder() -> Path:

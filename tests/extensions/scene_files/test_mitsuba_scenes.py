@@ -213,6 +213,44 @@ def test_what_is_wrong_is_said_in_one_line(name: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def old(*parts: str) -> str:
+    return xml(*parts).replace("3.0.0", "0.6.0").replace("to_world", "toWorld").replace("flip_normals", "flipNormals")
+
+
+@needs_mitsuba
+def test_an_older_scene_is_read_where_mitsuba_knows_its_elements_and_plugins(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    before = write(tmp_path / "old" / "box.xml", old(CAMERA, ROOM, ball()))
+    assert "toWorld" in before.read_text()
+    new = write(tmp_path / "box.xml", xml(CAMERA, ROOM, ball()))
+    one, other = (read_task(path, samples=64, held=16).data["image"] for path in (before, new))
+    assert torch.equal(one, other)
+
+
+@needs_mitsuba
+@pytest.mark.parametrize(
+    ("part", "problem"),
+    [
+        ('<bsdf type="lambertian"/>', r"line 3, <bsdf type=\"lambertian\">: a plugin 'lambertian'"),
+        ('\n<animation name="toWorld"/>', "line 4: an element '<animation name>', expected those of Mitsuba 3"),
+        ('<integrator type="$i"/>', r"'\$i', expected a <default> before it"),
+        (
+            '<integrator type="path"><boolean name="strictNormals" value="true"/></integrator>',
+            "no scene that Mitsuba can load: .*strict_?[nN]ormals",
+        ),
+    ],
+)
+def test_what_version_3_lacks_is_named_with_the_version_of_the_scene(tmp_path: Path, part: str, problem: str) -> None:
+    remedy = r"change this scene of version 0\.6\.0 to 3\.0\.0 by hand"
+    path = write(tmp_path / "s.xml", old(CAMERA, ball(), part))
+    with pytest.raises(ValueError, match=rf"^{path}: {problem}.*, or {remedy}: .*\.$") as caught:
+        read_task(path)
+    assert len(str(caught.value).splitlines()) == 1
+    with pytest.raises(ValueError, match=rf"^{path}: {problem}") as caught:
+        read_task(write(path, xml(CAMERA, ball(), part)))
+    assert "by hand" not in str(caught.value)
+
+
 def test_a_missing_libllvm_is_not_the_scenes_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def none() -> Path:
         raise ValueError("libLLVM: found none, expected 19 or newer for Mitsuba; apt-get install libllvm19 libatomic1.")

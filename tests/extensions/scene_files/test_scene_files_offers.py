@@ -26,9 +26,8 @@ def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.Mo
         load_scene({**box, "more": mesh})
 
 
-def test_without_it_files_and_its_command_are_refused(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_it_files_are_refused(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     path = Path("box.json")
     path.write_text(json.dumps(random_scene(0)))
     monkeypatch.setenv(door.WITHOUT, "scene_files")
-    assert "a command of the extension scene_files" in metapp("data", "upgrade", path).misuse
     assert "box.json" in metapp("meta", "transport", path).refusal
