@@ -118,7 +118,7 @@ TABLES := results quickft image ablation storage samples convergence baselines
 
 tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: about half an hour; RECIPE=full: hours
 
-table-results: setup  ## error and time of the five paradigms: about ten minutes on two idle cores in a new clone
+table-results: setup  ## error and time of the five paradigms
 	$(EVALUATE) --which results
 
 table-quickft: setup  ## General, QuickFT and Meta after as many steps

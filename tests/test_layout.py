@@ -217,7 +217,6 @@ EXTENSIONS = {
     "scene_files": 835,
     "several": 200,
     "shaders": 370,
-    "side_by_side": 290,
     "vgg": 330,
     "viewer": 1_650,
 }

@@ -106,11 +106,8 @@ def command(options: Evaluation, overwrite: Overwrite = False, **own: Path) -> N
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else [options.which]
     measured = [load_table(name) for name in (reported if reports else names)]
-    runners = [door.load(offer.run) for offer in door.offers(door.CellRunner)]
     if options.no_run:
         say_missing(subjects, measured, options.which)
-    elif subjects and runners:
-        runners[0](subjects, measured, quiet=options.quiet)
     else:
         run_cells([cell for table in measured for one in subjects for cell in table.cells(one)], quiet=options.quiet)
     if not options.quiet:

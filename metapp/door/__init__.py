@@ -39,7 +39,6 @@ from metapp.door.finding import switched_off as switched_off
 from metapp.door.options import Option as Option
 from metapp.door.options import keyword_of as keyword_of
 from metapp.door.outputs import Baselines as Baselines
-from metapp.door.outputs import CellRunner as CellRunner
 from metapp.door.outputs import Command as Command
 from metapp.door.outputs import Export as Export
 from metapp.door.outputs import FitMethod as FitMethod

@@ -155,16 +155,6 @@ class Table(NamedTuple):
     table: str
 
 
-class CellRunner(NamedTuple):
-    """Measures what tables of `metapp evaluate` lack, in the place of one cell after the other.
-
-    Attributes:
-        run: `run(subjects, tables, *, quiet)`, of `metapp.evaluation.rows.Table`.
-    """
-
-    run: str
-
-
 class Report(NamedTuple):
     """Files that `metapp evaluate` writes of what it has measured, where their option is given.
 

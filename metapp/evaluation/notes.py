@@ -74,14 +74,12 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
 
 
 def threads_note(rows: Sequence[Row]) -> list[str]:
-    """The threads that seconds are of, where records say so, and whether other fits ran meanwhile."""
-    most = max((row["processes"] or 1 for row in rows), default=1)
-    beside = f"; seconds of {most} fits side by side, each on a core" if most > 1 else ""
+    """The threads that seconds are of, where records say so."""
     counts = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
     if len(counts) > 1:
         text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])
         return [f"threads: {text}; seconds of different threads do not compare"]
-    return [f"threads: {count}{beside}" for count in counts]
+    return [f"threads: {count}" for count in counts]
 
 
 def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:

@@ -164,7 +164,6 @@ def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: obje
         "doubtful": 0,
         "guarded": None,
         "threads": None,
-        "processes": None,
         "low": None,
         "high": None,
         "paper_error": figures["error"].get(app, {}).get(paradigm),
@@ -235,7 +234,6 @@ def remarks(records: Sequence[Record]) -> Row:
         "doubtful": sum(not some[-1].startswith(ROSE) for some in clauses),
         "guarded": guarded(records),
         "threads": ", ".join(map(str, threads)) or None,
-        "processes": max((record.get("processes", 1) for record in records), default=None),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -225,10 +224,7 @@ def test_meta_is_compared_where_overfit_is_no_floor() -> None:
 # Tasks without a reference
 
 
-def test_a_data_set_of_tasks_without_reference_has_a_table(
-    metapp: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("metapp.extensions.side_by_side.measuring.SMALL", math.inf)  # others know no such protocol
+def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, networks: Path) -> None:
     made = metapp("data", "nbrdf", networks / "unknown", "--split", "test", "--out", "unknown", "--samples", "512")
     assert made.code == 0, made.err
     common = ("evaluate", "brdf", "--data", "unknown", "--observe", "reference")

@@ -1,4 +1,4 @@
-"""Cells of tables that are run: their order, progress, threads."""
+"""Cells of tables that are run: their order, progress, threads, and what is left out."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 
+from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.cell import Cell, run_cells
 from metapp.learning.task import Task
 from metapp.runs.reporter import Bar
@@ -81,3 +82,18 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(cell: Ma
             assert threads_of(app_by(name)) == expected
     finally:
         torch.set_num_threads(before)
+
+
+def test_an_application_without_what_its_checkpoints_need_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
+    monkeypatch.setattr("metapp.apps.app_names", lambda: ["texture", "transport"])
+    lines: list[str] = []
+    monkeypatch.setattr("metapp.cli.evaluate.say", lines.append)
+    assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path))] == ["transport"]
+    (line,) = lines
+    assert line.startswith("Texture is left out: ")
+    assert "metapp data vgg" in line
+    with pytest.raises(ValueError, match="metapp data vgg"):
+        subjects_of(Evaluation(["texture"], out=tmp_path))
