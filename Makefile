@@ -69,7 +69,7 @@ $(VENV)/.docs: locks/docs.txt tools/setup.sh
 	@touch $@
 
 test-cluster: $(VENV)/.cluster  ## the examples for Dask and Ray, on two workers each; installs these, 150 MB
-	$(VENV)/bin/python -m pytest tests/test_cluster.py tests/extensions/addresses
+	$(VENV)/bin/python -m pytest tests/test_cluster.py
 
 $(VENV)/.cluster: locks/cluster.txt tools/setup.sh $(VENV)/.ready
 	bash tools/setup.sh "$(PYTHON)" "$(VENV)" cluster

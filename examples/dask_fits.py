@@ -9,8 +9,25 @@ A worker is one process with one thread, as Dask sets OMP_NUM_THREADS=1: small n
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import tempfile
 from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def local(source: str) -> Iterator[str]:
+    """The path of a source, of what is at an address that of a copy, which is then removed."""
+    if "://" not in source:
+        yield source
+        return
+    import fsspec  # with the package of the protocol, such as s3fs
+
+    with tempfile.TemporaryDirectory() as folder, fsspec.open(source) as file:
+        copy = Path(folder, source.rpartition("/")[2])
+        copy.write_bytes(file.read())
+        yield str(copy)
 
 
 def fits_of(sources: Sequence[str], app: str) -> list[dict[str, object]]:
@@ -20,7 +37,8 @@ def fits_of(sources: Sequence[str], app: str) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     for source in sources:
         try:
-            fit = metapp.fit(app, source)
+            with local(source) as path:
+                fit = metapp.fit(app, path)
             rows.append({"source": source, "name": fit.name, "error": fit.error, "seconds": fit.seconds})
         except (ValueError, OSError, FloatingPointError) as error:  # a bad file stops no other
             rows.append({"source": source, "failure": str(error)})

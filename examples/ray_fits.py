@@ -9,12 +9,29 @@ Each worker is an actor of one CPU: Ray gives it one thread, and metapp stays im
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
+import tempfile
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+
+@contextlib.contextmanager
+def local(source: str) -> Iterator[str]:
+    """The path of a source, of what is at an address that of a copy, which is then removed."""
+    if "://" not in source:
+        yield source
+        return
+    import fsspec  # with the package of the protocol, such as s3fs
+
+    with tempfile.TemporaryDirectory() as folder, fsspec.open(source) as file:
+        copy = Path(folder, source.rpartition("/")[2])
+        copy.write_bytes(file.read())
+        yield str(copy)
 
 
 class Fits:
@@ -31,7 +48,8 @@ class Fits:
 
     def _row(self, source: str) -> dict[str, object]:
         try:
-            fit = self.metapp.fit(self.app, source)
+            with local(source) as path:
+                fit = self.metapp.fit(self.app, path)
         except (ValueError, OSError, FloatingPointError) as error:  # a bad file stops no other
             return {"source": source, "failure": str(error)}
         return {"source": source, "name": fit.name, "error": fit.error, "seconds": fit.seconds}

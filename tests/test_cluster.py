@@ -18,18 +18,28 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("compiled")]
 
 
+def measured(path: Path) -> Path:
+    """A table of a goniometer, of a grey material."""
+    angles = [(i % 80, 9 * i % 360, 7 * i % 80) for i in range(200)]
+    rows = [f"{incident},{turned},{outgoing},0,0.2,0.2,0.2" for incident, turned, outgoing in angles]
+    path.write_text("\n".join(["theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b", *rows]))
+    return path
+
+
 @pytest.mark.parametrize(("script", "package"), [("dask_fits.py", "distributed"), ("ray_fits.py", "ray")])
 def test_two_workers_fit_as_one_process_does(
     script: str, package: str, neural_fits: Callable[[int], Path], tmp_path: Path
 ) -> None:
-    """Each source once, with the same error; a bad one is a row with its reason and stops no other."""
+    """Each source once, with the same error, also at an address; a bad one is a row with its reason."""
     if not importlib.util.find_spec(package):
         pytest.skip(f"{package} is not installed; make test-cluster installs it")
     networks = [str(folder) for folder in sorted(neural_fits(9).iterdir())]
     (tmp_path / "torn.binary").write_bytes(b"x")
     torn = str(tmp_path / "torn.binary")
+    table = measured(tmp_path / "paint.csv")
+    address = f"file://{table}"
     done = subprocess.run(
-        [sys.executable, EXAMPLES / script, *networks, torn],
+        [sys.executable, EXAMPLES / script, *networks, torn, address],
         capture_output=True,
         text=True,
         check=False,
@@ -37,8 +47,8 @@ def test_two_workers_fit_as_one_process_does(
     )
     assert done.returncode == 0, done.stderr[-2000:]
     rows = {row["source"]: row for row in map(json.loads, done.stdout.splitlines())}
-    assert rows.keys() == {*networks, torn}
-    assert len(done.stdout.splitlines()) == 10
+    assert rows.keys() == {*networks, torn, address}
+    assert len(done.stdout.splitlines()) == 11
     assert rows[torn]["failure"].startswith(f"{torn}: 1 bytes, expected 34,992,012")
-    for place in networks[::8]:
-        assert rows[place]["error"] == pytest.approx(metapp.fit("brdf", place).error, rel=1e-6)
+    for place, path in (*((one, one) for one in networks[::8]), (address, table)):
+        assert rows[place]["error"] == pytest.approx(metapp.fit("brdf", path).error, rel=1e-6)

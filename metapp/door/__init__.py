@@ -14,7 +14,6 @@ from metapp.door.applications import Recipe as Recipe
 from metapp.door.applications import Rule as Rule
 from metapp.door.applications import recipes_in as recipes_in
 from metapp.door.data import SPLIT as SPLIT
-from metapp.door.data import Addresses as Addresses
 from metapp.door.data import Conversion as Conversion
 from metapp.door.data import Converter as Converter
 from metapp.door.data import Format as Format

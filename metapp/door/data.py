@@ -175,16 +175,6 @@ class SceneCheck(NamedTuple):
     check: str
 
 
-class Addresses(NamedTuple):
-    """Reads inputs at addresses, such as s3://bucket/gold.binary, and keeps runs there.
-
-    Attributes:
-        module: that does it, as `metapp.extensions.addresses.access`.
-    """
-
-    module: str
-
-
 class Synthetic(NamedTuple):
     """An embedded data set, drawn on first use.
 

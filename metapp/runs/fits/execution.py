@@ -17,7 +17,6 @@ from metapp.runs.checkpoints.finding import find_checkpoint, tuned_by
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter
-from metapp.runs.inputs.addresses import kept
 from metapp.runs.inputs.sources import SOURCED, Source, content_of, numbered, sources_to_fit
 from metapp.runs.outputs.files import OUTPUTS, export_fit, listed, write_files, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
@@ -151,8 +150,7 @@ def execute(plan: Plan, lines: Iterable[Request] | None = None) -> Iterator[Run 
                 fitter = fitters[recipe] = fitters.get(recipe) or Fitter(with_checkpoint(one), warns=True)
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
                 folder = _folder(fitter.plan, label)
-                with kept(folder.path, request):
-                    done = _run(fitter, sources, label, folder)
+                done = _run(fitter, sources, label, folder)
         except Exception as error:  # whatever it is, the next line is not to blame
             if lines is None:
                 raise

@@ -16,7 +16,6 @@ from data_tools.readers.photos import SIZE
 from metapp import door
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.runs.inputs.addresses import at_address, local, place_of
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.inputs.memory import tasks_of_objects
 from metapp.runs.reporter import say
@@ -128,10 +127,10 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
         return sources_of(tasks), label
     merging = merge_of(app.name, plan.options)
     sources = [_merged(plan, *merging)] if merging else _sources_of_files(plan)
-    roots = sorted(place_of(path) for path in request.inputs)
+    roots = sorted(str(path.resolve()) for path in request.inputs)
     # read otherwise, the same files are other tasks
     ways = [f"{name}={value}" for name, value in recorded_options(app.name, plan.options).items()]
-    return sources, _label(_stem(place_of(request.inputs[0])), len(roots), _digest(*roots, *ways))
+    return sources, _label(_stem(str(request.inputs[0].resolve())), len(roots), _digest(*roots, *ways))
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
@@ -139,14 +138,9 @@ def _sources_of_files(plan: Plan) -> list[Source]:
     sources: dict[str, Source] = {}
     stamp = _stamps()
     for path in plan.request.inputs:
-        remote = at_address(path)
-        objects = remote.objects(path) if remote else {}  # of a folder none
-        for address, state in objects.items():
-            one = Source(address, functools.partial(_read_object, plan, address), state, named=len(objects) == 1)
-            sources.setdefault(address, one)
-        for places, read in () if objects else _found(plan, path):
+        for places, read in _found(plan, path):
             for place in places:
-                whole, is_named = place_of(place), len(places) == 1 or place == path
+                whole, is_named = str(place.resolve()), len(places) == 1 or place == path
                 one = Source(as_text(whole), functools.partial(read, place), stamp(place.resolve()), named=is_named)
                 sources.setdefault(whole, one)
     marks = marks_of({whole: _stem(whole) for whole in sources})
@@ -177,13 +171,6 @@ def numbered(name: str, place: str, places: dict[str, str]) -> str:
     if own != name:
         say(f"warning: a second {name} is called {own}")
     return own
-
-
-def _read_object(plan: Plan, address: str) -> Task:
-    """Read what is at an address by a copy, which then goes."""
-    with at_address(Path(address)).copied(address) as copy:
-        place, read = next((place, read) for places, read in _found(plan, copy) for place in places)
-        return read(place)
 
 
 def label_of(tasks: Sequence[Task]) -> str:
@@ -228,7 +215,7 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
     Raises:
         ValueError: there is no such path, or it is no input of the application.
     """
-    app, (path,) = plan.app, local([path])
+    app = plan.app
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
@@ -283,8 +270,8 @@ def content_of(tasks: Sequence[Task]) -> str:
 
 
 def _stem(place: str) -> str:
-    path = Path((place.rpartition("/*")[0] if "://" in place else "") or place)  # of a pattern its folder
-    return path.stem if path.is_file() or "://" in place else path.name
+    path = Path(place)
+    return path.stem if path.is_file() else path.name
 
 
 def _digest(*texts: str) -> str:

@@ -10,7 +10,6 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
 from metapp.runs import BadOption
-from metapp.runs.inputs.addresses import at_address
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import SOURCED, Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
 from metapp.runs.reporter import say
@@ -140,8 +139,8 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
 
 
 def _existing(places: Iterable[str]) -> list[Path]:
-    """The paths that are there, and addresses."""
-    return [path for path in map(path_of, places) if path.exists() or at_address(path)]
+    """The paths that are there."""
+    return [path for path in map(path_of, places) if path.exists()]
 
 
 def _of_sources(records: list[Document], sources: list[Source], moved: bool) -> dict[str, Task]:

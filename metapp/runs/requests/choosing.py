@@ -11,7 +11,6 @@ from metapp.apps import recipe_offers
 from metapp.learning.task import Task
 from metapp.runs import BadOption
 from metapp.runs.checkpoints.shipped import FULL, ships, usual_recipe
-from metapp.runs.inputs.addresses import local
 from metapp.runs.reporter import say
 from metapp.runs.requests.request import Request
 from metapp.storage.manifest import read_manifest
@@ -70,8 +69,7 @@ def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
 
 def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
     """True if all inputs choose a recipe; BadOption where only some do."""
-    paths = request.inputs if request.resumes else local(request.inputs)
-    recognised = [(form, path) for form in inputs_of(request.app) for path in paths if form.recognises(path)]
+    recognised = [(form, path) for form in inputs_of(request.app) for path in request.inputs if form.recognises(path)]
     choosing = [(form, path) for form, path in recognised if _chooses(choice, form, path)]
     chosen = {path for _, path in choosing}
     others = [(form, path) for form, path in recognised if form.name not in choice.formats or path not in chosen]

@@ -16,7 +16,6 @@ from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
 from metapp.runs.fits.batch_size import check_batch
-from metapp.runs.inputs.addresses import at_address, place_of
 from metapp.runs.requests.checks import check_export, check_name, check_numbers, check_protocol, check_rule
 from metapp.runs.requests.choosing import chosen_recipe
 from metapp.runs.requests.naming import observe_of
@@ -141,7 +140,7 @@ class Plan:
         """Where inputs and data set are, by which they are found again: absolute paths, as far as given."""
         request = self.request
         places: Document = {
-            "inputs": [place_of(path) if at_address(path) else str(path.absolute()) for path in request.inputs],
+            "inputs": [str(path.absolute()) for path in request.inputs],
             "data": request.data and str(request.data.absolute()),
         }
         return {key: value for key, value in places.items() if value}
