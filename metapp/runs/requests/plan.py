@@ -85,13 +85,13 @@ class Plan:
         assert self.checkpoint is not None
         return self.checkpoint.prepared
 
-    def by(self, paradigm: str, rule: str = "", steps: int | None = None) -> Plan:
-        """The same for another paradigm, rule ("" for the same one) and number of steps, without a checkpoint."""
+    def by(self, paradigm: str, rule: str = "") -> Plan:
+        """The same for another paradigm and rule ("" for the same one), of the recipe's steps, without a checkpoint."""
         rule = rule or self.job.rule
-        request = replace(self.request, paradigm=paradigm, rule=rule, steps=steps)
+        request = replace(self.request, paradigm=paradigm, rule=rule, steps=None)
         app = app_of(self.app.name, self.job.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
         app = self.app if app.setup == self.app.setup else app  # which may hold compiled code
-        job = Job(app, self.job.recipe, rule, steps)
+        job = Job(app, self.job.recipe, rule, None)
         return replace(self, request=request, paradigm=paradigms()[paradigm], job=job, checkpoint=None)
 
     def settings(self, label: str) -> Document:
