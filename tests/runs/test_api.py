@@ -86,6 +86,13 @@ def test_several_tasks_and_their_table(neural_fits: Callable[[int], Path]) -> No
         api.fit("brdf", folder)
 
 
+def test_an_address_is_no_path_that_is_there() -> None:
+    with pytest.raises(
+        ValueError, match=r"^s3:/bucket/gold\.binary: no such file or folder; give existing input files\.$"
+    ):
+        api.fit("brdf", "s3://bucket/gold.binary")
+
+
 def test_the_traceback_of_bad_input_ends_at_the_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for app, source, said in (("brdf", tmp_path / "none", "none: no such file or folder"), ("brfd", tmp_path, "brdf")):
         with pytest.raises(ValueError, match=said) as short:
