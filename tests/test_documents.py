@@ -114,7 +114,7 @@ def test_targets_exist() -> None:
 
 def test_files_exist() -> None:
     for page, line in lines_of_code():
-        if PATH.match(line) and "notebook" not in page.parts:  # names in the notebook are of its date
+        if PATH.match(line):
             assert (ROOT / line).exists(), (page, line)
 
 
@@ -169,15 +169,7 @@ def test_every_picture_is_shown() -> None:
 def test_every_page_is_in_the_navigation() -> None:
     listed = set(re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE))
     pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")}
-    assert listed == {page for page in pages if not page.startswith("notebook/")}
-
-
-def test_the_notebook_is_dated_and_no_part_of_the_site() -> None:
-    assert "exclude_docs: notebook/" in (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    for page in (ROOT / "docs" / "notebook").iterdir():
-        assert re.fullmatch(r"\d{4}-\d\d-\d\d-[a-z-]+\.md", page.name), page
-    for page, link in links():
-        assert "notebook" in page.parts or page.parent == ROOT or "notebook/" not in link, (page, link)
+    assert listed == pages
 
 
 def test_what_searches_without_a_server_is_kept_with_its_licence() -> None:
