@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow test-cluster mutants lint types docs lock bench bench-size bench-growth bench-cluster bench-samples bench-plan bench-photo bench-rules guiding tables figures report paper paper-brdf torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow test-cluster mutants lint types docs lock bench bench-size bench-growth bench-cluster bench-samples guiding tables figures report paper paper-brdf torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -90,18 +90,9 @@ bench-cluster: $(VENV)/.cluster  ## materials a minute by a loop, Dask and Ray, 
 bench-growth: setup  ## growth of time and memory with steps, tasks and samples; a minute
 	$(VENV)/bin/python -m benchmarks.bench_growth
 
-# these two of the embedded data set, unless DATA is given
+# of the embedded data set, unless DATA is given
 bench-samples: setup  ## errors of BRDF fits by number of samples, a table and a figure; DATA=<data set of brdf>
 	$(VENV)/bin/python -m benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
-
-bench-plan: setup  ## errors of BRDF fits of planned samples; DATA=<data set> NETWORKS=<folder it was made of> NOISE=0
-	$(VENV)/bin/python -m benchmarks.bench_plan "$(DATA)" $(or $(NOISE),0) $(NETWORKS)
-
-bench-photo: setup  ## what a flash photo holds beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
-	$(VENV)/bin/python -m benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
-
-bench-rules: setup  ## all update rules, trained alike with few outer steps, beside a tuned Adam: a table and a figure; hours
-	$(VENV)/bin/python -m benchmarks.bench_rules --out $(RUNS)
 
 # of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
 guiding: setup  ## error over time of guided and regular paths, a table and a figure in runs/guiding; an hour

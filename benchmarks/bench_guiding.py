@@ -23,7 +23,6 @@ import torch
 from torch import Tensor
 
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
-from benchmarks import practical_path_guiding
 from benchmarks.guiding_scenes import kind_of, scenes
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
@@ -40,7 +39,6 @@ METHODS: dict[str, dict[str, Any]] = {  # integrators
     "guided + NEE": GUIDED,
     "guided + NEE, no prior": GUIDED | {"checkpoint": "none"},
     "guided": GUIDED | {"emitter_sampling": False},
-    "practical path guiding + NEE": {"type": practical_path_guiding.NAME},
 }
 WARM = 48  # samples a pixel by which code is compiled and speeds are first known
 NEAR = 0.1  # of the seconds
@@ -226,7 +224,6 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=list(scenes()), help="names, or scene files of Mitsuba 3")
     parser.add_argument("--out", type=Path, default=Path("runs/guiding"))
     options = parser.parse_args()
-    practical_path_guiding.register()
     options.out.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter("ignore")
     files = {name: Path(name) for name in options.scenes if name not in scenes()}

@@ -1,8 +1,8 @@
 """Classification of the ball of a single photograph: a mirror or not.
 
 A mirror shows edges as sharp as the photograph, all over, and things that are dark; a ball with a body of its own or
-a rough one shows neither. A logistic regression on three numbers, made for simulated balls under synthetic maps, says
-which: benchmarks/bench_mirror_balls.py makes its weights and measures it.
+a rough one shows neither. A logistic regression on three numbers, its weights made for simulated balls under synthetic
+maps, says which.
 """
 
 from __future__ import annotations
