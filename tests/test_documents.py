@@ -6,11 +6,9 @@ import ast
 import configparser
 import importlib.metadata
 import re
-import runpy
 import shlex
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import typer
@@ -138,25 +136,6 @@ def test_pictures_of_guides_and_results_have_captions() -> None:
         if page.parent.name in ("guides", "results") or page.stem.startswith("formats"):
             for below in PICTURE.findall(page.read_text(encoding="utf-8")):
                 assert below, page
-
-
-def test_captions_become_captions_of_figures() -> None:
-    on_page_content = runpy.run_path(str(ROOT / "tools" / "site_figures.py"))["on_page_content"]
-    picture, text = '<img alt="a" src="a.jpg" />', "<p>c <em>d</em></p>"
-    linked = f'<a href="a.jpg">{picture}</a>'
-    html = on_page_content(f"<p>{picture}</p>\n<p><em>By <code>b</code>.</em></p>\n{text}")
-    assert html == f"<figure>{linked}<figcaption>By <code>b</code>.</figcaption></figure>\n{text}"
-    assert on_page_content(f"<p>{picture}</p>\n{text}") == f"<figure>{linked}</figure>\n{text}"
-
-
-def test_search_lists_other_pages_before_those_of_the_api() -> None:
-    hooks = runpy.run_path(str(ROOT / "tools" / "site_figures.py"))
-    boosts = {}
-    for name in ("api/runs.md", "guides/brdf.md"):
-        page = SimpleNamespace(file=SimpleNamespace(src_uri=name), meta={})
-        assert hooks["on_page_markdown"]("text", page=page) == "text"
-        boosts[name] = page.meta.get("search", {}).get("boost", 1.0)
-    assert 1000 * boosts["api/runs.md"] <= boosts["guides/brdf.md"]  # a title counts 1000 times as much as text
 
 
 def test_every_picture_is_shown() -> None:

@@ -27,15 +27,9 @@ done
 "$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three" --overwrite
 "$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/three" --out "$runs" --train --train-steps 13000 \
   --checkpoint metapp/checkpoints/brdf/ridge.safetensors
-ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "${3:-metapp/checkpoints/brdf}/$2"; }
+ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "metapp/checkpoints/brdf/$2"; }
 ship "three-*-quick-seed0" ""
-# few samples, and anisotropic materials, have recipes of their own
-"$metapp" meta brdf --recipe few --data "$runs/data/joint" --out "$runs" --train --train-steps 12000
-few=metapp/extensions/few/checkpoints
-ship "joint-*-few-seed0" few $few
-# and the kinds of materials that it knows beside all of these
-"$(dirname "$metapp")/python" tools/few_kinds.py $few/few/ridge.safetensors $few/few/ridge.safetensors \
-  "$runs/data/nbrdf-merl" "$runs/data/nbrdf-rgl"
+# anisotropic materials have a recipe of their own; the file of `few` stays as it is (metapp/extensions/few/checkpoints)
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic" --overwrite
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
 ship "anisotropic-*-anisotropic-seed0" anisotropic

@@ -13,7 +13,6 @@ for observe in reference photo; do
   "$metapp" meta "${common[@]}" "${general[@]}" --observe "$observe"
 done
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"
-[ "$app" != illumination ] || "$(dirname "$metapp")/python" tools/confidence.py
 
 if [ "$app" = svbrdf_nonstationary ]; then
   data=$runs/data/drawn-512px

@@ -1,35 +1,33 @@
 """The confidence of a fit of a photograph in its map: where that shows it, where it clips, where all is a guess.
 
 How far the log luminance of each of ROWS x COLUMNS texels is off is taken to have Weibull's distribution. A small
-network predicts it from what the photograph shows of the texel and from the fit itself; `tools/confidence.py` trains
-it, by maximum likelihood, on fits of drawn maps. One factor for the whole map does not count, as no photograph says
+network predicts it from what the photograph shows of the texel and from the fit itself; it was trained by maximum
+likelihood, on fits of drawn maps. One factor for the whole map does not count, as no photograph says
 how bright its light was; it is the median, so that what a mirror shows stays exact where other light is lost.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, pad, softplus
 
 from metapp.appearance.latlong import directions, luminance, resample, solid_angles, sphere_normals
 from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import CLIPPED, DARK
 from metapp.learning.task import Batch, Params
-from metapp.networks.layers import add_layer, dense
+from metapp.networks.layers import dense
 from metapp.storage.tensors import read_tensors
 
 ROWS, COLUMNS = 16, 32
 HIDDEN = (24, 16)
 LIMIT = 3.0  # standard deviations of a feature: nothing is extrapolated far beyond what was trained on
-LEAST = 1e-3  # difference of logs that counts as none
 FLATTEST = 0.3  # of the distributions' shapes; 1 is the exponential one
 FRONT = 1 / 3  # cosine to the camera: front, rim and back are a third of all directions each
 FEATURES = (
@@ -56,22 +54,6 @@ class Weibull(NamedTuple):
     def quantile(self, share: float) -> Tensor:
         """The difference that a share of them is below, [T, ROWS, COLUMNS]."""
         return self.scale * (-math.log1p(-share)) ** (1 / self.shape)
-
-    def surprise(self, off: Tensor) -> Tensor:
-        """Negative log likelihood of differences [T, ROWS, COLUMNS] >= 0, each."""
-        off = off + LEAST
-        power = self.shape * (off / self.scale).log()
-        return power.clamp(max=12).exp() - power - (self.shape / off).log()
-
-
-def off_by(maps: Tensor, target: Tensor) -> Tensor:
-    """Absolute differences of log luminance [T, ROWS, COLUMNS] of maps [T, 3, H, W], but for one factor of each map."""
-    return _centred(_logs(maps) - _logs(target)).abs()
-
-
-def covered(spread: Weibull, off: Tensor, share: float) -> Tensor:
-    """The part of the sphere [T] that is off by at most the quantile of a share: if calibrated, the share."""
-    return ((off <= spread.quantile(share)) * _area(off)).sum((1, 2))
 
 
 def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
@@ -107,16 +89,6 @@ def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
     assert tuple(values) == FEATURES
     rows = [value if value.ndim != 1 else value[:, None, None] for value in values.values()]
     return torch.stack([value.expand_as(logs) for value in rows], -1)
-
-
-def init(rng: Generator, seen: Tensor) -> Params:
-    """Random parameters of the network, and the features' means and deviations, of those [..., len(FEATURES)]."""
-    mean, deviation = seen.flatten(0, -2).mean(0), seen.flatten(0, -2).std(0).clamp_min(1e-3)
-    params: Params = {"mean": mean, "deviation": deviation}
-    sizes = (len(FEATURES), *HIDDEN, 2)
-    for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
-        add_layer(params, rng, f"layer{number}", outputs, inputs, gain=1.0 if outputs > 2 else 0.1)
-    return params
 
 
 def predicted(params: Params, read: Tensor) -> Weibull:

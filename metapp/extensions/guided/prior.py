@@ -5,7 +5,7 @@ latter, one number for each entry; rays find which entry is met in which bin. So
 long before paths have filled the histograms.
 
 The network maps such pictures over the bins of one entry, [SIDE, SIDE] each, to how densely paths should be sampled
-there. It knows nothing else of a scene. General trains it on rooms (`tools/guide_prior_problem.py`).
+there. It knows nothing else of a scene. General trained it on rooms (checkpoints/README.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Random Cornell boxes and rooms, the same again from their JSON text."""
+"""Random Cornell boxes, the same again from their JSON text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from data_tools.synthetic.cornell import random_scene
-from data_tools.synthetic.rooms import KINDS, random_room
 
 SCENES = [random_scene(seed) for seed in range(200)]
 WALLS = {"floor", "ceiling", "back", "left", "right"}
@@ -85,22 +84,3 @@ def test_a_seed_is_a_scene() -> None:
     assert len({json.dumps(scene) for scene in SCENES}) == len(SCENES)
     with pytest.raises(ValueError, match="seed -1, expected 0 or more"):
         random_scene(-1)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_room_is_drawn_from_its_seed(kind: str) -> None:
-    scene, again, other = (random_room(kind, seed) for seed in (3, 3, 4))
-    assert json.dumps(other) != json.dumps(scene) == json.dumps(again)
-    assert {"sensor"} | WALLS <= set(scene)
-    assert any("emitter" in shape for shape in scene.values() if isinstance(shape, dict))
-
-
-def test_radiance_times_area_is_the_power_and_other_rooms_are_refused() -> None:
-    scene = random_room("board", 5)
-    columns = list(zip(*scene["light"]["to_world"], strict=True))
-    area = 4 * math.hypot(*columns[0]) * math.hypot(*columns[1])
-    assert scene["light"]["emitter"]["radiance"]["value"][1] * area == pytest.approx(4)
-    with pytest.raises(ValueError, match="kind cellar, seed 1, expected one of box"):
-        random_room("cellar", 1)
-    with pytest.raises(ValueError, match="seed -1"):
-        random_room("box", -1)
