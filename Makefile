@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow test-cluster lint types docs lock bench bench-size bench-growth bench-cluster bench-samples guiding tables figures report paper paper-brdf torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow test-cluster lint types docs lock bench bench-size bench-growth bench-cluster bench-samples guiding tables figures report paper paper-brdf fuzz real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -40,11 +40,8 @@ test-long: setup  ## the tests that take seconds each, beside quicker ones of th
 test-slow: setup  ## the tests that take minutes each
 	$(VENV)/bin/python -m pytest -m slow -o faulthandler_timeout=3600
 
-torture: setup  ## robustness: mutated files, kills, full disks; under 30 minutes, docs/reliability.md
-	$(VENV)/bin/python -m torture
-
-torture-quick: setup  ## the same in 3 minutes
-	$(VENV)/bin/python -m torture --quick
+fuzz: setup  ## damaged files for all readers, new ones every time: N=1000 of each, an hour of one core
+	METAPP_FUZZ=$(or $(N),1000) $(VENV)/bin/python -m pytest tests/fuzz $(WORKERS) -o faulthandler_timeout=7200
 
 lint: setup  ## ruff, layers
 	$(VENV)/bin/ruff check .

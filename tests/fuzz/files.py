@@ -1,0 +1,176 @@
+"""Small valid files of every reader, most made by the project's own writers: {file name: content} each."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.scene_files import OBJ, ply, serialized, volume
+
+Files = dict[str, bytes]
+LIGHT = (".hdr", ".pfm")  # without alpha
+
+SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/></integrator>
+<default name="size" value="16"/><sensor type="perspective"><float name="fov" value="45"/>
+<transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="$size"/><integer name="height" value="16"/></film>
+<sampler type="independent"><integer name="sample_count" value="4"/></sampler></sensor>
+<bsdf type="diffuse" id="wall"><rgb name="reflectance" value="0.5,0.4,0.3"/></bsdf>
+<shape type="rectangle"><ref id="wall"/><transform name="to_world"><rotate x="1" angle="-90"/><scale value="2"/>
+<matrix value="1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/></transform></shape>
+<shape type="sphere"><point name="center" x="0" y="1" z="0"/><float name="radius" value="0.3"/>
+<bsdf type="roughconductor"><string name="material" value="Au"/><float name="alpha" value="0.2"/></bsdf></shape>
+<shape type="rectangle"><emitter type="area"><rgb name="radiance" value="1,2,3"/></emitter></shape></scene>"""
+
+
+def picture(height: int, width: int, channels: int = 3) -> Any:
+    """Values in [0.2, 0.9], [height, width, channels] float32, with structure."""
+    y, x = np.mgrid[:height, :width]
+    noise = np.random.default_rng(0).random((height, width, channels))
+    return (0.8 * (0.5 + 0.2 * np.sin(x / 3) * np.cos(y / 5))[..., None] + 0.2 * noise).astype(np.float32)
+
+
+def image(values: Any, suffix: str, depth: str = "uint8") -> bytes:
+    import OpenImageIO as oiio
+
+    with tempfile.TemporaryDirectory() as folder:
+        name = str(Path(folder) / f"x{suffix}")
+        target = oiio.ImageOutput.create(name)
+        height, width, channels = values.shape
+        assert target.open(name, oiio.ImageSpec(width, height, channels, depth)), target.geterror()
+        target.write_image(values)
+        target.close()
+        return Path(name).read_bytes()
+
+
+def images(*kinds: str) -> list[Files]:
+    """A picture, also a map of light, in each of these formats, "suffix depth"; with alpha where not of 8 bits."""
+    return [
+        {
+            f"wood{suffix}": image(
+                picture(32, 64, 3 if depth in ("uint8", "half") or suffix in LIGHT else 4), suffix, depth
+            )
+        }
+        for suffix, depth in map(str.split, kinds)
+    ]
+
+
+def strips() -> list[Files]:
+    values = picture(32, 160)
+    values[:, 32:64] = (0.5, 0.5, 0.98)
+    return [{"7;marbleXwood;1X2.png": image(values, ".png")}, {"7.jpg": image(values, ".jpg")}]
+
+
+def maps() -> list[Files]:
+    normal, gray = np.tile(np.float32((0.5, 0.5, 0.98)), (32, 32, 1)), picture(32, 32, 1)
+    return [
+        {"rock_diff.png": image(picture(32, 32), ".png"), "rock_normal.exr": image(normal, ".exr", "half"),
+         "rock_rough.png": image(gray, ".png"), "rock_metal.jpg": image(gray, ".jpg")},
+    ]  # fmt: skip
+
+
+def merl() -> list[Files]:
+    """The header and the first values of a table, whose file is made as long as it says."""
+    from data_tools.readers.merl import _HEADER
+
+    return [{"gold.binary": _HEADER.tobytes() + np.linspace(1, 9, 8).tobytes()}]
+
+
+def networks() -> list[Files]:
+    from data_tools.readers.nbrdf import SHAPES
+
+    rng, found = np.random.default_rng(0), []
+    for prefix, kind in (("", "<f4"), ("gold_", "<f8")):
+        files = {}
+        for part, shape in SHAPES.items():
+            stream = io.BytesIO()
+            np.save(stream, (rng.standard_normal(shape) * 0.1).astype(kind))
+            files[f"{prefix}{part}.npy"] = stream.getvalue()
+        found.append(files)
+    return found
+
+
+def rgl() -> list[Files]:
+    from metapp.extensions.rgl.tensor_file import write_tensor_file
+
+    grid, nodes = np.random.default_rng(0).random((1, 3, 4, 4)).astype("f4"), np.float32([0, 0.7, 1.4])
+    fields = {"description": np.frombuffer(b"paint", np.uint8), "phi_i": np.zeros(1, "f4"), "theta_i": nodes,
+              "sigma": np.ones((2, 2), "f4"), "ndf": np.ones((2, 2), "f4"), "vndf": grid + 1, "luminance": grid + 1,
+              "rgb": np.stack([grid] * 3, 2), "jacobian": np.ones(1, np.uint8)}  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        write_tensor_file(Path(folder) / "x", fields)
+        return [{"paint.bsdf": (Path(folder) / "x").read_bytes()}]
+
+
+def tables() -> list[Files]:
+    rng = np.random.default_rng(0)
+
+    def table(rows: int, unit: str, names: list[str]) -> bytes:
+        angles = rng.random((rows, 4)) * [89, 360, 89, 360] * (1 if unit == "deg" else np.pi / 180)
+        values = np.concatenate([angles, rng.random((rows, len(names)))], 1)
+        head = [f"{name}_{unit}" for name in ("theta_i", "phi_i", "theta_o", "phi_o")]
+        lines = ["# a comment", ",".join(head + names), *(",".join(f"{each:.5g}" for each in row) for row in values)]
+        return "\n".join((*lines, "")).encode()
+
+    spectrum = [f"{each}nm" for each in range(400, 701, 50)]
+    return [{"paint.csv": table(80, "deg", ["r", "g", "b"])}, {"foil.csv": table(60, "rad", spectrum)},
+            {"few.csv": table(4, "deg", ["r", "g", "b"])}]  # fmt: skip
+
+
+def scenes() -> list[Files]:
+    from data_tools.synthetic.cornell import random_scene
+
+    part = '<scene version="3.0.0"><bsdf type="diffuse" id="other"/></scene>'
+    including = SCENE.replace("<sensor", '<include filename="part.xml"/><sensor')
+    old = SCENE.replace('version="3.0.0"', 'version="0.6.0"')
+    for new, before in {"max_depth": "maxDepth", "to_world": "toWorld", "sample_count": "sampleCount"}.items():
+        old = old.replace(f'"{new}"', f'"{before}"')
+    return [{"box.xml": SCENE.encode()}, {"box.xml": including.encode(), "part.xml": part.encode()},
+            {"box.xml": old.encode()}, {"box.json": json.dumps(random_scene(0)).encode()}]  # fmt: skip
+
+
+def meshes() -> list[Files]:
+    """A scene with a mesh, or with a grid of values, in a file of its own."""
+    from data_tools.synthetic.cornell import random_scene
+
+    grid = np.random.default_rng(0).random((3, 4, 5)) - 0.5
+    parts = {"a.ply": ply("binary_little_endian"), "text.ply": ply("ascii"), "a.obj": OBJ.encode(),
+             "a.serialized": serialized(), "a.vol": volume((5, 4, 3), values=grid)}  # fmt: skip
+    found = []
+    for name, content in parts.items():
+        kind = "sdfgrid" if name.endswith(".vol") else name.rpartition(".")[2]
+        scene = {**random_scene(0), "more": {"type": kind, "filename": name}}
+        found.append({name: content, "box.json": json.dumps(scene).encode()})
+    return found
+
+
+def shards() -> list[Files]:
+    from data_tools.readers.brdf_task import UNITS, brdf_task
+    from metapp.storage.shards import ShardWriter
+
+    with tempfile.TemporaryDirectory() as folder:
+        with ShardWriter(folder, "brdf", UNITS, {"made_by": "a test"}) as writer:
+            for index, split in enumerate(("train", "test")):
+                task = brdf_task(f"task{index}", lambda angles, i=index: angles * 0 + 0.1 + i, samples=64)
+                writer.add(task._replace(data={k: v for k, v in task.data.items() if k in UNITS}), split, "x")
+        return [{file.name: file.read_bytes() for file in sorted(Path(folder).iterdir())}]
+
+
+def checkpoints() -> list[Files]:
+    from metapp.runs.checkpoints.finding import shipped_path
+
+    names = ("meta-sgd", "meta-curvature")
+    return [{f"{name}.safetensors": shipped_path("brdf", name).read_bytes()} for name in names]
+
+
+def records() -> list[Files]:
+    from metapp.storage.records import digest
+
+    settings = {"app": "brdf", "steps": 10}
+    line = {"error": 0.5, "seconds": 0.1, "key": digest(settings), "settings": settings}
+    return [{"record.jsonl": b"".join(json.dumps({"name": n, **line}).encode() + b"\n" for n in ("a", "b", "c"))}]

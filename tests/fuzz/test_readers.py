@@ -1,0 +1,250 @@
+"""Any bytes, and any change of a valid file, give a task or one line that names the file: for every reader.
+
+`make test` tries a few of each, the same ones every time; `make fuzz` many more, new ones every time.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import math
+import os
+import re
+import shutil
+import signal
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from metapp.cli.streams import one_line
+from tests.fuzz import files
+from tests.fuzz.mutations import damaged
+from tests.needs_mitsuba import MISSING
+from tests.small_spheres import shrink_spheres
+
+EXAMPLES = int(os.environ.get("METAPP_FUZZ", "0"))  # of each reader; 0: a few, the same ones every time
+SECONDS = 20.0  # of CPU time that an input may take
+CHARACTERS = 300  # of a message, without the path of the folder
+CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
+
+
+class Hang(BaseException):
+    """A reader that takes too long."""
+
+
+def finite(task: Any, **shapes: tuple[int, ...]) -> None:
+    """All values of a task are, and what is named has its shape."""
+    for key, value in task.data.items():
+        assert bool(value.isfinite().all()), key
+    for key, shape in shapes.items():
+        assert tuple(task.data[key].shape) == shape, (key, task.data[key].shape)
+
+
+def read_merl(folder: Path, file: Path) -> None:
+    from data_tools.readers import merl
+    from data_tools.readers.merl_table import SHAPE
+
+    if file.stat().st_size > 64:  # a whole one takes 35 MB
+        os.truncate(file, merl.FILE_BYTES)
+    merl.find([file])
+    table = merl.read_merl(file)
+    assert table.shape == (*SHAPE, 3)
+    assert np.isfinite(table).all()
+
+
+def read_nbrdf(folder: Path, file: Path) -> None:
+    from data_tools.readers import nbrdf
+
+    for network in nbrdf.find([folder])[0]:
+        finite(nbrdf.read_task(network, samples=64), reflectance=(64, 3))
+
+
+def read_rgl(folder: Path, file: Path) -> None:
+    from metapp.extensions.rgl import rgl
+
+    values = rgl.read_rgl(file)(torch.tensor([[0.1, 0.2, 0.3], [0.6, 0.9, 4.0]]))
+    assert values.shape == (2, 3)
+    assert bool(values.isfinite().all())
+
+
+def read_table(folder: Path, file: Path) -> None:
+    from metapp.extensions.few import gonio
+
+    wi, wo, reflectance = gonio.read_pairs(file)
+    assert wi.shape == wo.shape == reflectance.shape
+    finite(gonio.read_task(file))
+
+
+def read_image(module: str, key: str, width: int, folder: Path, file: Path) -> None:
+    """As a picture of 32 px, or as a map of 32 x 64 texels."""
+    reader = importlib.import_module(f"data_tools.readers.{module}")
+    for source in reader.find([file])[0] if hasattr(reader, "find") else [file]:
+        finite(reader.read_task(source, 32), **{key: (3, 32, width)})
+
+
+def read_scene(folder: Path, file: Path) -> None:
+    from metapp.extensions.scene_files.reading import find, read_scene
+    from metapp.extensions.scene_files.trial import try_scene
+    from metapp.rendering.scenes.loading import load_scene
+    from metapp.rendering.variant import load_mitsuba
+
+    path = next(path for path in find([folder])[0] if path.name.startswith("box"))
+    scene = read_scene(path)
+    try:
+        try_scene(scene, load_mitsuba().variant())
+        brightest = load_scene(scene).brightest
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None  # as read_task names it
+    assert math.isfinite(brightest)
+    assert brightest >= 0
+
+
+def read_shard(folder: Path, file: Path) -> None:
+    from metapp.apps.brdf.app import Brdf
+    from metapp.learning.app import stack
+    from metapp.runs.inputs.sources import tasks_of_data
+    from metapp.storage.manifest import fingerprint
+    from metapp.storage.shards import check_shard
+
+    fingerprint(folder)
+    check_shard(folder)
+    tasks = tasks_of_data(Brdf(), folder, True)[0]
+    for task in tasks:
+        finite(task)
+    stack(Brdf(), tasks)
+
+
+@functools.cache
+def small_tasks() -> Any:
+    from data_tools.readers.brdf_task import brdf_task
+    from metapp.apps.brdf.app import Brdf
+    from metapp.learning.app import stack
+
+    return stack(Brdf(), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
+
+
+def read_checkpoint(folder: Path, file: Path) -> None:
+    """As --checkpoint, and one step of a fit."""
+    from metapp.runs.checkpoints.finding import find_checkpoint
+    from metapp.runs.requests.plan import plan
+    from metapp.runs.requests.request import Request
+
+    options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
+    by = find_checkpoint(plan(Request("brdf", **options, device="cpu", quiet=True)))
+    try:
+        theta = by.paradigm.fit(by.job, by.prepared, small_tasks(), torch.Generator().manual_seed(0))
+    except FloatingPointError:  # a fit that says that it diverged
+        return
+    assert all(bool(value.isfinite().all()) for value in theta.values())
+
+
+def read_records(folder: Path, file: Path) -> None:
+    """As a run that goes on, whose table shows all finished tasks."""
+    from metapp.storage.records import FIT, RunFolder, summary
+
+    records = RunFolder(folder, {"app": "brdf", "steps": 10}, FIT).finished()
+    for record in records.values():
+        numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
+        assert all(math.isfinite(number) for number in numbers)
+    if records:
+        summary(list(records.values()))
+
+
+images = functools.partial(functools.partial, files.images)
+of_photos = functools.partial(read_image, "photos", "image", 32)
+of_materials = functools.partial(read_image, "svbrdf_inputs", "photo", 32)
+of_light = functools.partial(read_image, "latlong", "map", 64)
+READERS: dict[str, tuple[Callable[[], list[files.Files]], Callable[[Path, Path], None]]] = {
+    "merl": (files.merl, read_merl),
+    "nbrdf": (files.networks, read_nbrdf),
+    "rgl": (files.rgl, read_rgl),
+    "table": (files.tables, read_table),
+    "png": (images(".png uint8", ".png uint16"), of_photos),
+    "jpeg": (images(".jpg uint8"), of_photos),
+    "tiff": (images(".tif uint8", ".tif float"), of_photos),
+    "pfm": (images(".pfm float"), of_photos),
+    "other images": (images(".bmp uint8", ".tga uint8", ".gif uint8", ".webp uint8", ".ppm uint8"), of_photos),
+    "flash": (images(".png uint8", ".jpg uint8"), functools.partial(read_image, "flash", "image", 32)),
+    "exr": (images(".exr half"), of_light),
+    "hdr": (images(".hdr float"), of_light),
+    "strips": (files.strips, of_materials),
+    "maps": (files.maps, of_materials),
+    "scene": (files.scenes, read_scene),
+    "mesh": (files.meshes, read_scene),
+    "shard": (files.shards, read_shard),
+    "checkpoint": (files.checkpoints, read_checkpoint),
+    "record": (files.records, read_records),
+}
+NEED_MITSUBA = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+NAMES = [pytest.param(name, marks=NEED_MITSUBA if name in ("scene", "mesh") else ()) for name in READERS]
+
+
+def hang(*_: Any) -> None:
+    raise Hang
+
+
+def attempt(name: str, content: files.Files, file: str) -> str:
+    """What a reader says of files: one line, or nothing for a good result."""
+    place = Path(tempfile.mkdtemp())
+    folder = place / "fuzzed"
+    folder.mkdir()
+    for each, written in content.items():
+        (folder / each).write_bytes(written)
+    before = signal.signal(signal.SIGPROF, hang)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    try:
+        READERS[name][1](folder, folder / file)
+    except ValueError as error:
+        if isinstance(error, UnicodeError):
+            raise
+        return one_line(str(error)).replace(str(place), "")
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+        shutil.rmtree(place)
+    return ""
+
+
+@pytest.fixture(autouse=True)
+def _cheap(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Pictures of BRDFs cost nothing; what a file has warnings of is no matter."""
+    shrink_spheres(monkeypatch)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_valid_files_are_read(name: str) -> None:
+    for whole in READERS[name][0]():
+        assert attempt(name, whole, next(iter(whole))) == ""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_damaged_files_give_a_task_or_one_line(name: str) -> None:
+    whole = READERS[name][0]()
+
+    @settings(
+        max_examples=EXAMPLES or 25,
+        derandomize=not EXAMPLES,
+        database=None,
+        deadline=None,
+        print_blob=True,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(st.data())
+    def check(data: Any) -> None:
+        said = attempt(name, *data.draw(damaged(whole)))
+        assert not CONTROL.search(said), said
+        assert len(said) <= CHARACTERS, said
+        assert not said or "fuzzed" in said, said
+
+    check()
