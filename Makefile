@@ -40,7 +40,7 @@ test-long: setup  ## the tests that take seconds each, beside quicker ones of th
 test-slow: setup  ## the tests that take minutes each
 	$(VENV)/bin/python -m pytest -m slow -o faulthandler_timeout=3600
 
-fuzz: setup  ## damaged files for all readers, new ones every time: N=1000 of each, an hour of one core
+fuzz: setup  ## damaged files for all readers, new ones every time: N=1000 of each, 20 minutes
 	METAPP_FUZZ=$(or $(N),1000) $(VENV)/bin/python -m pytest tests/fuzz $(WORKERS) -o faulthandler_timeout=7200
 
 lint: setup  ## ruff, layers
