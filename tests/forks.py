@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import runpy
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -76,6 +77,7 @@ def _script(*words: str) -> None:
 
 
 def _begin(program: Callable[..., Any], arguments: tuple[Any, ...], said: Path, environment: dict[str, str]) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has its background processes ignore it
     os.environ.clear()
     os.environ.update(environment)
     for number, name in ((1, OUT), (2, ERR)):
