@@ -246,7 +246,7 @@ def test_the_core_and_extensions_are_within_their_budgets() -> None:
 
 
 # what opens files by other means than metapp.storage.plain: streams, folders, files of the package and the system
-OPENS = ("metapp.storage.plain", "metapp.storage.files", "metapp.storage.image_limits", "metapp.cli.streams")
+OPENS = ("metapp.storage.plain", "metapp.storage.files", "metapp.storage.image_limits")
 OWN = ("resources.", "(resources.", "Path('/proc", "group /", "Path(each)", "source.read_text")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import gc
+import io
 import json
 import os
 import re
@@ -15,7 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from metapp.cli.streams import Closed, leave, one_line, open_streams
+from metapp.cli.streams import leave, one_line
 from metapp.runs import BadOption
 from metapp.runs.reporter import Reporter, reporting
 from metapp.storage import Document
@@ -39,6 +40,7 @@ class Exit(enum.IntEnum):
     FAILED = 1
     USAGE = 2
     INTERRUPTED = 130
+    UNREAD = 141  # whoever read the output went away, as shells say it of other programs
 
 
 @contextlib.contextmanager
@@ -56,13 +58,7 @@ def importing() -> Iterator[None]:
 
 
 def print_json(document: Document) -> None:
-    """Write an object as one line of standard output, at once.
-
-    Raises:
-        ValueError: standard output is closed.
-    """
-    if isinstance(sys.stdout, Closed):
-        raise ValueError("standard output: closed, expected an open one for --json; what was made is kept.")
+    """Write an object as one line of standard output, at once."""
     sys.stdout.write(json.dumps(as_text(document), allow_nan=False, default=float) + "\n")
     sys.stdout.flush()
 
@@ -73,7 +69,9 @@ def run(command: Callable[[], object]) -> int:
 
     from metapp.cli.terminal import Terminal  # here: completion needs none of it
 
-    open_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # no character of a name stops a line
     terminal = Terminal()
     # typer carries click inside from 0.2x on, so its classes are reached through those that typer exports
     usage_error, click_error = typer.BadParameter.__mro__[1:3]
@@ -102,10 +100,10 @@ def run(command: Callable[[], object]) -> int:
         return Exit.USAGE
     except KeyboardInterrupt:
         return _interrupted(terminal)
-    except BrokenPipeError:
+    except (BrokenPipeError, SystemExit):  # the latter is click's word for the former
         # a reader such as `head` went away: say nothing, also not when Python flushes at exit
         leave(sys.stdout)
-        return Exit.FAILED
+        return Exit.UNREAD
     except Exception as error:
         terminal.say(f"error: {what_failed(error)}")
         try:

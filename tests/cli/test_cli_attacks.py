@@ -219,62 +219,6 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
     assert long.endswith("; download it again.")
 
 
-# Streams
-
-
-# one import of what takes long and looks at no stream; then a fork for each, which ends as a program of its own does
-IN_FORKS = """
-import json, os, sys
-import metapp.apps.brdf, metapp.runs.inputs.convert, metapp.runs.inputs.embedded, rich.progress, torch, typer
-NAMES, (cases, folder, *words) = ("stdin", "stdout", "stderr"), sys.argv[1:]
-codes = []
-for number, (more, streams) in enumerate(json.loads(cases)):
-    child = os.fork()
-    if not child:
-        os.dup2(os.open(f"{folder}/{number}", os.O_WRONLY | os.O_CREAT), 2)
-        for at, file in streams.items():
-            if file:
-                os.dup2(os.open(file, os.O_WRONLY), int(at))
-            else:  # what Python does about a closed stream when it starts
-                os.close(int(at))
-                setattr(sys, NAMES[int(at)], None)
-                setattr(sys, f"__{NAMES[int(at)]}__", None)
-        break
-    codes.append(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-else:
-    print(json.dumps(codes))
-    sys.exit()
-from metapp.cli import main
-sys.argv = ["metapp", *words, *more]
-main()
-"""
-FULL = "/dev/full"
-
-
-# words, streams by number (closed where they have no file), the exit code, lines on standard error
-STREAMS: list[tuple[list[str], dict[int, str], int, int]] = [
-    ([], {1: ""}, 0, 0),
-    ([], {2: ""}, 0, 0),
-    ([], {0: "", 1: "", 2: ""}, 0, 0),
-    (["--json"], {1: ""}, 1, 1),
-    (["--json"], {1: FULL}, 1, 1),
-    ([], {1: FULL}, 1, 1),
-    ([], {2: FULL}, 0, 0),
-]
-
-
-@pytest.mark.long
-def test_closed_and_full_streams(data: Path) -> None:
-    cases, said = json.dumps([(more, streams) for more, streams, *_ in STREAMS]), Path("said")
-    said.mkdir()
-    words = [sys.executable, "-c", IN_FORKS, cases, said, "data", "check", data]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    errors = [(said / str(number)).read_text() for number in range(len(STREAMS))]
-    assert json.loads(done.stdout.splitlines()[-1]) == [code for *_, code, _ in STREAMS], errors
-    assert [len(each.splitlines()) for each in errors] == [lines for *_, lines in STREAMS]
-    assert "Traceback" not in "".join(errors)
-
-
 # Whatever nobody foresaw
 
 

@@ -1,10 +1,12 @@
 """Messages on a terminal, and help."""
 
+import os
 from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
 
+from metapp.cli.console import run
 from metapp.cli.terminal import Terminal
 from tests.conftest import skip_reasons
 
@@ -22,6 +24,18 @@ def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[st
 def test_paths_in_messages_turn_no_text(capsys: pytest.CaptureFixture[str]) -> None:
     Terminal().say("picture: a\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a")
     assert capsys.readouterr().err == "picture: a\\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a\n"
+
+
+def test_a_reader_that_goes_away_ends_a_command_quietly(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of `metapp ... | head`."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as pipe:
+        monkeypatch.setattr("sys.stdout", pipe)
+        assert run(lambda: print("a line")) == 141
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("words", ["try", "data merl", "data synth", "evaluate", ""])
