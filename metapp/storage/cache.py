@@ -44,15 +44,17 @@ def download(url: str, report: Callable[[int, int | None], None]) -> bytes:
     return bytes(content)
 
 
+@functools.cache
 def code_folder(folder: Path, variable: str) -> Path:
-    """A folder for compiled code, made if missing, where nobody but its user, and root, can have written.
+    """A folder for compiled code that its user alone can write to, made if missing.
 
     Args:
         folder: where to keep it.
         variable: of the environment, that names it.
 
     Returns:
-        `folder`, or, with a warning, one of this process, removed at its end, where others can write to `folder`.
+        `folder`, with mode 0700, or, with a warning, one of this process, removed at its end, where `folder` is a link,
+        another user's or can be written to by others.
 
     Raises:
         OSError: it cannot be made.
@@ -60,43 +62,16 @@ def code_folder(folder: Path, variable: str) -> Path:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.suppress(FileExistsError):
         folder.mkdir(mode=0o700)
-    problem = _shared(folder)
-    if problem:
-        warnings.warn(
-            f"{folder}: {problem}, expected a folder that its user alone can write to; code is compiled for this run "
-            f"alone. Remove it, or let {variable} name another place.",
-            stacklevel=2,
-        )
-        return _folder_of_process()
-    state = folder.stat()
-    if state.st_uid == os.getuid() and state.st_mode & 0o077:
-        folder.chmod(0o700)
-    return folder
-
-
-def _shared(folder: Path) -> str:
-    """The reason why others can have written to a folder, or can put another in its place; else ""."""
     state = folder.lstat()
-    if not stat.S_ISDIR(state.st_mode):
-        return "a link or file"
-    if state.st_uid not in (os.getuid(), 0):
-        return "another user's"
-    if any(_others_write(state) or path.lstat().st_uid not in (os.getuid(), 0) for path in folder.iterdir()):
-        return "others could write to it"
-    for parent in map(Path.stat, folder.absolute().parents):
-        if parent.st_uid not in (os.getuid(), 0) or (_others_write(parent) and not parent.st_mode & stat.S_ISVTX):
-            return "in a folder of others"
-    return ""
-
-
-def _others_write(state: os.stat_result) -> bool:
-    """Test for a folder that others than its user, the group of its user alone, and root can write to."""
-    by_group = state.st_mode & stat.S_IWGRP and state.st_gid not in (0, os.getuid())
-    return bool(by_group or state.st_mode & stat.S_IWOTH)
-
-
-@functools.cache
-def _folder_of_process() -> Path:
-    folder = tempfile.mkdtemp(prefix="metapp-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    mine = not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
+    if stat.S_ISDIR(state.st_mode) and mine:
+        folder.chmod(0o700)
+        return folder
+    warnings.warn(
+        f"{folder}: a link, another user's or open to others, expected a folder that its user alone can write to; code "
+        f"is compiled for this run alone. Remove it, or let {variable} name another place.",
+        stacklevel=2,
+    )
+    alone = tempfile.mkdtemp(prefix="metapp-")
+    atexit.register(shutil.rmtree, alone, ignore_errors=True)
+    return Path(alone)

@@ -118,9 +118,12 @@ def test_kernels_of_others_are_not_run(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv(KERNELS, "")
     choose_kernels()
     assert os.environ[KERNELS] == str(folder)
-    (folder / "kernel.bin").touch()
-    folder.chmod(0o777)
-    with pytest.warns(UserWarning, match=rf"\.drjit: others could write to it, .* {KERNELS} name another place\.$"):
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    (shared / "kernel.bin").touch()
+    shared.chmod(0o777)
+    monkeypatch.setenv(KERNELS, str(shared))
+    with pytest.warns(UserWarning, match=rf"shared: .* open to others, .* {KERNELS} name another place\.$"):
         choose_kernels()
     assert not any(Path(os.environ[KERNELS]).glob("*.bin"))
     assert stat.S_IMODE(Path(os.environ[KERNELS]).stat().st_mode) == 0o700

@@ -1,7 +1,7 @@
 """Small C sources of ours: compiled once for a source and a CPU, kept in the cache folder, loaded through ctypes.
 
 All of them are optional. Where there is no compiler, whoever asks for one computes with torch instead. A library is
-code, so it is loaded only where nobody but the user, and root, can have written it.
+code, so it is loaded only from a folder that the user alone can write to.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ import functools
 import hashlib
 import os
 import shutil
-import stat
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metapp.storage.cache import cache_folder, code_folder
 from metapp.storage.files import write_atomically
+from metapp.storage.plain import read_bytes
 
 if TYPE_CHECKING:
     from ctypes import CDLL
@@ -31,31 +30,24 @@ SECONDS = 60  # until a compiler is given up
 
 @functools.cache
 def load(source: Path, *names: str, march: str = "native") -> CDLL | None:
-    """The functions of a C source, these names; None where it can neither be found compiled nor be compiled.
+    """The functions of a C source; None where it can neither be found compiled nor be compiled, or lacks one.
 
     Args:
         source: a C file; the headers in its folder count as part of it.
         names: of the functions.
         march: the instructions to use, a name that the compiler knows. Other than this CPU's: tests and benchmarks.
     """
-    file = f"{source.stem}-{_key(source, march)}.so"
-    try:
-        return _loaded(source, code_folder(cache_folder() / "native", "METAPP_CACHE") / file, names, march)
-    except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
-        return None
-
-
-def _loaded(source: Path, path: Path, names: Sequence[str], march: str) -> CDLL:
-    """A library that is whole, the user's own and has these functions, compiled where it is not.
-
-    Raises:
-        OSError: it cannot be compiled or loaded.
-    """
     import ctypes
 
-    if not _is_whole(path, names):
-        _compile(source, path, march)
-    return ctypes.CDLL(str(path))
+    try:
+        folder = code_folder(cache_folder() / "native", "METAPP_CACHE")
+        path = folder / f"{source.stem}-{_key(source, march)}.so"
+        if not _is_whole(path):
+            _compile(source, path, march)
+        library = ctypes.CDLL(str(path))
+    except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
+        return None
+    return library if all(hasattr(library, name) for name in names) else None
 
 
 def compiler() -> str | None:
@@ -82,27 +74,12 @@ def _cpu() -> str:
     return "\n".join([platform.machine(), *lasting])
 
 
-def _is_whole(path: Path, names: Sequence[str]) -> bool:
-    """Test whether a library is as its user compiled it: a truncated one would end the process at its first use."""
+def _is_whole(path: Path) -> bool:
+    """Test whether a library is as it was compiled: a truncated one would end the process at its first use."""
     try:
-        digest, content = _own_bytes(_digest_path(path)), _own_bytes(path)
-    except OSError:
+        return read_bytes(_digest_path(path)) == _digest(path, read_bytes(path))
+    except (OSError, ValueError):
         return False
-    same = digest == _digest(path, content)
-    return same and all(b"\0%s\0" % name.encode() in content for name in names)
-
-
-def _own_bytes(path: Path) -> bytes:
-    """The content of a file of one's own.
-
-    Raises:
-        OSError: it is not there, a link, another user's, or others can write to it.
-    """
-    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
-        state = os.fstat(file.fileno())
-        if not stat.S_ISREG(state.st_mode) or state.st_uid not in (os.getuid(), 0) or state.st_mode & 0o022:
-            raise PermissionError(f"{path}: not one's own.")
-        return file.read()
 
 
 def _digest(path: Path, content: bytes) -> bytes:
@@ -130,15 +107,9 @@ def _compile(source: Path, path: Path, march: str) -> None:
         arguments = [command, *FLAGS, f"-march={march}", str(source), "-o", str(partial), "-lm"]
         try:
             subprocess.run(arguments, check=True, capture_output=True, timeout=SECONDS)
-            partial.chmod(0o700)
         except subprocess.SubprocessError as error:
             raise OSError(f"{command}: does not compile {source.name}") from error
 
     write_atomically(path, write)
-    digest = _digest(path, path.read_bytes())
-
-    def write_digest(partial: Path) -> None:
-        partial.write_bytes(digest)
-        partial.chmod(0o600)
-
-    write_atomically(_digest_path(path), write_digest)
+    digest = _digest(path, read_bytes(path))
+    write_atomically(_digest_path(path), lambda partial: partial.write_bytes(digest))
