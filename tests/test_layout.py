@@ -245,14 +245,14 @@ def test_the_core_and_extensions_are_within_their_budgets() -> None:
         assert lines_of(list(folder.rglob("*.py"))) <= EXTENSIONS[name], name
 
 
-# what opens files by other means than metapp.storage.plain: streams, folders, files of the package and the system
-OPENS = ("metapp.storage.plain", "metapp.storage.files", "metapp.storage.image_limits")
+# what opens files by other means than metapp.storage.files: streams, folders, files of the package and the system
+OPENS = ("metapp.storage.files", "metapp.storage.image_limits", "metapp.cli.streams")
 OWN = ("resources.", "(resources.", "Path('/proc", "group /", "Path(each)", "source.read_text")
 
 
 def test_files_are_opened_where_pipes_are_refused() -> None:
     """A FIFO among a user's files would be waited for without end."""
-    for name in sorted(set(FILES) - set(OPENS) - {"metapp.extensions.native.compiler"}):
+    for name in sorted(set(FILES) - set(OPENS)):
         for called, node in calls(name):
             reads = called.endswith((".read_bytes", ".read_text")) and not called.startswith(OWN)
             opens = called in ("open", "os.open", "io.open") or (called.endswith(".open") and mode_of(node) == "rb")

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from metapp.storage.files import check_readable, open_regular
 from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
-from metapp.storage.plain import check_readable, open_regular
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio

@@ -34,7 +34,7 @@ from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
 from metapp.door import Conversion, Label
 from metapp.learning.task import Task
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes
 from metapp.storage.shards import split_auto
 
 __all__ = ["UNITS", "find", "read_task", "recognises", "task_name"]

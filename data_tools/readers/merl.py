@@ -24,8 +24,7 @@ from data_tools.readers import brdf_task
 from data_tools.readers.listing import files_below
 from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_valid, tabulate
 from metapp.learning.task import Params, Task
-from metapp.storage.files import suffixed, write_atomically
-from metapp.storage.plain import open_regular
+from metapp.storage.files import open_regular, suffixed, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf

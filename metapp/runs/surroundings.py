@@ -11,7 +11,6 @@ import torch
 
 from metapp.learning.app import App, ReducedPrecision
 from metapp.runs import BadOption
-from metapp.storage.plain import check_plain, write_plainly
 from metapp.storage.text import meant
 
 
@@ -46,15 +45,13 @@ def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, st
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder to write to, before any work is done; links in it are not followed then.
+    """Make a folder to write to, before any work is done.
 
     Raises:
-        ValueError: it cannot be made or written to, or a link leads to it.
+        ValueError: it cannot be made or written to.
     """
     try:
-        check_plain(folder / "any")
         folder.mkdir(parents=True, exist_ok=True)
-        write_plainly(folder)
         with tempfile.TemporaryFile(dir=folder):  # nameless, as other runs may write there, too
             pass
     except OSError as error:

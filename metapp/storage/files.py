@@ -1,24 +1,83 @@
-"""Files that are there whole or not at all."""
+"""Files: those that are read are regular ones, those that are written are there whole or not at all.
+
+What is written gets a temporary name in the same folder and is renamed: a link that lies there is replaced, never
+followed. What is opened is a regular file.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import filecmp
 import glob
+import io
 import os
 import shutil
+import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metapp.storage.plain import check_plain, open_own
+try:
+    import fcntl
+except ImportError:  # Windows: `locked` keeps nobody out
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
 
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
+
+
+def open_regular(path: str | Path) -> io.BufferedReader:
+    """Open a file to read.
+
+    Raises:
+        ValueError: it is no file, such as a pipe that has no end.
+        OSError: it cannot be read.
+    """
+    return open(_regular(path, os.O_RDONLY), "rb")
+
+
+def _regular(path: str | Path, flags: int) -> int:
+    """The descriptor of a file; one that is opened to write to must be no link to another folder's."""
+    writes = flags != os.O_RDONLY
+    if writes and os.path.islink(path):
+        raise ValueError(_LINKED.format(path))
+    # a pipe that nobody writes to would be waited for
+    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0), 0o666)
+    state = os.fstat(descriptor)
+    if stat.S_ISREG(state.st_mode) and not (writes and state.st_nlink > 1):
+        return descriptor
+    os.close(descriptor)
+    if stat.S_ISDIR(state.st_mode):
+        raise IsADirectoryError(f"{path}: a folder, expected a file; name a file in it.")
+    raise ValueError((_LINKED if stat.S_ISREG(state.st_mode) else _UNENDING).format(path))
+
+
+_LINKED = "{}: a link, expected a file of this folder; remove it or write to another folder."
+_UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The content of a file; errors as of `open_regular`."""
+    with open_regular(path) as file:
+        return file.read()
+
+
+def read_text(path: str | Path, encoding: str = "utf-8") -> str:
+    """The text of a file, its line ends as those of Unix; errors as of `open_regular`, and UnicodeDecodeError."""
+    return read_bytes(path).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def check_readable(path: Path) -> None:
+    """Refuse what libraries would open themselves and read without an end, such as a pipe or a device.
+
+    Raises:
+        ValueError: neither a file nor a folder, though it is there.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ValueError(_UNENDING.format(path))
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object], previous: Path | None = None) -> None:
@@ -31,10 +90,8 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
 
     Raises:
         OSError: it cannot be written; names the folder. What was there before is still there.
-        ValueError: as `metapp.storage.plain.check_plain`.
     """
     path = Path(path)
-    check_plain(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_path(path)
     try:
@@ -146,6 +203,9 @@ def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
     Raises:
         BlockingIOError: another program holds it and `wait` is False, or has removed it meanwhile.
     """
+    if fcntl is None:
+        yield
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
@@ -167,35 +227,32 @@ def append_line(path: Path, line: bytes, is_whole: Callable[[bytes], bool]) -> N
 
     Raises:
         OSError: the disk is full; the file is then as before.
-        ValueError: it is a link, or no file.
+        ValueError: it is a link, symbolic or hard, or no file.
     """
-    descriptor = open_own(path, os.O_RDWR | os.O_APPEND)
-    try:
-        size = os.fstat(descriptor).st_size
-        tail = _last_line(descriptor, size)
+    with open(_regular(path, os.O_RDWR | os.O_APPEND | os.O_CREAT), "a+b", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        tail = _last_line(file, size)
         start = b"\n" if tail and is_whole(tail) else b""
         if tail and not start:
             size -= len(tail)
-            os.ftruncate(descriptor, size)
+            file.truncate(size)
         payload = start + line + b"\n"
         try:
-            if os.write(descriptor, payload) < len(payload):
+            if file.write(payload) < len(payload):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            os.fsync(descriptor)
+            os.fsync(file.fileno())
         except OSError as error:
-            os.ftruncate(descriptor, size)
+            file.truncate(size)
             raise OSError(error.errno, error.strerror, str(path)) from None
-    finally:
-        os.close(descriptor)
 
 
-def _last_line(descriptor: int, size: int) -> bytes:
+def _last_line(file: io.FileIO, size: int) -> bytes:
     """The bytes after the last line's end, read from the file's end; nothing where the last line is whole."""
     tail, at = b"", size
     while at > 0 and b"\n" not in tail:
-        step = min(at, 65536)
-        at -= step
-        tail = os.pread(descriptor, step, at) + tail
+        at = max(0, at - 65536)
+        file.seek(at)
+        tail = file.read(size - len(tail) - at) + tail
     return tail.rpartition(b"\n")[2]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from metapp.storage import Document
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes
 
 SCHEMA = 1
 MANIFEST = "manifest.json"

@@ -21,9 +21,8 @@ from torch import Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import append_line, locked, write_atomically
+from metapp.storage.files import append_line, locked, read_bytes, write_atomically
 from metapp.storage.forms import NUMBER, OPTIONAL, holds
-from metapp.storage.plain import check_plain, read_bytes
 from metapp.storage.tensors import opened_tensors, read_tensors
 from metapp.storage.text import as_text
 
@@ -183,7 +182,6 @@ class RunFolder:
         Raises:
             OSError: the disk is full; the record file is as before.
         """
-        check_plain(self.file)
         self.path.mkdir(parents=True, exist_ok=True)
         with locked(self.path):  # another run's parameters of this task must not come between
             if theta is not None:

@@ -19,9 +19,8 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 
 from metapp.learning.task import Held, Task, problems_of
-from metapp.storage.files import PARTIAL, locked, naming, partial_path, write_atomically
+from metapp.storage.files import PARTIAL, locked, naming, open_regular, partial_path, write_atomically
 from metapp.storage.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
-from metapp.storage.plain import open_regular
 from metapp.storage.tensors import read_tensors
 
 __all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]

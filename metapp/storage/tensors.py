@@ -14,8 +14,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import write_atomically
-from metapp.storage.plain import open_regular
+from metapp.storage.files import open_regular, write_atomically
 
 
 @contextlib.contextmanager

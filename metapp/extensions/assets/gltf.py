@@ -20,8 +20,7 @@ import torch
 from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.pictures import write_plane
 from metapp.extensions.assets.planes import all_planes
-from metapp.storage.files import suffixed, write_atomically
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes, suffixed, write_atomically
 from metapp.storage.records import finite
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC

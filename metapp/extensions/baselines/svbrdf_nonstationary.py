@@ -25,7 +25,7 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes
 
 GAMMA = 2.2  # colours in files, as the eye spaces them
 ROUGHNESS, F0 = 0.5, 0.04  # of what a photo says nothing of: the middle, and that of most dielectrics

@@ -29,8 +29,7 @@ from data_tools.readers.measured_pairs import FEW, LARGEST, Pairs, depends_on_az
 from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
-from metapp.storage.files import write_atomically
-from metapp.storage.plain import open_regular
+from metapp.storage.files import open_regular, write_atomically
 
 Array = NDArray[np.float64]
 

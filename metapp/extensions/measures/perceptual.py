@@ -20,7 +20,7 @@ from torch.nn.functional import conv2d
 
 from metapp.appearance.features import Features, describe_features, hann, load_features, weights_path
 from metapp.appearance.presentation import Compared
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes
 
 PACKAGE, GET = "torchmetrics", 'pip install "metapp[measures]"'
 LPIPS_FILE, DISTS_FILE = "lpips_models/vgg.pth", "dists_models/weights.pt"

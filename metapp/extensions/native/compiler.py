@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metapp.storage.cache import cache_folder, code_folder
-from metapp.storage.files import write_atomically
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes, read_text, write_atomically
 
 if TYPE_CHECKING:
     from ctypes import CDLL
@@ -58,7 +57,7 @@ def compiler() -> str | None:
 
 def _key(source: Path, march: str) -> str:
     """A digest of all that a compiled source, and the width of its vectors, depend on: text, options, CPU."""
-    texts = (path.read_text("utf-8") for path in (source, *sorted(source.parent.glob("*.h"))))
+    texts = (read_text(path) for path in (source, *sorted(source.parent.glob("*.h"))))
     return hashlib.sha256("\0".join((*texts, *FLAGS, march, _cpu())).encode()).hexdigest()[:24]
 
 

@@ -120,7 +120,7 @@ def _runtime(quiet: bool) -> dict[str, bytes]:
 def _page(folder: Path, model: Path, parts: dict[str, bytes], written: Written, *, quiet: bool) -> Document:
     """Write the page; what there is to say of it."""
     from metapp.extensions.onnx_files.page import SIDES, write_folder
-    from metapp.storage.plain import read_bytes
+    from metapp.storage.files import read_bytes
 
     sides = SIDES if written.step else (written.side,)
     total = write_folder(folder, read_bytes(model), parts, sides, features=written.features)

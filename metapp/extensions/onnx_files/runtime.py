@@ -9,8 +9,7 @@ import tarfile
 from collections.abc import Callable
 
 from metapp.storage.cache import cache_folder, download
-from metapp.storage.files import write_atomically
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes, write_atomically
 
 VERSION = "1.30.0"
 ARCHIVE = f"onnxruntime-web-{VERSION}.tgz"

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.storage.files import write_atomically
-from metapp.storage.plain import read_bytes
+from metapp.storage.files import read_bytes, write_atomically
 
 MAGIC = b"tensor_file\0"
 VERSION = (1, 0)

@@ -10,7 +10,7 @@ from pathlib import Path
 from metapp.extensions.scene_files.files import check_file
 from metapp.rendering.scenes.plugins import snake_case
 from metapp.rendering.scenes.rules import Files
-from metapp.storage.plain import open_regular
+from metapp.storage.files import open_regular
 
 TEXT_BYTES = 2**24  # of a scene file or an include
 _DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum

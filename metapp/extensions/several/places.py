@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
-from metapp.storage.plain import read_text
+from metapp.storage.files import read_text
 
 LARGEST_CM = 1e5  # a side of a patch
 FARTHEST = 1000.0  # sides that camera and flash are away

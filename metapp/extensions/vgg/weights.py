@@ -20,8 +20,7 @@ from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.cache import download
-from metapp.storage.files import write_atomically
-from metapp.storage.plain import open_regular, read_bytes
+from metapp.storage.files import open_regular, read_bytes, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
 TORCHVISION = "vgg16-397923af.pth"

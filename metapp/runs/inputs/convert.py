@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from data_tools.formats import AUTO
 from metapp.door import Conversion
 from metapp.runs.reporter import progress, say
-from metapp.storage.files import named
-from metapp.storage.plain import check_readable
+from metapp.storage.files import check_readable, named
 
 if TYPE_CHECKING:
     from metapp.storage.manifest import Entry

@@ -22,8 +22,7 @@ from metapp.runs.reporter import say
 from metapp.runs.requests.options import merge_of, read_options, recorded_options
 from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
-from metapp.storage.files import named
-from metapp.storage.plain import check_readable
+from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.text import as_text

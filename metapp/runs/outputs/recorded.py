@@ -17,7 +17,6 @@ from metapp.runs.requests.options import options_from_record
 from metapp.runs.requests.plan import Plan, plan
 from metapp.runs.requests.request import Request
 from metapp.storage import Document
-from metapp.storage.plain import write_plainly
 from metapp.storage.records import FIT, read_records
 from metapp.storage.text import meant, path_of
 
@@ -55,7 +54,6 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
         ValueError: there are none, or none of that task.
     """
     folder = run.parent if run.name == "record.jsonl" else _newest_run(run)
-    write_plainly(folder)  # what is made of a run, such as exports, is written there
     records = read_records(folder / "record.jsonl", form)
     if not records:
         state = "no record.jsonl with fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
