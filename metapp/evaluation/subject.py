@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import shlex
+from collections.abc import Collection
 from contextlib import suppress
 from typing import Any
 
@@ -138,19 +139,19 @@ class Subject:
         tasks = self.tasks if self.whole or steps <= LONG else evenly(self.tasks, FEW)
         return Cell(f"{name_of(self.app)} {title}", tasks, folder, measure, steps, threads=threads_of(self.app))
 
-    def folder(self, kind: str, settings: Record, form: Record, *, of_fits: bool = False) -> RunFolder:
+    def folder(self, kind: str, settings: Record, entries: Collection[str], *, of_fits: bool = False) -> RunFolder:
         """Where records are kept: <out>/<app>/<kind>/<data>-<recipe>-seed<seed>, with the protocol.
 
         Args:
             kind: of records, a folder.
             settings: everything that their figures depend on.
-            form: what records hold.
+            entries: of records, beside the name.
             of_fits: whether they are of fits of several paradigms: with the rule.
         """
         request, job = self.plan.request, self.plan.job
         words = [self.label, request.recipe, f"seed{request.seed}", *([job.rule] if of_fits else [])]
         path = request.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
-        return RunFolder(path, settings, form, self.plan.origin())
+        return RunFolder(path, settings, entries, self.plan.origin())
 
     def command(self, which: str) -> str:
         """The command that fills a table for this application."""

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from metapp.storage import Document
 from metapp.storage.files import read_bytes
+from metapp.storage.text import entry_of
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -106,12 +107,7 @@ def _from_json(raw: object, path: Path) -> Manifest:
     """Check every field, since anybody may have written the file."""
 
     def field(record: object, key: str, kind: type, where: str = "") -> Any:
-        value = record.get(key) if isinstance(record, dict) else None
-        if not isinstance(value, kind) or isinstance(value, bool):
-            raise ValueError(
-                f"{path}: {where}'{key}' is {json.dumps(value)[:60]}, expected {_KINDS[kind]}; convert the data again."
-            )
-        return value
+        return entry_of(record, key, kind, f"{path}: {where}", "convert the data again")
 
     schema = field(raw, "schema", int)
     if schema != SCHEMA:
@@ -147,6 +143,3 @@ def _from_json(raw: object, path: Path) -> Manifest:
     for key in units:
         field(units, key, str, "units: ")
     return Manifest(field(raw, "app", str), tuple(entries), units, field(raw, "notes", dict), schema)
-
-
-_KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}

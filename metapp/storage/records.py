@@ -7,9 +7,10 @@ import hashlib
 import json
 import math
 import statistics
+import sys
 import unicodedata
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import append_line, locked, read_bytes, write_atomically
-from metapp.storage.forms import NUMBER, OPTIONAL, holds
 from metapp.storage.tensors import opened_tensors, read_tensors
 from metapp.storage.text import as_text
 
@@ -32,10 +32,8 @@ SMALL_BYTES = 2**16  # of a record file: below it replaced lines stay
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)
 
-# what a document must hold, as `holds` reads it: of a fit's record, and of what a checkpoint says about itself
-FIT = {"error": OPTIONAL, "seconds": NUMBER}
-CHECKPOINT = {"schema": int}
-_RECORD = {"name": str, "key": str, "settings": dict}
+FIT = ("error", "seconds")  # entries of a fit's record, beside its name
+TEXTS = ("name", "key", "source", "stamp", "content")  # entries that are texts, where a record has them
 
 
 def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
@@ -70,7 +68,7 @@ def load_checkpoint(
     try:
         with opened_tensors(path, str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
-            if not holds(info, CHECKPOINT):
+            if not isinstance(info, dict) or type(info["schema"]) is not int:
                 raise _Misnamed
             stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
@@ -139,8 +137,8 @@ class RunFolder:
     Args:
         path: the folder, made at the first record.
         settings: all that the run's figures depend on.
-        form: what its records must hold beside a name, as `holds` reads it; a line that does not is passed over, with a
-            warning, and its task counts as missing.
+        entries: of its records, beside the name; a line that lacks one is passed over, with a warning, and its task
+            counts as missing.
         origin: what records say beside, such as where inputs were; no figure depends on it.
     """
 
@@ -148,14 +146,14 @@ class RunFolder:
         self,
         path: Path,
         settings: Document,
-        form: Document | None = None,
+        entries: Collection[str] = (),
         origin: Document | None = None,
     ) -> None:
         self.path = path
         self.origin = {"origin": origin} if origin else {}
         self.settings = settings
         self.key = digest(settings)
-        self._form = form or {}
+        self._entries = ("key", "settings", *entries)
         self._read: tuple[object, dict[str, Document]] = (None, {})
         self._live_bytes = 0  # of the lines that counted when replaced ones were last looked for
 
@@ -169,9 +167,8 @@ class RunFolder:
         state = self.file.stat() if self.file.is_file() else None
         stamp = state and (state.st_ino, state.st_size, state.st_mtime_ns)
         if stamp is None or stamp != self._read[0]:
-            form = _RECORD | self._form
-            records = {record["name"]: record for record in read_records(self.file, form) if record["key"] == self.key}
-            self._read = (stamp, records)
+            records = read_records(self.file, self._entries)
+            self._read = (stamp, {record["name"]: record for record in records if record["key"] == self.key})
         return dict(self._read[1])
 
     def add(self, record: Document, theta: dict[str, Tensor] | None = None) -> None:
@@ -209,7 +206,7 @@ class RunFolder:
     def _task_of(self, line: bytes) -> tuple[str, str] | None:
         """Name and key of a record; None where the line is none."""
         record = _parsed(line)
-        return (record["name"], record["key"]) if holds(record, _RECORD | self._form) else None
+        return (record["name"], record["key"]) if is_record(record, self._entries) else None
 
     def params(self, task: str) -> Path:
         """The file of a task's parameters."""
@@ -243,21 +240,21 @@ def _params(folder: Path, task: str) -> Path:
     return folder / "params" / f"{file_name(as_text(task))}.safetensors"
 
 
-def read_records(path: Path, form: Document | None = None) -> list[Document]:
+def read_records(path: Path, entries: Collection[str] = ()) -> list[Document]:
     """The records of a file, each task's last one; an absent file counts as empty.
 
     A line that is no record is passed over with a warning; a last one that was cut off without.
 
     Args:
         path: the file.
-        form: what they must hold, as `holds` reads it; a name at least.
+        entries: that they must have, beside a name.
     """
     records: dict[str, Document] = {}
     bad = []
     lines = read_bytes(path).split(b"\n") if path.exists() else []
     for number, line in enumerate(lines, 1):
         record = as_text(_parsed(line))
-        if holds(record, {"name": str, **(form or {})}):
+        if is_record(record, entries):
             # as fits name tasks: in a run of somebody else a name could turn the order of the text beside it
             record["name"] = "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])
             records.pop(record["name"], None)
@@ -270,6 +267,18 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
             f"{path}: {which}: no record, expected one of a task; passed over, as if not there.", stacklevel=2
         )
     return list(records.values())
+
+
+def is_record(value: object, entries: Collection[str] = ()) -> bool:
+    """Test what a line holds, which anybody may have written: a task's record with these entries."""
+    if not isinstance(value, dict) or not value.keys() >= {"name", *entries}:
+        return False
+    numbers = [value[key] for key in FIT if key in value and (key, value[key]) != ("error", None)]
+    return (
+        all(isinstance(value.get(key, ""), str) for key in TEXTS)
+        and all(type(each) in (int, float) and abs(each) <= sys.float_info.max for each in numbers)
+        and isinstance(value.get("settings", {}), dict)
+    )
 
 
 def finite(value: object) -> object:

@@ -1,8 +1,12 @@
-"""Texts as UTF-8 holds them: file names may have bytes that are none, which Python passes on as lone surrogates."""
+"""Texts as UTF-8 holds them, and JSON documents of them, which anybody may have written.
+
+File names may have bytes that are no UTF-8, which Python passes on as lone surrogates.
+"""
 
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import re
 from collections.abc import Iterable
@@ -15,6 +19,21 @@ def meant(word: str, names: Iterable[str]) -> str:
     choices = list(names)
     near = [name for name in choices if word and name.startswith(word)] or difflib.get_close_matches(word, choices, 1)
     return f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
+def entry_of(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
+    """An entry of a JSON object; `absent` where there is none.
+
+    Raises:
+        ValueError: it is of another type; the message begins with `where` and ends with the remedy.
+    """
+    value = document.get(key, absent) if isinstance(document, dict) else None
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise ValueError(f"{where}'{key}' is {json.dumps(value)[:60]}, expected {_KINDS[kind]}; {remedy}.")
+    return value
+
+
+_KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}
 
 
 def as_text(value: Any) -> Any:

@@ -21,7 +21,6 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits.fitter import rng_of
 from metapp.runs.requests.naming import observe_of
 from metapp.runs.requests.plan import Plan
-from metapp.storage.forms import NUMBER, OPTIONAL
 from metapp.storage.records import Record, digest
 
 TRACED = 5  # tasks
@@ -29,13 +28,7 @@ PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 CURVES = ("overfit", "finetune", "quickft", "meta")
 FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
 WALKED = 32  # steps between the places on a path
-_STEPS, _PLACES = [(NUMBER, OPTIONAL)], [(NUMBER, NUMBER)]
-FORM = {  # of a record
-    "curves": dict.fromkeys(CURVES, _STEPS),
-    "further": _STEPS,
-    "paths": {"meta": _PLACES, "overfit": _PLACES},
-    "explained": NUMBER,
-}
+ENTRIES = ("curves", "further", "paths", "explained")  # of a record
 
 
 def trace_cell(subject: Subject) -> Cell:
@@ -46,7 +39,7 @@ def trace_cell(subject: Subject) -> Cell:
         keys = [digest(fit.settings(subject.label)) for fit in fits.values()]
         subject_settings = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
         settings = subject_settings | {"further": FURTHER, "walked": WALKED}
-        folder = subject.folder("trace", settings, FORM, of_fits=True)
+        folder = subject.folder("trace", settings, ENTRIES, of_fits=True)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
         return (trace(subject, fits, task) for task in tasks)

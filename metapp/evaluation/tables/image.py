@@ -12,10 +12,7 @@ from metapp.evaluation.notes import few_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
-from metapp.storage.forms import OPTIONAL
 from metapp.storage.records import Record
-
-FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
 
 
 def fits_of(subject: Subject) -> dict[str, Cell]:
@@ -38,7 +35,7 @@ def image_cell(subject: Subject) -> Cell:
     keys = {name: folder.key for name, folder in folders.items()}
     further = {offer.name: note for offer, note in picture_measures(subject.app.name)[0].items()}
     settings = {"app": subject.app.name, "measure": [presentation.image_measure, further], "fits": keys}
-    folder = subject.folder("image", settings, FORM, of_fits=True) if len(folders) == len(fits) else None
+    folder = subject.folder("image", settings, ("measures",), of_fits=True) if len(folders) == len(fits) else None
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}

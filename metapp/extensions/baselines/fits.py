@@ -25,11 +25,10 @@ from metapp.runs.requests.naming import observe_of
 from metapp.runs.requests.options import recorded_options
 from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import versions
-from metapp.storage.forms import NUMBER, OPTIONAL
 from metapp.storage.records import Record
 from metapp.storage.shards import read_manifest, read_shard
 
-FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": OPTIONAL}  # of a record
+ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 
 
 class Judged(NamedTuple):

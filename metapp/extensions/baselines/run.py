@@ -8,7 +8,7 @@ from typing import NamedTuple
 from metapp.apps import presentation_of
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import DrawsAnswers
-from metapp.extensions.baselines.fits import FORM, fit_baselines, settings_of, training_folder, training_of
+from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder, training_of
 from metapp.runs import BadOption
 from metapp.runs.inputs.sources import tasks_to_fit
 from metapp.runs.outputs.files import OUTPUTS, write_pictures
@@ -61,7 +61,7 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     ways = name_parts(app.name, plan.options)
     words = [label, request.recipe, f"seed{request.seed}", *ways, method, app.protocol]
     path = request.out / app.name / "baseline" / "-".join(filter(None, words))
-    folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM, plan.origin())
+    folder = RunFolder(path, settings_of(plan, baseline, source, label), ENTRIES, plan.origin())
     records, presentation = [], presentation_of(app)
     with progress(method, len(tasks), quiet=request.quiet) as bar:
         fits = fit_baselines(plan, baseline, training_of(app, source), tasks, warm=False)

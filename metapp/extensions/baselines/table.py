@@ -16,7 +16,7 @@ from metapp.evaluation.tables.storage import size, stored
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
 from metapp.extensions.baselines.fits import (
-    FORM,
+    ENTRIES,
     fit_baselines,
     own_parameters,
     settings_of,
@@ -62,7 +62,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     folder = None
     if subject.tasks and (source or not baseline.learns):
         settings = settings_of(subject.plan, baseline, source, subject.label)
-        folder = subject.folder(f"baselines/{baseline.name}", settings, FORM)
+        folder = subject.folder(f"baselines/{baseline.name}", settings, ENTRIES)
     return subject.make_cell(baseline.name, folder, functools.partial(_measured, subject, baseline, source))
 
 

@@ -13,16 +13,14 @@ from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of, write_compared
-from metapp.runs.outputs.recorded import SETTINGS, plan_as, read_run, tasks_as
+from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
-from metapp.storage.forms import OPTIONAL
 from metapp.storage.records import summary
 
-FORM = {"error": OPTIONAL, "settings": SETTINGS}  # of records of fits, and of methods without a network
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
 TOLD = (
     "paradigm",
@@ -124,7 +122,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     Raises:
         ValueError: no runs, of different applications, or without a task in common.
     """
-    runs = [read_run(path, FORM, task) for path in (first, second)]
+    runs = [read_run(path, task, by_paradigm=False) for path in (first, second)]
     settings = [run.records[-1]["settings"] for run in runs]
     if settings[0]["app"] != settings[1]["app"]:
         apps = " and ".join(each["app"] for each in settings)

@@ -17,7 +17,7 @@ from metapp.runs.checkpoints.finding import find_checkpoint, tuned_by
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.batch_size import BatchSize, alike, check_batch
 from metapp.runs.fits.fitter import Fitter
-from metapp.runs.inputs.sources import SOURCED, Source, content_of, numbered, sources_to_fit
+from metapp.runs.inputs.sources import Source, content_of, numbered, sources_to_fit
 from metapp.runs.outputs.files import OUTPUTS, export_fit, listed, write_files, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run, write_gallery, write_thumbnail
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
@@ -232,7 +232,7 @@ def _folder(plan: Plan, label: str) -> RunFolder:
     settings, path = plan.settings(label), plan.path(label)
     if is_batched(plan):
         settings, path = settings | {"batched": True}, path.with_name(f"{path.name}-batch")
-    return RunFolder(path, settings, FIT | SOURCED, plan.origin())
+    return RunFolder(path, settings, FIT, plan.origin())
 
 
 def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, finished: int) -> None:

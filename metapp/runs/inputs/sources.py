@@ -28,7 +28,6 @@ from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.text import as_text
 
 SIZES = 6  # hex digits of a stamp that are of sizes
-SOURCED = {"source?": str, "stamp?": str, "content?": str}  # what the record of a file's fit holds of it
 
 
 class Source(NamedTuple):

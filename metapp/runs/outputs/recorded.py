@@ -11,28 +11,17 @@ from metapp.learning.task import Task
 from metapp.paradigms import paradigms
 from metapp.runs import BadOption
 from metapp.runs.inputs.embedded import embedded_exists
-from metapp.runs.inputs.sources import SOURCED, Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.inputs.sources import Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import options_from_record
 from metapp.runs.requests.plan import Plan, plan
 from metapp.runs.requests.request import Request
 from metapp.storage import Document
 from metapp.storage.records import FIT, read_records
-from metapp.storage.text import meant, path_of
+from metapp.storage.text import entry_of, meant, path_of
 
-# what settings and origins of records hold: plans are made of them, and anybody may have written them
-SETTINGS = {
-    **{"app": str, "data": str, "recipe": str},
-    **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "method")},
-    **{"seed?": range(1 << 63), "steps?": range(1 + 10**9), "options?": dict, "versions?": {...: str}},
-}
-ORIGIN = {"data?": str, "inputs?": [str]}
-FORM = {
-    **FIT,
-    **SOURCED,
-    "settings": {**SETTINGS, "paradigm": str, "rule": str},
-    "origin?": ORIGIN,
-}  # of a fit's record
+# settings that plans are made of, and what they are where records lack them
+TEXTS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
 
 
 class Recorded(NamedTuple):
@@ -42,29 +31,47 @@ class Recorded(NamedTuple):
     records: list[Document]
 
 
-def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
+def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded:
     """The records of a run.
 
     Args:
         run: its folder, the record file in it, or a folder of runs, whose newest run is taken.
-        form: what records must hold.
         task: the one to take; "" for all.
+        by_paradigm: fits alone, to which a network's parameters belong; else those of methods without one, too.
 
     Raises:
-        ValueError: there are none, or none of that task.
+        ValueError: there are none, none of that task, or one of other settings than metapp writes.
     """
     folder = run.parent if run.name == "record.jsonl" else _newest_run(run)
-    records = read_records(folder / "record.jsonl", form)
+    records = read_records(folder / "record.jsonl", ("settings", *(FIT if by_paradigm else ("error",))))
+    if by_paradigm:
+        records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
     if not records:
         state = "no record.jsonl with fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise ValueError(f"{run}: {state}, expected a run's folder, such as runs/brdf/meta/...")
-    if not task:
-        return Recorded(folder, records)
     names = [record["name"] for record in records]
-    if task not in names:
+    if task and task not in names:
         some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
         raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{meant(task, names)}")
-    return Recorded(folder, [records[names.index(task)]])
+    chosen = [records[names.index(task)]] if task else records
+    for record in chosen:
+        _check_settings(record, folder / "record.jsonl")
+    return Recorded(folder, chosen)
+
+
+def _check_settings(record: Document, file: Path) -> None:
+    """Refuse settings and an origin, which anybody may have written, that no plan can be made of.
+
+    Raises:
+        ValueError: one is missing or of another type.
+    """
+    settings, origin, where = record["settings"], record.get("origin", {}), f"{file}: {record['name']}: "
+    for key, absent in TEXTS.items():
+        entry_of(settings, key, str, where, "fit again", absent)
+    entry_of(settings, "options", dict, where, "fit again", {})
+    entry_of(origin, "data", str, where, "fit again", "")
+    if not all(isinstance(place, str) for place in entry_of(origin, "inputs", list, where, "fit again", [])):
+        raise ValueError(f"{where}'inputs' hold more than text, expected paths; fit again.")
 
 
 def _newest_run(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Attacks on the command line: whatever is wrong with files, names or streams is one line, and nothing is lost."""
+"""Errors of commands: one line each, also of what nobody foresaw; names that are no text."""
 
 from __future__ import annotations
 
@@ -13,38 +13,21 @@ from typing import Any
 
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.streams import LONGEST, one_line
 from metapp.learning.recipe import Adam
 from metapp.runs.fits import fitter
-from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
+from metapp.storage.records import read_records
 from tests.conftest import Result
-from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
-
-SHIPPED = Path(__file__).parents[2] / "metapp" / "checkpoints"
 
 
 @pytest.fixture(scope="module")
 def network(neural_fits: Callable[[int], Path]) -> Path:
     return neural_fits(1) / "m0"
-
-
-@pytest.fixture(scope="module")
-def made(network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of one small material, for tests to copy."""
-    folder = tmp_path_factory.mktemp("attacks") / "set"
-    run_small("data", "nbrdf", network, "--out", folder, "--samples", "512", "--split", "test")
-    return folder
-
-
-@pytest.fixture
-def data(made: Path) -> Path:
-    return shutil.copytree(made, Path("set"))
 
 
 @pytest.fixture
@@ -61,47 +44,11 @@ def one(result: Result) -> str:
     return line
 
 
-# Shards
-
-
-def cut(data: dict) -> dict:
-    return {key: value for key, value in data.items() if key != "reflectance"}
-
-
-MISSHAPED = {
-    "missing": (cut, "'reflectance' is missing"),
-    "eight bits": (lambda data: data | {"angles": data["angles"].to(torch.float8_e4m3fn)}, "float8_e4m3fn"),
-    "NaN": (lambda data: data | {"reflectance": data["reflectance"] / 0}, "NaN or infinite"),
-}
-
-
-@pytest.mark.parametrize(("change", "said"), MISSHAPED.values(), ids=MISSHAPED)
-def test_what_a_shard_lacks_is_said_by_the_check_and_by_fits(
-    metapp: Callable, fit: Callable, data: Path, change: Callable, said: str
-) -> None:
-    (file,) = data.glob("*.safetensors")
-    save_file(change(load_file(file)), file)
-    checked = metapp("data", "check", data, "--json")
-    assert checked.code == 1
-    assert any(said in problem and file.name in problem for problem in checked.document["problems"])
-    line = one(fit("overfit", "--data", data))
-    assert said in line
-    assert file.name in line
-
-
-def test_a_set_of_an_unknown_application_is_one_line(metapp: Callable, data: Path) -> None:
-    manifest = data / "manifest.json"
-    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"app": "../brdf"}))
-    assert one(metapp("data", "check", data))
-
-
 def test_what_applications_draw_is_what_they_hold(metapp: Callable) -> None:
     for name in ("texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination"):
         assert metapp("data", "synth", name, "--count", "2", "--out", name, "--quiet").code == 0
         assert metapp("data", "check", name).code == 0
 
-
-# Two writers
 
 SLOW_WRITER = """
 import sys, time, torch
@@ -127,50 +74,6 @@ def test_a_second_writer_is_refused_and_a_killed_one_forgotten(metapp: Callable,
             program.kill()
     assert metapp(*words).code == 0
     assert metapp("data", "check", "set").code == 0
-
-
-# Checkpoints
-
-
-def written(name: str, changes: dict[str, Any]) -> Path:
-    """A rule's checkpoint that ships, with another description or other tensors: None takes one away."""
-    checkpoint, info = load_checkpoint(SHIPPED / "brdf" / f"{name}.safetensors")
-    for part, new in changes.items():
-        if part in checkpoint._fields:
-            tensors = getattr(checkpoint, part) | new
-            tensors = {key: value for key, value in tensors.items() if value is not None}
-            checkpoint = checkpoint._replace(**{part: tensors})
-        else:
-            info = info | {part: new}
-    save_checkpoint(Path("s.safetensors"), checkpoint, info)
-    return Path("s.safetensors")
-
-
-CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
-    ("meta-curvature", {"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
-    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
-    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
-    ("meta-curvature", {"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
-    ("meta-curvature", {"theta": {"w1": None}}, "theta w1 is missing"),
-    ("meta-curvature", {"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
-    ("meta-curvature", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
-    ("meta-sgd", {"app": ["brdf"]}, ""),
-    ("meta-sgd", {"app": {"a": 1}}, ""),
-    ("meta-sgd", {"checkpoint": ["meta-sgd"]}, ""),
-    ("meta-sgd", {"checkpoint": None}, ""),
-]
-
-
-def test_checkpoints_of_other_rules_sizes_or_applications_are_one_line(fit: Callable, network: Path) -> None:
-    for rule, changes, said in CHECKPOINTS:
-        line = one(fit("meta", network, "--rule", rule, "--checkpoint", written(rule, changes)))
-        assert said in line, changes
-        assert "s.safetensors" in line, changes
-    for name in ("texture/meta-basis", "illumination/general", "brdf/general", "brdf/quickft"):
-        assert one(fit("meta", network, "--checkpoint", SHIPPED / f"{name}.safetensors"))
-
-
-# Names
 
 
 def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Path) -> None:
@@ -219,9 +122,6 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
     assert long.endswith("; download it again.")
 
 
-# Whatever nobody foresaw
-
-
 @pytest.mark.parametrize("error", [KeyError("w1"), TypeError("a\nb" * 200), RecursionError(), RuntimeError("x" * 5000)])
 def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
@@ -236,9 +136,6 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
     monkeypatch.setenv("METAPP_TRACEBACK", "1")
     with pytest.raises(type(error)):
         fit("overfit", network, "--steps", "2")
-
-
-# Records
 
 
 def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(

@@ -1,0 +1,207 @@
+"""Damaged or hostile records, checkpoints and shards: one line that names the file, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file, save, save_file
+
+from metapp.storage.records import FIT, SCHEMA, RunFolder, load_checkpoint, save_checkpoint
+from tests.small_spheres import run_small
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+SHIPPED = Path(__file__).parents[2] / "metapp" / "checkpoints"
+NESTED = "[" * 100_000 + "]" * 100_000
+
+
+# Records
+
+THETA = {"w": torch.arange(3.0)}
+
+
+def two_fits(path: Path) -> RunFolder:
+    run = RunFolder(path, {"steps": 10}, FIT)
+    for name in ("gold", "tin"):
+        run.add({"name": name, "error": 0.5, "seconds": 0.1}, THETA)
+    return run
+
+
+BAD_LINES: dict[str, Any] = {
+    "text": {"error": "0.5"},
+    "list as name": {"name": ["gold"]},
+    "NaN": {"error": float("nan")},
+    "infinite": {"seconds": float("inf")},
+    "huge": {"error": 10**400},
+    "true": {"seconds": True},
+    "no settings": {"settings": None},
+    "nested": NESTED,
+    "many digits": '{"name": "x", "error": 1' + "0" * 5000 + "}",
+    "zeros": "\0" * 64,
+    "no text": "\x7f\xfe",
+}
+
+
+@pytest.mark.parametrize("change", BAD_LINES.values(), ids=BAD_LINES)
+def test_a_bad_line_is_passed_over_with_its_number(tmp_path: Path, change: Any) -> None:
+    run = two_fits(tmp_path)
+    first, second = run.file.read_text().splitlines()
+    line = change if isinstance(change, str) else json.dumps({**json.loads(first), **change})
+    run.file.write_text(f"{line}\n{second}\n", errors="surrogateescape")
+    with pytest.warns(UserWarning, match=r"record.jsonl: line 1: no record"):
+        assert list(run.finished()) == ["tin"]
+    run.add({"name": "gold", "error": 0.5, "seconds": 0.2}, THETA)  # the task is fitted again
+    with pytest.warns(UserWarning, match="line 1"):
+        assert set(run.finished()) == {"gold", "tin"}
+
+
+def test_damaged_parameters_are_one_line(tmp_path: Path) -> None:
+    run = two_fits(tmp_path)
+    assert torch.equal(run.theta("gold")["w"], THETA["w"])
+    run.params("gold").write_bytes(b"\xff" * 100)
+    run.params("tin").unlink()
+    for name in ("gold", "tin"):
+        with pytest.raises(ValueError, match=rf"{name}.safetensors: fitted parameters not readable"):
+            run.theta(name)
+
+
+DAMAGED = {
+    "settings": [{"app": 1}, {"data": None}, {"recipe": []}, {"rule": 7}, {"paradigm": {}}, {"options": 3}],
+    "origin": [None, "x", [], {"inputs": 7}, {"inputs": [None]}, {"data": 1}],
+}
+
+
+@pytest.mark.parametrize("place", DAMAGED)
+def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, network: Path, place: str) -> None:
+    file = Path(fit("meta", network, "--recipe", "quick", "--json").done["out"], "record.jsonl")
+    whole = json.loads(file.read_text())
+    for value in DAMAGED[place]:
+        new = {**whole[place], **value} if place == "settings" else value
+        file.write_text(json.dumps({**whole, place: new}))
+        for words in (("export", file, "merl"), ("view", file), ("compare", file, file)):
+            line = metapp(*words).error
+            assert "record.jsonl: m0: " in line, words
+            assert "expected" in line
+
+
+# Checkpoints
+
+ONE = {"theta.x": torch.ones(1)}
+GOOD = {"metapp": json.dumps({"schema": SCHEMA})}
+WHOLE = save(ONE, GOOD)
+TYPES = (torch.int64, torch.bool, torch.float8_e4m3fn, torch.complex64)
+HEADERS = ("{", "[]", "{}", "[1]", '"text"', "3", "null", '{"schema": "new"}', '{"schema": true}', '{"schema": "1"}',
+           '{"schema": [1]}', '{"schema": 1e400}', NESTED)  # fmt: skip
+NO_CHECKPOINTS = {
+    "bare": save(ONE, None),
+    "stranger": save(ONE, {"format": "pt"}),
+    "other part": save({"other.x": torch.ones(1)}, GOOD),
+    "undotted": save({"theta": torch.ones(1)}, GOOD),
+    **{f"header {header[:20]}": save(ONE, {"metapp": header}) for header in HEADERS},
+    **{f"of {dtype}": save({"theta.x": torch.ones(2).to(dtype)}, GOOD) for dtype in TYPES},
+    **{f"cut at {keep}": WHOLE[:keep] for keep in (0, 4, 8, 60, -1)},
+    "noise": b"\xff" * 64,
+    "pickle": b"\x80\x04N.",
+    "JSON": b'{"schema": 1}',
+    "all bytes": bytes(range(256)) * 4,
+}
+
+
+@pytest.mark.parametrize("content", NO_CHECKPOINTS.values(), ids=NO_CHECKPOINTS)
+def test_files_that_are_no_checkpoints(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "meta.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"meta.safetensors: not a checkpoint that metapp wrote") as caught:
+        load_checkpoint(path)
+    assert "\n" not in str(caught.value)
+
+
+def written(name: str, changes: dict[str, Any]) -> Path:
+    """A rule's checkpoint that ships, with another description or other tensors: None takes one away."""
+    checkpoint, info = load_checkpoint(SHIPPED / "brdf" / f"{name}.safetensors")
+    for part, new in changes.items():
+        if part in checkpoint._fields:
+            tensors = getattr(checkpoint, part) | new
+            tensors = {key: value for key, value in tensors.items() if value is not None}
+            checkpoint = checkpoint._replace(**{part: tensors})
+        else:
+            info = info | {part: new}
+    save_checkpoint(Path("s.safetensors"), checkpoint, info)
+    return Path("s.safetensors")
+
+
+CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
+    ("meta-curvature", {"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
+    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
+    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
+    ("meta-curvature", {"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
+    ("meta-curvature", {"theta": {"w1": None}}, "theta w1 is missing"),
+    ("meta-curvature", {"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
+    ("meta-curvature", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
+    ("meta-sgd", {"app": ["brdf"]}, ""),
+    ("meta-sgd", {"app": {"a": 1}}, ""),
+    ("meta-sgd", {"checkpoint": ["meta-sgd"]}, ""),
+    ("meta-sgd", {"checkpoint": None}, ""),
+]
+
+
+def test_checkpoints_of_other_rules_sizes_or_applications_are_one_line(fit: Callable, network: Path) -> None:
+    for rule, changes, said in CHECKPOINTS:
+        line = fit("meta", network, "--rule", rule, "--checkpoint", written(rule, changes)).error
+        assert said in line, changes
+        assert "s.safetensors" in line, changes
+    for name in ("texture/meta-basis", "illumination/general", "brdf/general", "brdf/quickft"):
+        assert fit("meta", network, "--checkpoint", SHIPPED / f"{name}.safetensors").error
+
+
+@pytest.fixture(scope="module")
+def made(network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of one small material, for tests to copy."""
+    folder = tmp_path_factory.mktemp("attacks") / "set"
+    run_small("data", "nbrdf", network, "--out", folder, "--samples", "512", "--split", "test")
+    return folder
+
+
+@pytest.fixture
+def data(made: Path) -> Path:
+    return shutil.copytree(made, Path("set"))
+
+
+# Shards
+
+
+def cut(data: dict) -> dict:
+    return {key: value for key, value in data.items() if key != "reflectance"}
+
+
+MISSHAPED = {
+    "missing": (cut, "'reflectance' is missing"),
+    "eight bits": (lambda data: data | {"angles": data["angles"].to(torch.float8_e4m3fn)}, "float8_e4m3fn"),
+    "NaN": (lambda data: data | {"reflectance": data["reflectance"] / 0}, "NaN or infinite"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), MISSHAPED.values(), ids=MISSHAPED)
+def test_what_a_shard_lacks_is_said_by_the_check_and_by_fits(
+    metapp: Callable, fit: Callable, data: Path, change: Callable, said: str
+) -> None:
+    (file,) = data.glob("*.safetensors")
+    save_file(change(load_file(file)), file)
+    checked = metapp("data", "check", data, "--json")
+    assert checked.code == 1
+    assert any(said in problem and file.name in problem for problem in checked.document["problems"])
+    line = fit("overfit", "--data", data).error
+    assert said in line
+    assert file.name in line
+
+
+def test_a_set_of_an_unknown_application_is_one_line(metapp: Callable, data: Path) -> None:
+    manifest = data / "manifest.json"
+    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"app": "../brdf"}))
+    assert metapp("data", "check", data).error
