@@ -130,7 +130,7 @@ table-baselines: setup  ## baselines without a network: error, time and bytes
 figures: setup  ## all figures as PNG and PDF, in runs/figures
 	$(EVALUATE) --which all --figures $(RUNS)/figures --overwrite --format markdown
 
-report: setup  ## all tables, figures, pictures and records as one page: runs/report/index.html
+report: setup  ## all tables as Markdown, with the figures: runs/report/index.md
 	$(EVALUATE) --which all --report $(RUNS)/report --overwrite --format markdown
 
 paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains everything, then tables and report

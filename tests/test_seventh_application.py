@@ -162,7 +162,7 @@ def test_every_command_takes_it(commands: Callable, curves: Path, tmp_path: Path
     assert {row["paper_error"] for row in rows.values()} == {None}
     assert "| curve |" in said[8]
     assert list((tmp_path / "figures").glob("*.png"))
-    assert "Curve" in (tmp_path / "report" / "index.html").read_text()
+    assert "Curve" in (tmp_path / "report" / "index.md").read_text()
     assert len(list(runs.rglob("outputs/*/curve.png"))) >= 4 * 5
 
 

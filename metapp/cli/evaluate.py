@@ -11,7 +11,7 @@ import typer
 
 from metapp import door
 from metapp.cli import completion
-from metapp.cli.options import Json, Overwrite, check_new, extended, takes
+from metapp.cli.options import Json, Overwrite, check_new, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
 from metapp.runs.reporter import say
 from metapp.runs.requests.request import Request
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 NAMES = table_names()
 WHICH = (*NAMES, ALL)
 FORMATS = ("rich", "markdown", "latex", "csv")
+Figures = Annotated[Path | None, typer.Option(metavar="DIR", help="Draw the figures there, as PNG and PDF.")]
+Report = Annotated[Path | None, typer.Option(metavar="DIR", help="Write tables there, as Markdown, and the figures.")]
 
 
 @dataclass(frozen=True)
@@ -86,9 +88,8 @@ class Evaluation:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
 
 
-@extended(offer.option for offer in door.offers(door.Report))
 @takes(Evaluation)
-def command(options: Evaluation, overwrite: Overwrite = False, **own: Path) -> None:
+def command(options: Evaluation, overwrite: Overwrite = False, figures: Figures = None, report: Report = None) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
 
     Example: metapp evaluate brdf --which quickft
@@ -99,13 +100,13 @@ def command(options: Evaluation, overwrite: Overwrite = False, **own: Path) -> N
     from metapp.evaluation.cell import run_cells
 
     reported = NAMES if options.which in ("", ALL) else [options.which]
-    reports = {offer: own[offer.option.name] for offer in door.offers(door.Report) if offer.option.name in own}
-    for file in (file for offer, path in reports.items() for file in path.glob(offer.files)):
-        check_new(file, overwrite)
+    for folder in filter(None, (figures, report)):
+        for file in (*folder.glob("*-*.p[nd][gf]"), *folder.glob("index.md")):
+            check_new(file, overwrite)
     options = check(options)
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else [options.which]
-    measured = [load_table(name) for name in (reported if reports else names)]
+    measured = [load_table(name) for name in (reported if report else names)]
     if options.no_run:
         say_missing(subjects, measured, options.which)
     else:
@@ -113,9 +114,15 @@ def command(options: Evaluation, overwrite: Overwrite = False, **own: Path) -> N
     if not options.quiet:
         draw(subjects, names)
     show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
-    for offer, path in reports.items():
-        for file in door.load(offer.write)(subjects, path, reported):
-            say(f"{offer.option.name}: {file}")
+    if figures:
+        from metapp.evaluation.figures import write_figures
+
+        for file in write_figures(subjects, figures):
+            say(f"figures: {file}")
+    if report:
+        from metapp.evaluation.report import write_report
+
+        say(f"report: {write_report(subjects, report, measured)}")
 
 
 def check(options: Evaluation) -> Evaluation:

@@ -155,20 +155,6 @@ class Table(NamedTuple):
     table: str
 
 
-class Report(NamedTuple):
-    """Files that `metapp evaluate` writes of what it has measured, where their option is given.
-
-    Attributes:
-        option: a path.
-        write: `write(subjects, path, tables) -> files`, of tables by name.
-        files: a pattern of the files in that folder, of which none may be there without --overwrite.
-    """
-
-    option: Option
-    write: str
-    files: str
-
-
 class Command(NamedTuple):
     """A command.
 

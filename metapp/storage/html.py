@@ -1,4 +1,4 @@
-"""HTML of galleries, reports, notebooks and interactive pages: elements, and documents that need no network."""
+"""HTML of galleries, notebooks and interactive pages: elements, and documents that need no network."""
 
 from __future__ import annotations
 

@@ -59,10 +59,10 @@ def in_8_bits(display: np.ndarray) -> Image:
     return Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels)
 
 
-def png_bytes(image: Image, *, optimize: bool = False) -> bytes:
-    """A picture as PNG; `optimize`: smaller, and slower to write."""
+def png_bytes(image: Image) -> bytes:
+    """A picture as PNG."""
     buffer = io.BytesIO()
-    image.save(buffer, "PNG", optimize=optimize)
+    image.save(buffer, "PNG")
     return buffer.getvalue()
 
 

@@ -16,12 +16,12 @@ from metapp.apps import app_names, class_of, presentation_of, protocols_of
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
 from metapp.evaluation.cell import run_cells
+from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Allowed, BaselineFit, DrawsAnswers, Training, nearest
 from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
-from metapp.extensions.report.figures import draw as draw_figure
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.reporter import Reporter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from metapp.extensions.report.drawing import step_sizes
+from metapp.evaluation.figures import step_sizes
 
 
 def test_step_sizes_of_rules() -> None:

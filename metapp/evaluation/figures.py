@@ -1,11 +1,13 @@
-"""Functions of a subject that draw a figure, or return None where nothing was measured yet that it could show."""
+"""Figures: functions of a subject that draw one, None where nothing was measured yet that it could show; written."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
@@ -13,14 +15,14 @@ from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
 from metapp.evaluation.rows import values_of
-from metapp.evaluation.style import COLOURS, INK, MUTED, Drawn, new
+from metapp.evaluation.style import COLOURS, INK, MUTED, STYLE, Drawn, new, save
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_cell
 from metapp.evaluation.tables.results import result_row
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
-from metapp.runs.requests.naming import factor_of
+from metapp.runs.requests.naming import factor_of, name_of
 
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
 TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
@@ -228,3 +230,28 @@ def legend(figure: Figure) -> None:
     """Name the lines of a figure's first axes below it, where the names cover none of them."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), columnspacing=1.0, handletextpad=0.4)
+
+
+FIGURES = {drawing.__name__: drawing for drawing in (plane, ranks, curves, trajectories, rates, strips)}
+
+
+def draw(name: str, subject: Subject) -> Drawn | None:
+    """The figure of that name; None where nothing was measured yet that it could show."""
+    with rc_context(STYLE):
+        return FIGURES[name](subject)
+
+
+def write_figures(subjects: Sequence[Subject], folder: Path) -> dict[Path, str]:
+    """Write the figures as <app>-<name>.png and .pdf.
+
+    Returns:
+        What each PNG file shows, in words.
+    """
+    captions = {}
+    for subject in subjects:
+        for name in FIGURES:
+            if drawn := draw(name, subject):
+                stem = f"{name_of(subject.app)} {name}".replace(" ", "-")
+                save(drawn.figure, folder / f"{stem}.pdf")
+                captions[save(drawn.figure, folder / f"{stem}.png")] = drawn.caption
+    return captions

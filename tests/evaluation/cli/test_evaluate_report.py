@@ -1,0 +1,86 @@
+"""The figures and the report of `metapp evaluate`: tables as Markdown, which links to the figures."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from metapp.evaluation.figures import FIGURES
+from metapp.evaluation.tables import table_names
+from tests.evaluation.cli.subjects import call, few_steps
+
+
+@pytest.fixture(scope="session")
+def drawn(data: Path, done: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the figures and the report of all that has been run."""
+    folder = tmp_path_factory.mktemp("drawn")
+    words = ("--data", data, "--out", done / "runs", "--no-run", "--quiet", "--json")
+    with few_steps():
+        assert call("evaluate", "brdf", *words, "--report", folder / "report", "--figures", folder / "figures") == 0
+    return folder
+
+
+def headings(text: str) -> list[str]:
+    return re.findall(r"^## (.*)$", text, re.MULTILINE)
+
+
+@pytest.mark.long
+def test_the_report_has_all_tables_and_links_to_all_figures(drawn: Path) -> None:
+    figures = {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
+    assert {file.name for file in (drawn / "figures").iterdir()} == figures
+    assert {file.name for file in (drawn / "report").iterdir()} == figures | {"index.md"}
+    assert (drawn / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
+    text = (drawn / "report" / "index.md").read_text()
+    assert set(re.findall(r"^!\[.+\]\((.*)\)$", text, re.MULTILINE)) == {f"brdf-{name}.png" for name in FIGURES}
+    assert len(headings(text)) == len(table_names()) + len(FIGURES)
+    assert {"Error and time", "Storage"} < set(headings(text))
+    for expected in ("| app | paradigm |", "| brdf | meta |", "- vs quickft: ", "95 % interval"):
+        assert expected in text
+    assert "Not measured yet." not in text
+
+
+def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, tmp_path: Path) -> None:
+    assert evaluate("--which", "quickft", "--report", tmp_path / "report", "--quiet", "--json").code == 0
+    text = (tmp_path / "report" / "index.md").read_text()
+    assert headings(text)[0] == "Against as many steps of fine-tuning"
+    assert not {"Methods without a network", "Error and time"} & set(headings(text))
+    assert {folder.name for folder in (tmp_path / "runs" / "brdf").iterdir()} == {"general", "meta", "quickft"}
+
+
+def test_names_of_tasks_are_text(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+    names = ["![x](y)", "{0} %s $\\frac$", "<b onload=1>&amp;'\"", "نحاس"]
+    for name in names:
+        shutil.copytree(neural_fits(1) / "m0", tmp_path / "networks" / name)
+    words = ("--split", "test", "--samples", 256, "--out", tmp_path / "set", "--quiet")
+    assert metapp("data", "nbrdf", tmp_path / "networks", *words).code == 0
+    words = ("--data", tmp_path / "set", "--out", tmp_path / "runs", "--which", "convergence", "--quiet", "--json")
+    assert metapp("evaluate", "brdf", *words, "--report", tmp_path / "report").code == 0
+    text = (tmp_path / "report" / "index.md").read_text()
+    assert r"\!\[x\](y)" in text
+    assert r"\<b onload=1\>\&amp;'" in text
+    assert not re.search(r"(?<!\\)<", text)
+    assert text.count("\n![") == len(list((tmp_path / "report").glob("*.png")))
+
+
+def test_a_report_of_nothing_has_the_papers_figures(evaluate: Callable, tmp_path: Path) -> None:
+    assert evaluate("--no-run", "--which", "quickft", "--report", tmp_path / "report", "--quiet").code == 0
+    text = (tmp_path / "report" / "index.md").read_text()
+    assert "| brdf | meta | - | - | - | 0.720 |" in text
+    assert "brdf-curves" not in text
+
+
+@pytest.mark.parametrize(("option", "file"), [("--report", "index.md"), ("--figures", "brdf-plane.png")])
+def test_files_that_are_there_are_replaced_by_overwrite_alone(
+    evaluate: Callable, tmp_path: Path, option: str, file: str
+) -> None:
+    mine = tmp_path / "out" / file
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    words = ("--no-run", option, mine.parent, "--quiet")
+    assert f"{mine}: is there already, expected a new file; add --overwrite" in evaluate(*words).misuse
+    assert mine.read_text() == "mine"
+    assert evaluate(*words, "--overwrite").code == 0
