@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from types import ModuleType
 
@@ -24,7 +24,7 @@ SAMPLED = ("wi", "wo", "reflectance")  # arrays of samples
 Function = Callable[[np.ndarray, np.ndarray], object]
 
 
-def from_object(source: object, name: str, how: Mapping[str, object]) -> Task:
+def from_object(source: object, name: str, **_: object) -> Task:
     """Make the task of a BRDF in memory, with phi_h where it is anisotropic.
 
     Args:
@@ -35,7 +35,6 @@ def from_object(source: object, name: str, how: Mapping[str, object]) -> Task:
             1,000 half are held out;
             a BSDF of Mitsuba in an RGB variant that is not scalar, such as `mi.load_dict({"type": "roughconductor"})`.
         name: of the task.
-        how: arguments of readers; of no use here.
 
     Raises:
         ValueError: none of these; values of another shape, negative, or not finite; too few samples.

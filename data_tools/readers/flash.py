@@ -24,7 +24,8 @@ from functools import partial
 from pathlib import Path
 
 from data_tools.formats import AUTO
-from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
+from data_tools.readers.image_files import Pixels
+from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of, read_photo
 from metapp.appearance.flash import FOV_RAD
 from metapp.door import Conversion, Label
 from metapp.learning.task import Task
@@ -52,6 +53,11 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0
         ValueError: as the same.
     """
     return Task(shown(path).name, {"image": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)})
+
+
+def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:
+    """The same of a photograph in memory."""
+    return Task(name, {"image": photo_of(pixels, name, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)})
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, fov: float) -> Conversion:

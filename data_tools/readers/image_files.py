@@ -22,6 +22,7 @@ from metapp.storage.image_limits import check_memory, check_pixels, error_of, re
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio
+    from PIL.Image import Image as PilImage
 
 SUFFIXES = (
     ".bmp", ".dib", ".dpx", ".exr", ".gif", ".hdr", ".jfif", ".jif", ".jp2", ".jpe", ".jpeg", ".jpg", ".jxl", ".pbm",
@@ -139,7 +140,7 @@ def read_pixels(path: Path) -> Pixels:
         return _read_heif(path)
     with opened(path) as source:
         spec = source.spec()
-        _check_size(spec.width, spec.height, path)
+        check_size(spec.width, spec.height, path)
         check_memory(spec, path)
         channels = _channels(spec, path)
         kind = str(spec.format)
@@ -168,7 +169,7 @@ def _read_heif(path: Path) -> Pixels:
         width, height = source.size
     except Exception as error:  # whatever libheif says
         raise ValueError(_damaged(path, error)) from None
-    _check_size(width, height, path)
+    check_size(width, height, path)
     if source.mode not in ("RGB", "RGBA"):
         raise ValueError(f"{path}: a HEIF picture of mode {source.mode}, expected RGB; export it as JPEG or PNG.")
     try:
@@ -180,7 +181,29 @@ def _read_heif(path: Path) -> Pixels:
     return Pixels(values, space, False, focal_length_of(source.info.get("exif")))
 
 
-def _check_size(width: int, height: int, path: Path) -> None:
+def pixels_of_pil(image: PilImage, name: str) -> Pixels:
+    """A picture of PIL, upright, with the encoding and the focal length that it states.
+
+    Raises:
+        ValueError: one that cannot be decoded.
+    """
+    from PIL import ImageOps
+
+    try:
+        image = ImageOps.exif_transpose(image)
+        values = np.asarray(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+    except (OSError, ValueError) as error:  # PIL decodes when it must
+        raise ValueError(f"{name}: a picture that PIL cannot decode ({error}), expected a whole one.") from None
+    space = _PROFILES.get(_description(image.info.get("icc_profile")), SRGB)
+    return Pixels(values, space, False, focal_length_of(image.getexif().tobytes()))
+
+
+def check_size(width: int, height: int, path: Path | str) -> None:
+    """Refuse a picture that is too small or too large; `path` names it.
+
+    Raises:
+        ValueError: a side below 32 px, more than 2^28 px.
+    """
     found = f"{width}x{height} px"
     check_pixels(width, height, path)
     if min(width, height) < _MIN_SIDE:

@@ -90,7 +90,18 @@ def read_task(path: Path, size: int = HEIGHT) -> Task:
         ValueError: as `read_map`.
     """
     light = read_map(path, size)
-    return map_task(path.stem, light, stream(*hashlib.sha256(path.stem.encode()).digest()), size)
+    return map_task(path.stem, light, _draws(path.stem), size)
+
+
+def task_of_array(radiance: NDArray[np.float32], name: str, size: int = HEIGHT) -> Task:
+    """The same of linear Rec.709 radiance in memory, float32 [H, 2 H, 3]."""
+    _check_shape(name, *radiance.shape[:2])
+    light = _light_of([radiance[..., channel] for channel in range(3)], torch.eye(3), name, size)
+    return map_task(name, light, _draws(name), size)
+
+
+def _draws(name: str) -> Rng:
+    return stream(*hashlib.sha256(name.encode()).digest())
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
@@ -175,19 +186,27 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
             f"{path}: an LDR image ({header.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
             "photo."
         )
-    if not is_latlong(header.height, header.width):
+    _check_shape(path, header.height, header.width)
+    return _light_of(*_read(path), path, height)
+
+
+def _check_shape(subject: Path | str, height: int, width: int) -> None:
+    found = f"{subject}: {width}x{height} px"
+    if not is_latlong(height, width):
         raise ValueError(
-            f"{path}: {header}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG "
-            "or JPEG."
+            f"{found}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG or JPEG."
         )
-    if header.height < _MIN_HEIGHT or header.width * header.height > _MAX_PIXELS:
-        raise ValueError(f"{path}: {header}, expected {_MIN_HEIGHT} rows or more and {_MAX_PIXELS:,} px or fewer.")
-    planes, to_rec709 = _read(path)
-    _check_values(planes, path)
+    if height < _MIN_HEIGHT or width * height > _MAX_PIXELS:
+        raise ValueError(f"{found}, expected {_MIN_HEIGHT} rows or more and {_MAX_PIXELS:,} px or fewer.")
+
+
+def _light_of(planes: Sequence[NDArray[np.float32]], to_rec709: Tensor, subject: Path | str, height: int) -> Tensor:
+    """The planes of red, green and blue of a whole map as `read_map` gives them; `subject` begins errors."""
+    _check_values(planes, subject)
     stored = [resample(torch.from_numpy(np.ascontiguousarray(plane)), height, 2 * height) for plane in planes]
     light = torch.einsum("ij,jhw->ihw", to_rec709, torch.stack(stored)).clamp_min(0)
     if not mean_luminance(light) > 0:
-        raise ValueError(f"{path}: black all over, expected a map with some light; leave it out.")
+        raise ValueError(f"{subject}: black all over, expected a map with some light; leave it out.")
     return light
 
 
@@ -233,20 +252,21 @@ def _channels(names: Sequence[str], path: Path) -> list[int]:
     raise ValueError(f"{path}: channels {shown}, expected R, G, B, or Y alone; export it as RGB.")
 
 
-def _check_values(planes: Sequence[NDArray[np.float32]], path: Path) -> None:
+def _check_values(planes: Sequence[NDArray[np.float32]], subject: Path | str) -> None:
     # A mean is not finite if any value is not; it costs less than looking at each.
     with np.errstate(invalid="ignore"):
         mean = float(sum(plane.mean(dtype=np.float64) for plane in planes)) / 3
     if not np.isfinite(mean):
         count = sum(int((~np.isfinite(plane)).sum()) for plane in planes)
         raise ValueError(
-            f"{path}: {count:,} values are NaN or infinite, expected finite radiance; clamp them and export it again."
+            f"{subject}: {count:,} values are NaN or infinite, expected finite radiance; clamp them and export it "
+            "again."
         )
     negative = -float(sum(plane.clip(max=0).mean(dtype=np.float64) for plane in planes)) / 3
     if negative > _NEGATIVE * abs(mean):
         lowest = min(float(plane.min()) for plane in planes)
         raise ValueError(
-            f"{path}: radiance down to {lowest:.3g} at a mean of {mean:.3g}, expected none below 0; clamp it and "
+            f"{subject}: radiance down to {lowest:.3g} at a mean of {mean:.3g}, expected none below 0; clamp it and "
             "export the map again."
         )
 

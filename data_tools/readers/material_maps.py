@@ -18,7 +18,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.image_files import LINEAR, SUFFIXES, is_heif, opened, read_pixels
+from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -216,12 +216,26 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
     return read_material(material, size, normals, least)
 
 
+def task_of_pixels(maps: Mapping[str, tuple[str, Pixels]], name: str, size: int = SIZE, least: int = 0) -> Task:
+    """The same of maps in memory, each with its role, by the words that are their names."""
+    files = {Path(f"{name}_{word}"): pixels for word, (_, pixels) in maps.items()}
+    roles: dict[str, tuple[Path, ...]] = {}
+    for file, (role, _) in zip(files, maps.values(), strict=True):
+        roles[role] = (*roles.get(role, ()), file)
+    side = max(min(pixels.values.shape[:2]) for pixels in files.values())
+    return _task(Material(Path(), name, roles), files.__getitem__, side_of(side, size, least), "auto")
+
+
 def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
     """The same of a material that was found."""
+    size = side_of(max(map(_side, _choose(material).values())), size, least) if least else size
+    return _task(material, read_pixels, size, normals)
+
+
+def _task(material: Material, pixels_of: Callable[[Path], Pixels], size: int, normals: str) -> Task:
     chosen = _choose(material)
-    size = side_of(max(map(_side, chosen.values())), size, least) if least else size
     shapes: dict[str, tuple[int, int]] = {}
-    maps = {role: _read(file, size, role, shapes) for role, file in chosen.items()}
+    maps = {role: _read(file, pixels_of(file), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
     colour = maps["base colour"] if "base colour" in maps else maps[PLAIN]
     if "metallic" in maps:
@@ -335,9 +349,8 @@ def _side(file: Path) -> int:
         return min(source.spec().height, source.spec().width)
 
 
-def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
+def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
     """The central square of a map, [3, size, size] in [0, 1]; its whole size in px goes to `shapes`."""
-    pixels = read_pixels(file)
     height, width = pixels.values.shape[:2]
     shapes[role] = height, width
     is_colour = role in ("base colour", PLAIN, "specular")

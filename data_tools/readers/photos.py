@@ -113,50 +113,72 @@ def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:
     return Task(path.stem, {"image": read_photo(path, size, least=least)})
 
 
+def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, least: int = 0) -> Task:
+    """The same of a picture in memory."""
+    return Task(name, {"image": photo_of(pixels, name, size, least=least)})
+
+
 def read_photo(
     path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0, least: int = 0
 ) -> Tensor:
-    """Read the central square of an image file.
+    """Read the central square of an image file; of several pictures in it the first counts.
+
+    Args:
+        path: the file.
+        size, fov_rad, within_rad, least: as of `photo_of`.
+
+    Returns:
+        As `photo_of`.
+
+    Raises:
+        ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than
+            2^28 px; channels other than gray or RGB; as `photo_of`.
+    """
+    return photo_of(read_pixels(Path(path)), str(path), size, fov_rad=fov_rad, within_rad=within_rad, least=least)
+
+
+def photo_of(
+    whole: Pixels, name: str, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0, least: int = 0
+) -> Tensor:
+    """The central square of a picture.
 
     The picture is turned as its EXIF orientation says. Averages are taken over exact areas and in linear light, so
     that the mean radiance is kept; a smaller picture is interpolated. Values beyond [0, 1] are clamped before. Where
     the picture is transparent it gets the mean colour of the rest. A gray one gets three equal channels.
 
     Args:
-        path: the file; of several pictures in it the first counts.
-        fov_rad: the camera's field of view along the shorter side; 0: as the file's EXIF says, if it does.
-        within_rad: of a camera with a wider field, only what is within this one counts; 0: all of it.
+        whole: the picture.
+        name: begins errors.
         size: side of the result in px.
+        fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
+        within_rad: of a camera with a wider field, only what is within this one counts; 0: all of it.
         least: what smaller pictures than `size` are enlarged to, if at all; 0: to `size`.
 
     Returns:
         sRGB, uint8 [3, size, size], rows from the top.
 
     Raises:
-        ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than
-            2^28 px; channels other than gray or RGB; NaN; a picture of one colour.
+        ValueError: NaN; transparent all over; a picture of one colour.
     """
-    path = Path(path)
-    whole = read_pixels(path)
     if not fov_rad and whole.focal_mm:
         fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
     pixels = central_square(whole, seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0)
     linear = resample(pixels, side_of(len(pixels.values), size, least))
     if not np.isfinite(linear).all():
-        raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
+        raise ValueError(f"{name}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
-        linear = _over_mean(linear, path)
+        linear = _over_mean(linear, name)
     srgb = linear_to_srgb(torch.from_numpy(linear)).numpy()
     deviation = srgb.std(axis=(0, 1)).max()
     if deviation < _MIN_DEVIATION:
         colours = pixels.values[..., :3]
         if colours.dtype.kind == "f" and (colours > 1).mean() > 0.5:
             raise ValueError(
-                f"{path}: values up to {colours.max():.4g}, most above 1, which is white, expected values in [0, 1]; "
+                f"{name}: values up to {colours.max():.4g}, most above 1, which is white, expected values in [0, 1]; "
                 "scale them to it."
             )
         raise ValueError(
-            f"{path}: one colour all over (standard deviation {deviation * 255:.2f} of 255), expected a picture with "
+            f"{name}: one colour all over (standard deviation {deviation * 255:.2f} of 255), expected a picture with "
             "a visible structure; leave it out."
         )
     return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
@@ -261,11 +283,11 @@ def _converted(values: Floats, space: str) -> Floats:
     return linear
 
 
-def _over_mean(linear: Floats, path: Path) -> Floats:
+def _over_mean(linear: Floats, name: str) -> Floats:
     """Put premultiplied colours over their own mean: [.., 4] to [.., 3]."""
     colours, alpha = linear[..., :3], linear[..., 3:]
     visible = alpha.sum()
     if visible <= 0:
-        raise ValueError(f"{path}: transparent all over, expected a visible picture; leave it out.")
+        raise ValueError(f"{name}: transparent all over, expected a visible picture; leave it out.")
     result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / visible)
     return result

@@ -1,7 +1,7 @@
-"""Pictures, maps of materials and light in memory as tasks: written as files, which are read like any other.
+"""Pictures, maps of materials and light in memory as tasks, by what readers make of a file once it is decoded.
 
-So sizes, orientations, colours and checks are those of files. Pictures are of PIL, or arrays or tensors [H, W, 3] or
-gray [H, W], rows from the top. Integers of 8 or 16 bits are sRGB, floating-point values display values in [0, 1].
+So sizes, colours and checks are those of files. Pictures are of PIL, or arrays or tensors [H, W, 3] or gray [H, W],
+rows from the top. Integers of 8 or 16 bits are sRGB, floating-point values display values in [0, 1].
 
 Maps of a material are a dictionary by their usual names, such as "diffuse", "normal", "roughness", "specular", each a
 picture. Integers are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values are linear, as
@@ -11,27 +11,22 @@ picture. Integers are as files hold them: colours sRGB, normals 0..255 for -1..1
 from __future__ import annotations
 
 import math
-import tempfile
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from data_tools.formats import inputs_of
-from data_tools.readers import latlong, material_maps
-from data_tools.readers.image_files import Array
-from metapp.appearance.latlong import directions
+from data_tools.readers import flash, latlong, material_maps, photos, svbrdf_inputs
+from data_tools.readers.image_files import LINEAR, SRGB, Array, Pixels, check_size, pixels_of_pil
+from data_tools.readers.photos import SIZE
 from metapp.learning.task import Task
-from metapp.storage.images import write_exr, write_png
 
 if TYPE_CHECKING:
-    from PIL import Image as images
+    from PIL.Image import Image
 
-SIDE = 512  # px of a picture that a function is evaluated for
-ROWS = 512  # of a map of light that a function is evaluated for
 FLASH_PX = 2048  # a side of the photograph of maps, at most
 LARGEST = 3 * 2**28  # numbers of an array, as of an image file
 
@@ -40,156 +35,110 @@ _SLACK = 1e-3  # by which rounding may leave [0, 1]
 _UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
 
 
-def texture(source: object, name: str, how: Mapping[str, object]) -> Task:
+def texture(source: object, name: str, *, size: int = SIZE, least: int = 0, **_: object) -> Task:
     """Make the task of a texture.
 
     Args:
-        source: a picture, or f(xy) -> display values in [0, 1], [N, 3] or gray [N], at places xy [N, 2] in [0, 1),
-            float32 arrays, x to the right and y down.
+        source: a picture.
         name: of the task.
-        how: arguments of readers by name, of which the format's `takes` are used.
+        size, least: as of the reader.
 
     Raises:
-        ValueError: neither of these; values of another shape or out of range; as the reader of such a file.
+        ValueError: none; values of another shape or out of range; as the reader of such a file.
     """
-    if callable(source):
-        source = rows_of(name, source(texel_places()), SIDE**2).reshape(SIDE, SIDE, -1)
-    elif not is_picture(source):
-        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED} or a function f(xy).")
-    return _read("texture", name, lambda folder: write_picture(name, source, folder), how)
+    if not is_picture(source):
+        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}.")
+    return photos.task_of_pixels(pixels_of(name, source), name, size, least)
 
 
-def flash_photo(source: object, name: str, how: Mapping[str, object]) -> Task:
+def flash_photo(
+    source: object, name: str, *, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, **_: object
+) -> Task:
     """Make the task of a flash photograph, or of one that is rendered of a material, as `material` takes it.
 
     Raises:
-        ValueError: as `material`, and as `data_tools.readers.material_maps.read_task`.
+        ValueError: as `material`.
     """
-
-    def write(folder: Path) -> Path:
-        path = _write_material(name, source, folder)
-        if path.stem == name:
-            return path
-        photo = material_maps.read_task(path, FLASH_PX, least=1).data["photo"]
-        path = folder / f"{name}.png"
-        write_png(photo.permute(1, 2, 0) / 255, {"encoding": "sRGB"}, path)
-        return path
-
-    return _read("svbrdf_stationary", name, write, how)
+    found = _maps_or_photo(name, source)
+    if not isinstance(found, Pixels):
+        photo = material_maps.task_of_pixels(found, name, FLASH_PX, least=1).data["photo"]
+        found = Pixels(photo.permute(1, 2, 0).numpy(), SRGB, False)
+    return flash.task_of_pixels(found, name, size, fov_rad, least)
 
 
-def material(source: object, name: str, how: Mapping[str, object]) -> Task:
+def material(
+    source: object, name: str, *, size: int = SIZE, fov_rad: float = 0.0, exposure: float = 0.0, **_: object
+) -> Task:
     """Make the task of a material.
 
     Args:
-        source: maps; or f(xy) -> maps of [N, 3] or [N], at places xy [N, 2] in [0, 1), float32 arrays, x to the right
-            and y down; or a picture, the flash photograph of a material.
-        name, how: as of `texture`.
+        source: maps; or a picture, the flash photograph of a material.
+        name: of the task.
+        size, fov_rad, exposure: as of the reader.
 
     Raises:
         ValueError: none of these; values of another shape or out of range, maps that are missing; as the reader.
     """
-    return _read("svbrdf_nonstationary", name, lambda folder: _write_material(name, source, folder), how)
+    found = _maps_or_photo(name, source)
+    if isinstance(found, Pixels):
+        return svbrdf_inputs.task_of_pixels(found, name, size, fov_rad, exposure)
+    return material_maps.task_of_pixels(found, name, size, min(size, SIZE))
 
 
-def light(source: object, name: str, how: Mapping[str, object]) -> Task:
+def light(
+    source: object, name: str, *, size: int = latlong.HEIGHT, fov_rad: float = 0.0, observe: str = "", **_: object
+) -> Task:
     """Make the task of an environment map or of the photograph of a ball.
 
     Args:
         source: linear Rec.709 radiance, floating point, [H, 2 H, 3] or gray [H, 2 H], lat-long, rows from the top (+y),
-            the middle looks to +z; or f(directions) -> radiance [N, 3] or gray [N] of unit vectors [N, 3], float32
-            arrays, +y up, +z from the ball to the camera; or the photograph of a ball, a picture.
+            the middle looks to +z; or the photograph of a ball, a picture.
         name: of the task.
-        how: as of `texture`; `observe`, what fits see: "photo" takes floating-point values for a photograph where they
-            are not twice as wide as high.
+        size, fov_rad: as of the reader.
+        observe: what fits see: "photo" takes floating-point values for a photograph where they are not twice as wide as
+            high.
 
     Raises:
         ValueError: none of these; values of another shape or out of range; as the reader.
     """
-    if callable(source):
-        places = directions(ROWS, 2 * ROWS).reshape(3, -1).T.contiguous().numpy()
-        source = rows_of(name, source(places), len(places)).reshape(ROWS, 2 * ROWS, -1).astype(np.float32)
-    elif not is_picture(source):
-        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED} or a function f(directions).")
-    is_photo = how.get("observe") == "photo"
-    return _read("illumination", name, lambda folder: _write_light(name, source, folder, is_photo), how)
+    if not is_picture(source):
+        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}.")
+    if isinstance(source, np.ndarray | Tensor):
+        values = planes_of(name, source)
+        if values.dtype.kind == "f" and latlong.is_latlong(*values.shape[:2]):
+            with np.errstate(over="ignore"):  # what is infinite is refused
+                return latlong.task_of_array(_rgb(values).astype(np.float32), name, size)
+        if values.dtype.kind == "f" and observe != "photo":
+            raise ValueError(
+                f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is "
+                "for fits with --observe photo."
+            )
+    forms = inputs_of("illumination")
+    readers = [form.files() for form in forms if hasattr(form.files(), "task_of_pixels")]
+    if not readers:
+        raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
+    task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, size, fov_rad)
+    return task
 
 
-def _read(app: str, name: str, write: Callable[[Path], Path], how: Mapping[str, object]) -> Task:
-    """Read the file that `write` makes in a temporary folder; errors name the object alone."""
-    with tempfile.TemporaryDirectory(prefix="metapp-") as temporary:
-        folder = Path(temporary).resolve()
-        path = folder / name
-        try:
-            path = write(folder)
-            forms = inputs_of(app)
-            readers = [form for form in forms if form.recognises(path)]
-            if not readers:
-                raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
-            task: Task = readers[0].read(path, how)
-            return task
-        except ValueError as error:
-            text = str(error).replace(str(path), path.stem)
-            raise ValueError(text.replace(f"{folder}/", "")) from None
-
-
-def _write_light(name: str, source: object, folder: Path, is_photo: bool) -> Path:
-    """Write a map as EXR, a photograph as PNG."""
-    from PIL.Image import Image
-
-    if isinstance(source, Image):
-        return write_picture(name, source, folder)
-    values = planes_of(name, source)
-    is_map = values.dtype.kind == "f" and latlong.is_latlong(*values.shape[:2])
-    if values.dtype.kind != "f" or (is_photo and not is_map):
-        return write_picture(name, values, folder)
-    if not is_map:
-        raise ValueError(
-            f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is for "
-            "fits with --observe photo."
-        )
-    with np.errstate(over="ignore"):  # what is infinite is refused as of files
-        return _write_linear(values, folder / f"{name}.exr")
-
-
-def _write_material(name: str, source: object, folder: Path) -> Path:
-    """Write maps, of which the path of one is returned, or a photograph."""
-    if callable(source):
-        maps = source(texel_places())
-        if not isinstance(maps, Mapping):
-            raise ValueError(f"{name}: returned {type(maps).__name__}, expected a dictionary of maps.")
-        source = {
-            key: rows_of(f"{name}: {key}", values, SIDE**2).reshape(SIDE, SIDE, -1) for key, values in maps.items()
-        }
+def _maps_or_photo(name: str, source: object) -> Pixels | dict[str, tuple[str, Pixels]]:
+    """A photograph, or maps by their names, each with its role."""
     if isinstance(source, Mapping):
-        return _write_maps(name, source, folder)
+        roles = {key: material_maps.role_of(str(key)) for key in source}
+        unknown = [key for key, role in roles.items() if role is None]
+        if unknown or len(set(filter(None, roles.values()))) < 2:
+            found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, source)) or 'none'}"
+            raise ValueError(f"{name}: {found}, expected diffuse, normal, roughness, and, if there is one, specular.")
+        return {str(key): _map(f"{name}: {key}", source[key], role) for key, role in roles.items() if role}
     if is_picture(source):
-        return write_picture(name, source, folder)
-    raise ValueError(
-        f"{name}: {type(source).__name__}, expected {_EXPECTED}, maps (a dictionary of such) or a function f(xy)."
-    )
+        return pixels_of(name, source)
+    raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED} or maps (a dictionary of such).")
 
 
-def _write_maps(name: str, maps: Mapping[str, object], folder: Path) -> Path:
-    roles = {key: material_maps.role_of(str(key)) for key in maps}
-    unknown = [key for key, role in roles.items() if role is None]
-    if unknown or len(set(filter(None, roles.values()))) < 2:
-        found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
-        raise ValueError(f"{name}: {found}, expected diffuse, normal, roughness, and, if there is one, specular.")
-    used = {key: role for key, role in roles.items() if role}
-    files = [_write_map(f"{name}: {key}", maps[key], folder / f"{name}_{key}", role) for key, role in used.items()]
-    return files[0]
-
-
-def _write_map(subject: str, source: object, stem: Path, role: str) -> Path:
-    """Write one map as PNG, or, of floating-point values, as EXR."""
-    from PIL.Image import Image
-
-    if isinstance(source, Image):
-        return write_picture(stem.name, source, stem.parent)
-    values = planes_of(subject, source)
-    if values.dtype.kind != "f":
-        return write_picture(stem.name, values, stem.parent)
+def _map(subject: str, source: object, role: str) -> tuple[str, Pixels]:
+    """The role of a map and its values, those of floating point linear, normals 0..1 for -1..1."""
+    if _is_pil(source) or (values := planes_of(subject, source)).dtype.kind != "f":
+        return role, pixels_of(subject, source)
     if not role.startswith("normal"):
         check_range(subject, values, "linear values", "scale them to it")
     else:
@@ -200,13 +149,40 @@ def _write_map(subject: str, source: object, stem: Path, role: str) -> Path:
                 f"{subject}: vectors of length {lengths.min():.3g} to {lengths.max():.3g}, expected unit vectors "
                 "[H, W, 3], x right, y up; of values in [0, 1] take 2 v - 1."
             )
-        values, stem = values * 0.5 + 0.5, stem if role != "normal" else stem.with_name(f"{stem.name}_gl")
-    return _write_linear(values, stem.with_name(f"{stem.name}.exr"))
+        values, role = values * 0.5 + 0.5, "normal (OpenGL)" if role == "normal" else role
+    return role, _checked(subject, Pixels(_rgb(values).astype(np.float32), LINEAR, False))
 
 
-def _write_linear(values: Array, path: Path) -> Path:
-    write_exr(torch.from_numpy(values.astype(np.float32)), path, half=False)
-    return path
+def pixels_of(name: str, source: object) -> Pixels:
+    """A picture as readers have that of a file; PIL's with EXIF and colour profile.
+
+    Raises:
+        ValueError: no picture: another shape or type, too small or large, values out of range.
+    """
+    if _is_pil(source):
+        return _checked(name, pixels_of_pil(source, name))
+    values = planes_of(name, source)
+    if values.dtype.kind == "f":
+        check_range(name, values, "display values", "clip them, divide by 255 or give uint8")
+        values = (np.clip(values, 0, 1) * 65535 + 0.5).astype(np.uint16)
+    return _checked(name, Pixels(_rgb(values), SRGB, False))
+
+
+def _checked(name: str, pixels: Pixels) -> Pixels:
+    height, width = pixels.values.shape[:2]
+    check_size(width, height, name)
+    return pixels
+
+
+def _rgb(values: Array) -> Array:
+    return np.repeat(values, 3, -1) if values.shape[-1] == 1 else values
+
+
+def _is_pil(source: object) -> TypeGuard[Image]:
+    """True if something is a picture of PIL of 8 bits; others are arrays of their numbers."""
+    from PIL.Image import Image
+
+    return isinstance(source, Image) and source.mode not in ("I", "I;16", "F")
 
 
 def is_picture(source: object) -> bool:
@@ -214,36 +190,6 @@ def is_picture(source: object) -> bool:
     from PIL.Image import Image
 
     return isinstance(source, np.ndarray | Tensor | Image) or hasattr(source, "__array_interface__")
-
-
-def write_picture(name: str, source: object, folder: Path) -> Path:
-    """Write a picture as <folder>/<name>.png; PIL's with EXIF and colour profile.
-
-    Raises:
-        ValueError: no picture: another shape or type, values out of range.
-    """
-    from PIL.Image import Image
-
-    path = folder / f"{name}.png"
-    if isinstance(source, Image) and source.mode not in ("I", "F"):
-        _write_pil(name, source, path)
-        return path
-    values = planes_of(name, source)
-    if values.dtype.kind == "f":
-        check_range(name, values, "display values", "clip them, divide by 255 or give uint8")
-    bits = 8 if values.dtype == np.uint8 else 16
-    most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-    write_png(torch.from_numpy(values / most), {"encoding": "sRGB"}, path, bits)
-    return path
-
-
-def _write_pil(name: str, source: images.Image, path: Path) -> None:
-    try:
-        if source.mode not in ("L", "LA", "RGB", "RGBA", "I;16"):
-            source = source.convert("RGBA" if "transparency" in source.info else "RGB")
-        source.save(path, exif=source.getexif() or None, compress_level=1)
-    except (OSError, ValueError) as error:  # PIL decodes when it must
-        raise ValueError(f"{name}: a picture that PIL cannot decode ({error}), expected a whole one.") from None
 
 
 def planes_of(name: str, source: object) -> Array:
@@ -322,21 +268,3 @@ def _kind_of(source: object) -> str:
     if not isinstance(source, Tensor):
         return type(source).__name__
     return f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
-
-
-def texel_places() -> Array:
-    """The centres of SIDE x SIDE texels, [SIDE * SIDE, 2] in [0, 1), row by row, float32: x to the right, y down."""
-    centres = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
-    return np.stack(np.meshgrid(centres, centres), -1).reshape(-1, 2)
-
-
-def rows_of(name: str, returned: object, count: int) -> Array:
-    """Values that a function returned for so many places, [count, 1 or 3].
-
-    Raises:
-        ValueError: another shape or type.
-    """
-    values = array_of(f"{name}'s values", returned)
-    if values.shape not in ((count,), (count, 1), (count, 3)):
-        raise ValueError(f"{name}: values {list(values.shape)}, expected [{count}, 3]: RGB of each, or gray [{count}].")
-    return values.reshape(count, -1)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from data_tools.readers import material_maps, strips
 from data_tools.readers.flash_places import TEXTS, placed_in
-from data_tools.readers.image_files import check_exists
-from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
+from data_tools.readers.image_files import Pixels, check_exists
+from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of, read_photo
 from data_tools.readers.svbrdf_task import UNITS, rightly_exposed, task_name
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
@@ -73,6 +73,12 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, exposure: floa
         return strips.read_task(path, size, least=least)
     photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)
     return Task(task_name(path.stem), {"photo": rightly_exposed(photo, exposure)})
+
+
+def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, fov_rad: float = 0.0, exposure: float = 0.0) -> Task:
+    """The same of a photograph in memory."""
+    photo = photo_of(pixels, name, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
+    return Task(task_name(name), {"photo": rightly_exposed(photo, exposure)})
 
 
 def _elsewhere(files: Iterable[Path], folders: Collection[Path]) -> list[Path]:

@@ -158,7 +158,7 @@ class InMemory(NamedTuple):
 
     Attributes:
         app: the application.
-        task: `task(object, name, arguments) -> Task`; the arguments are those of readers by keyword, and `observe`.
+        task: `task(object, name, **arguments) -> Task`; the arguments are those of readers, and `observe`.
     """
 
     app: str

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -208,19 +207,18 @@ def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) 
     values display values in [0, 1]. Maps of a material are a dictionary of pictures `diffuse`, `normal`, `roughness`,
     `specular`: integers as files hold them, colours sRGB, normals 0..255 for -1..1; floating-point values linear,
     colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface. Functions get float32
-    arrays and return arrays or tensors, [N, 3], or gray [N]; places xy [N, 2] are in [0, 1), x to the right and y down.
+    arrays and return arrays or tensors, [N, 3], or gray [N].
 
     Args:
         app: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.
         source: what `metapp meta APP INPUT` takes, holding one task; or, in memory,
             of brdf f(wi, wo) -> reflectance, arrays (wi, wo, reflectance) or a BSDF of Mitsuba, as of
             `data_tools.readers.brdf_objects.from_object`;
-            of texture a picture, or f(xy) -> display values in [0, 1];
-            of svbrdf_stationary a picture, the flash photo; or maps, or f(xy) -> maps, of which a flash photo is
-            rendered;
-            of svbrdf_nonstationary maps, or f(xy) -> maps; with observe="photo" also a picture, the flash photo;
-            of illumination linear radiance [H, 2 H, 3], floating point, the middle looks to +z, or f(directions) ->
-            radiance of unit vectors [N, 3], +y up; with observe="photo" also a picture, the photo of a ball;
+            of texture a picture;
+            of svbrdf_stationary a picture, the flash photo; or maps, of which a flash photo is rendered;
+            of svbrdf_nonstationary maps; with observe="photo" also a picture, the flash photo;
+            of illumination linear radiance [H, 2 H, 3], floating point, the middle looks to +z; with observe="photo"
+            also a picture, the photo of a ball;
             of transport a scene as Mitsuba's `load_dict` takes it, or the text of an XML scene; files that it names
             are looked for in the current folder and in those of scene_root.
         paradigm: general, overfit, finetune, quickft or meta.
@@ -271,15 +269,7 @@ def fit_all(
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
-        error.args = tuple(_for_programs(each) if isinstance(each, str) else each for each in error.args)
         raise
-
-
-def _for_programs(message: str) -> str:
-    """A message with options as programs give them, but in a command that ends it: observe="photo"."""
-    text, *command = re.split(r"(?=\bmetapp )", message, maxsplit=1)
-    text = re.sub(r"(?<!\S)--(observe|recipe|rule|size) '?([\w+-]+)'?", r'\1="\2"', text)
-    return re.sub(r"(?<!\S)--(?!train)([a-z]+)", r"\1", text) + "".join(command)
 
 
 def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:

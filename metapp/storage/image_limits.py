@@ -36,7 +36,7 @@ def silent() -> Iterator[None]:
         os.close(nowhere)
 
 
-def check_pixels(width: int, height: int, path: Path) -> None:
+def check_pixels(width: int, height: int, path: Path | str) -> None:
     """Refuse a picture of more pixels than memory should hold.
 
     Raises:

@@ -17,8 +17,8 @@ DENSE = torch.rand(4, 3, generator=torch.Generator().manual_seed(1))
     "half", [PICTURE.astype(np.float16), torch.from_numpy(PICTURE).half()], ids=["array", "tensor"]
 )
 def test_a_picture_of_halves_is_the_picture(half: object) -> None:
-    task = picture_objects.texture(half, "half", {})
-    expected = picture_objects.texture(np.asarray(half, np.float32), "half", {})
+    task = picture_objects.texture(half, "half")
+    expected = picture_objects.texture(np.asarray(half, np.float32), "half")
     torch.testing.assert_close(task.data["image"], expected.data["image"])
 
 
@@ -49,7 +49,7 @@ def test_other_arrays_are_refused_in_one_line(source: object, said: str) -> None
 def test_a_function_may_return_more_rows_than_it_was_asked_for_no_copy() -> None:
     """Refused by its size: nothing of 3e9 rows is copied."""
     with pytest.raises(ValueError, match=rf"values, expected {LARGEST:,} or fewer"):
-        brdf_objects.from_object(lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), "f", {})
+        brdf_objects.from_object(lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), "f")
 
 
 def test_an_array_with_a_mask_of_nothing_is_read() -> None:

@@ -12,7 +12,6 @@ import torch
 from PIL import Image
 
 from data_tools.readers import flash, latlong, photos, svbrdf_inputs
-from data_tools.readers.picture_objects import SIDE as EVALUATED
 from data_tools.readers.picture_objects import flash_photo, light, material, texture
 from metapp.extensions.capture.ball import reading
 from metapp.learning.task import Task
@@ -29,7 +28,7 @@ def same(task: Task, other: Task) -> bool:
 
 
 def read(from_object: Callable, source: object, observe: str = "", **how: object) -> Any:
-    return from_object(source, "object", {"observe": observe, **how})
+    return from_object(source, "object", observe=observe, **how)
 
 
 @pytest.mark.parametrize(
@@ -75,19 +74,6 @@ def test_exif_of_a_picture_counts_as_that_of_its_file(tmp_path: Path) -> None:
     assert not same(read(flash_photo, noise(60, 80)), task)
 
 
-def test_a_function_is_its_values_at_the_texels_of_rows_from_the_top() -> None:
-    side = EVALUATED
-    x, y = (np.arange(side)[None] + 0.5) / side, (np.arange(side)[:, None] + 0.5) / side
-    pixels = np.stack(np.broadcast_arrays(x, y, x * y), -1).astype(np.float32)
-    task = read(texture, lambda xy: np.stack([xy[:, 0], xy[:, 1], xy[:, 0] * xy[:, 1]], -1))
-    assert same(task, read(texture, pixels))
-    image = task.data["image"].int()
-    assert (image[0, :, -1] > image[0, :, 0] + 200).all()  # red rises to the right, green downwards
-    assert (image[1, -1] > image[1, 0] + 200).all()
-    gray = read(texture, lambda xy: torch.from_numpy(xy[:, 0]))
-    assert torch.equal(gray.data["image"][2], gray.data["image"][0])
-
-
 def waves(side: int = SIDE, dtype: str = "float32") -> dict[str, np.ndarray]:
     """Linear maps, the normals of waves that run up and to the right."""
     rng = np.random.default_rng(0)
@@ -125,21 +111,6 @@ def test_maps_of_integers_are_read_as_their_files_are(tmp_path: Path) -> None:
     assert same(read(material, pictures), task)
 
 
-def test_a_function_of_maps_is_a_material() -> None:
-    def bricks(xy: np.ndarray) -> dict[str, object]:
-        flat = np.tile(np.float32([0, 0, 1]), (len(xy), 1))
-        return {
-            "diffuse": 0.1 + 0.8 * xy[:, :1] * [1, 0.5, 0],
-            "normal": flat,
-            "roughness": torch.full((len(xy),), 0.5),
-        }
-
-    maps = read(material, bricks).data["maps"].float()
-    torch.testing.assert_close(maps[2], torch.ones(256, 256))
-    assert (maps[3, :, -1] > maps[3, :, 0] + 0.7).all()
-    assert (maps[7:] - 0.04).abs().max() < 1e-4  # where there is no specular map
-
-
 def test_the_photo_of_a_material_is_that_of_its_maps(tmp_path: Path) -> None:
     maps = read(material, waves(), size=SIDE).data
     photo = read(flash_photo, waves()).data["image"]
@@ -155,18 +126,6 @@ LIGHT = np.random.default_rng(0).uniform(0.1, 20, (32, 64, 3)).astype(np.float32
 def test_a_map_of_light_is_read_as_its_file_is(source: object, observe: str, tmp_path: Path) -> None:
     task = latlong.read_task(write(tmp_path / "object.exr", LIGHT))
     assert same(read(light, source, observe), task)
-
-
-def test_light_of_directions_lies_where_they_point() -> None:
-    """Up is the first row, +z the middle column, +x to the left of it, as of `metapp.appearance.latlong`."""
-    lit = read(light, lambda d: np.maximum(d, 0), "reference").data["map"]
-    x, y, z = lit
-    assert y[0].min() > 10 * y[-1].max()
-    assert z[32].argmax() in (63, 64)
-    assert x[32].argmax() in (31, 32)
-    gray = read(light, lambda d: torch.ones(len(d)), "reference").data
-    torch.testing.assert_close(gray["map"], torch.ones(3, 64, 128))
-    torch.testing.assert_close(gray["scale"], torch.tensor(1.0))
 
 
 def test_a_ball_in_memory_is_a_photo(tmp_path: Path) -> None:
@@ -192,7 +151,7 @@ UNIT = RGB / 255
 @pytest.mark.parametrize(
     ("from_object", "source", "line"),
     [
-        (texture, 3, r"object: int, expected a path, a picture .* or a function f\(xy\)"),
+        (texture, 3, r"object: int, expected a path, a picture"),
         (texture, RGB / 1.0, "display values from 0 to 255, expected 0 to 1; clip them, divide by 255"),
         (texture, holed(UNIT), "3 values are NaN or infinite, expected finite display values"),
         (texture, RGB.transpose(2, 0, 1), r"an array \[3, 48, 48\], expected .*; put the channels last"),
@@ -200,9 +159,7 @@ UNIT = RGB / 255
         (texture, RGB[None], r"an array \[1, 48, 48, 3\], expected \[H, W, 3\] or gray \[H, W\]"),
         (texture, RGB.astype(int), "values of type int64, expected uint8, uint16 or floating point"),
         (texture, RGB > 9, "an array of bool, expected an array of numbers"),
-        (texture, lambda xy: xy, r"values \[262144, 2\], expected \[262144, 3\]"),
-        (texture, lambda xy: "red", "object's values: str, expected an array of numbers"),
-        (material, "maps", r"object: str, expected .*, maps \(a dictionary of such\) or a function f\(xy\)"),
+        (material, "maps", r"object: str, expected .* or maps \(a dictionary of such\)"),
         (material, {}, "object: maps none, expected diffuse, normal, roughness"),
         (material, {"diffuse": UNIT, "height": UNIT}, "object: maps diffuse, height, expected diffuse"),
         (material, {"diffuse": UNIT, "nrmal": FLAT}, "object: a map 'nrmal', expected diffuse, normal"),
@@ -210,8 +167,7 @@ UNIT = RGB / 255
         (material, {"diffuse": holed(UNIT), "normal": FLAT}, "object: diffuse: 3 values are NaN or infinite"),
         (material, {"diffuse": UNIT, "normal": FLAT / 2 + 0.5}, r"vectors of length 1.22 .*; of values in \[0"),
         (material, {"diffuse": UNIT, "normal": 3}, r"object: normal: an array \[\], expected \[H, W, 3\]"),
-        (material, lambda xy: xy, "object: returned ndarray, expected a dictionary of maps"),
-        (light, 3, r"object: int, expected a path, .* or a function f\(directions\)"),
+        (light, 3, "object: int, expected a path, a picture"),
         (light, holed(LIGHT), "3 values are NaN or infinite, expected finite radiance"),
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
     ],
@@ -220,12 +176,3 @@ def test_what_is_none_is_refused_in_a_line(from_object: Callable, source: object
     with pytest.raises(ValueError, match=line) as caught:
         read(from_object, source, "reference")
     assert "\n" not in str(caught.value)
-
-
-def test_what_a_function_raises_is_not_hidden() -> None:
-    def broken(xy: np.ndarray) -> np.ndarray:
-        raise KeyError("mine")
-
-    for from_object in (texture, flash_photo, material, light):
-        with pytest.raises(KeyError, match="mine"):
-            read(from_object, broken)

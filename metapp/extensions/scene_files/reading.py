@@ -9,7 +9,6 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -80,21 +79,21 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Itera
     return _traced(path.stem, scene, str(path), samples=samples, held=held)
 
 
-def from_object(source: object, name: str, how: Mapping[str, Any]) -> Task:
+def from_object(source: object, name: str, *, roots: Iterable[Path] = (), **_: object) -> Task:
     """Make the task of a scene in memory; files that it names lie in the current folder.
 
     Args:
         source: a dictionary of type "scene", as `mi.load_dict` takes it, of numbers, texts, transforms and
             dictionaries; or the text of an XML document.
         name: of the task.
-        how: `roots`, further folders that its files may come from.
+        roots: further folders that its files may come from.
 
     Raises:
         ValueError: neither; it holds something that JSON does not, such as a material that Mitsuba has loaded; as
             `read_task`.
     """
     load_mitsuba()
-    return _traced(name, scene_in_memory(source, name, how.get("roots", ())), name)
+    return _traced(name, scene_in_memory(source, name, roots), name)
 
 
 def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:

@@ -38,7 +38,7 @@ def tasks_of_objects(app: str, objects: Sequence[object], how: Mapping[str, obje
     if not offers:
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
     from_object = door.load(offers[0].task)
-    return [from_object(source, name, how) for source, name in zip(objects, _names(objects), strict=True)]
+    return [from_object(source, name, **how) for source, name in zip(objects, _names(objects), strict=True)]
 
 
 def _is_path(source: object) -> bool:

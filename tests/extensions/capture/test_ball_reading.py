@@ -137,4 +137,4 @@ def test_without_the_extension_photos_are_refused_by_its_name(
         "capture reads it"
     ) in metapp("meta", "illumination", photo, "--observe", "photo").refusal
     with pytest.raises(ValueError, match=r"object: a picture, expected HDR maps"):
-        light_of(noise(), "object", {"observe": "photo"})
+        light_of(noise(), "object", observe="photo")

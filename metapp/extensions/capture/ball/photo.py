@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.image_files import Pixels, read_pixels
+from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import sphere_normals
 from metapp.apps.illumination.mirror import CLIPPED
@@ -26,16 +25,15 @@ _BETTER = 1.2  # of its score, that another ball must have
 _SAME = 0.03  # of the radius, by which a ball may miss the central square's circle and be taken for that
 
 
-def with_ball(path: Path, task: Task, size: int, fov_rad: float) -> Task:
+def with_ball(pixels: Pixels, task: Task, size: int, fov_rad: float) -> Task:
     """The task of a photograph as its central square shows it, with what the ball in it tells.
 
     Args:
-        path: the file.
+        pixels: the whole photograph.
         task: of that square.
         size: rows of a map.
         fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
     """
-    pixels = read_pixels(path)
     if pixels.values.shape[-1] != 3:  # what is transparent is no contour
         return task
     ball = _found(pixels, lens_of(pixels, fov_rad))

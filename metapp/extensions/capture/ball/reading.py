@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from data_tools.readers import latlong
+from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.listing import files_below
-from data_tools.readers.photos import find_photos, is_photo, read_photo
+from data_tools.readers.photos import find_photos, is_photo, photo_of
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
 
@@ -41,22 +42,26 @@ def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> T
     Raises:
         ValueError: as `data_tools.readers.photos.read_photo`; a picture twice as wide as high; a disc that is black.
     """
-    from metapp.extensions.capture.ball.photo import (
-        with_ball,
-    )  # here: it imports scipy, which `recognises` does not need
-
-    return with_ball(path, _central_square(path), size, fov_rad)
+    return _task(read_pixels(path), path.stem, str(path), size, fov_rad)
 
 
-def _central_square(path: Path) -> Task:
-    """The task of a photograph whose central square's borders a ball touches."""
-    header = latlong.header_of(path)
-    if latlong.is_latlong(header.height, header.width):
+def task_of_pixels(pixels: Pixels, name: str, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
+    """The same of a photograph in memory."""
+    return _task(pixels, name, name, size, fov_rad)
+
+
+def _task(pixels: Pixels, name: str, subject: str, size: int, fov_rad: float) -> Task:
+    # here: it imports scipy, which `recognises` does not need
+    from metapp.extensions.capture.ball.photo import with_ball
+
+    height, width = pixels.values.shape[:2]
+    if latlong.is_latlong(height, width):
         raise ValueError(
-            f"{path}: {header} of {header.kind}, expected an HDR map (.exr or .hdr) or a photograph of a sphere; "
-            "export the map as HDR, or crop the photograph to the sphere."
+            f"{subject}: {width}x{height} px of {pixels.values.dtype}, expected an HDR map (.exr or .hdr) or a "
+            "photograph of a sphere; export the map as HDR, or crop the photograph to the sphere."
         )
-    photo = read_photo(path, latlong.SIZE) * sphere_normals(latlong.SIZE)[1]
+    photo = photo_of(pixels, subject, latlong.SIZE) * sphere_normals(latlong.SIZE)[1]
     if not photo.any():
-        raise ValueError(f"{path}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
-    return Task(path.stem, {"photos": photo[None]})
+        reason = "black inside the disc, expected a sphere that touches the borders; crop it to that."
+        raise ValueError(f"{subject}: {reason}")
+    return with_ball(pixels, Task(name, {"photos": photo[None]}), size, fov_rad)
