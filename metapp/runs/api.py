@@ -6,6 +6,7 @@ import functools
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from html import escape
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,6 @@ from metapp.runs.fits.fitter import fit_tasks
 from metapp.runs.inputs.memory import in_memory
 from metapp.runs.inputs.sources import tasks_to_fit
 from metapp.runs.outputs.files import export_fit
-from metapp.runs.outputs.notebook import card_of, table_of
 from metapp.runs.outputs.pictures import beside, image_of
 from metapp.runs.requests.checks import check_export, check_name, check_protocol, check_types
 from metapp.runs.requests.choosing import recipe_of_tasks
@@ -38,6 +38,7 @@ from metapp.runs.surroundings import threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
+from metapp.storage.images import png_address, png_bytes
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
@@ -101,11 +102,11 @@ class Fit:
         return f"<Fit of {self.app.name} {self.name}: {error}, {self.seconds:.4f} s>"
 
     def _repr_html_(self) -> str:
-        """The view in notebooks: pictures, error, seconds, warning."""
+        """The view in notebooks: the picture and one line."""
         error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
-        about = f"{title_of(self.app)}, {self.settings['paradigm']}"
-        facts = f"{error}, {self.seconds:.3g} s, {self.steps} steps"
-        return card_of(self.name, about, self._images, facts, self.warning)
+        line = f"{self.name}: {title_of(self.app)}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
+        line += f", {self.steps} steps" + (f"; warning: {self.warning}" if self.warning else "")
+        return f'<img src="{png_address(png_bytes(self.picture()))}"><div>{escape(line)}</div>'
 
     def __call__(self, wi: object, wo: object) -> Tensor | np.ndarray:
         """Evaluate a fitted BRDF.
@@ -190,15 +191,6 @@ class Fit:
         export_fit(self.plan.presentation, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
 
 
-class Fits(list[Fit]):
-    """Several fits, a list that notebooks show as a table."""
-
-    def _repr_html_(self) -> str:
-        return table_of(
-            [(fit.name, fit.error, fit.seconds, fit.warning) for fit in self], self[0].app if self else None
-        )
-
-
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
     """Fit one file, a material, a texture, a map, a scene; or one in memory.
 
@@ -239,7 +231,7 @@ def fit_all(
     *,
     paradigm: str = "meta",
     **options: object,
-) -> Fits:
+) -> list[Fit]:
     """Fit files and folders, things in memory, or the test tasks of a data set.
 
     Args:
@@ -251,7 +243,7 @@ def fit_all(
             with the names of the command line.
 
     Returns:
-        The fits, a list.
+        The fits.
 
     Raises:
         ValueError: a bad file or array, no checkpoint; an option that the application does not have.
@@ -294,7 +286,7 @@ def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:
     return request
 
 
-def _fitted(request: Request) -> Fits:
+def _fitted(request: Request) -> list[Fit]:
     """Fits of a request's inputs, or of the objects that it has instead."""
     planned = plan(request)
     with threads(threads_of(planned.app)):
@@ -304,4 +296,4 @@ def _fitted(request: Request) -> Fits:
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)
-        return Fits(Fit(planned, task, settings, *result) for task, result in zip(tasks, results, strict=True))
+        return [Fit(planned, task, settings, *result) for task, result in zip(tasks, results, strict=True)]

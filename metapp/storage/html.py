@@ -1,9 +1,8 @@
-"""HTML of galleries, notebooks and interactive pages: elements, and documents that need no network."""
+"""HTML of galleries and interactive pages: elements, and documents that need no network."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
@@ -37,23 +36,6 @@ def image(address: str, text: str, **attributes: str) -> str:
 def figure(picture: str, caption: str, **attributes: str) -> str:
     """A picture above its caption, both HTML; attributes as of `element`."""
     return element("figure", picture, element("figcaption", caption), **attributes)
-
-
-def row(cells: Iterable[str], name: str = "td") -> str:
-    """A row of a table, of texts."""
-    return element("tr", *(element(name, escape(cell)) for cell in cells))
-
-
-def table(head: Iterable[str], body: Iterable[str], caption: str = "", **attributes: str) -> str:
-    """A table.
-
-    Args:
-        head, body: its rows, each an element.
-        caption: text above it, if any.
-        attributes: as of `element`.
-    """
-    above = element("caption", escape(caption)) if caption else ""
-    return element("table", above, element("thead", *head), element("tbody", *body), **attributes)
 
 
 def data_script(name: str, document: Document) -> str:

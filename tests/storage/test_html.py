@@ -14,14 +14,6 @@ def test_attributes_are_text_and_empty_ones_are_left_out() -> None:
     assert made == '<a data-of="1 &lt; &quot;2&quot;" title="c">b</a>'
 
 
-def test_cells_and_captions_are_text() -> None:
-    made = html.table([html.row(["", "<b>"], "th")], [], "1 < 2", class_="wide")
-    assert made == (
-        '<table class="wide"><caption>1 &lt; 2</caption><thead><tr><th></th><th>&lt;b&gt;</th></tr></thead>'
-        "<tbody></tbody></table>"
-    )
-
-
 def test_no_text_ends_a_script_and_no_number_is_nan() -> None:
     made = html.data_script("data", {"name": "</script><script>"})
     assert made.count("<") == 2
