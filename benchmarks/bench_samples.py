@@ -51,8 +51,8 @@ class Way(NamedTuple):
 WAYS = (
     Way("meta, ridge", "meta", "full", COLOURS["meta"]),
     Way("pca_20", "pca_20", "", "#99c7e0"),
-    Way("pca_66w", "pca_66w", "", COLOURS["finetune"]),
-    Way("pca_150w", "pca_150w", "", COLOURS["overfit"]),
+    Way("pca_66", "pca_66", "", COLOURS["finetune"]),
+    Way("pca_150", "pca_150", "", COLOURS["overfit"]),
     Way("meta, ten gradient steps", "meta", "quick", COLOURS["meta"], ":"),
     Way("quickft", "quickft", "quick", COLOURS["quickft"]),
     Way("general", "general", "quick", COLOURS["general"]),

@@ -11,24 +11,14 @@ if TYPE_CHECKING:
     from metapp.learning.app import App
 
 _HERE = "metapp.extensions.baselines"
-_COMPONENTS = tuple(f"pca_{count}{weighted}" for weighted in ("", "w") for count in (20, 66, 150))
 OFFERS = (
     door.Command("baseline", f"{_HERE}.commands:baseline"),
     door.Table("baselines", f"{_HERE}.table:BASELINES"),
-    door.Baselines("brdf", (*_COMPONENTS, "ggx_1", "ggx_2", "nearest"), f"{_HERE}.brdf:baselines"),
-    door.Baselines(
-        "illumination",
-        ("halves", "haar", "dct", "sh", "nearest", "unwrap", "gaussian"),
-        f"{_HERE}.illumination:baselines",
-    ),
-    door.Baselines(
-        "svbrdf_nonstationary",
-        ("jpeg", "nearest", "flat", "predicted"),
-        f"{_HERE}.svbrdf_nonstationary:baselines",
-    ),
+    door.Baselines("brdf", ("pca_20", "pca_66", "pca_150", "ggx_2", "nearest"), f"{_HERE}.brdf:baselines"),
+    door.Baselines("illumination", ("sh", "unwrap"), f"{_HERE}.illumination:baselines"),
+    door.Baselines("svbrdf_nonstationary", ("flat", "predicted"), f"{_HERE}.svbrdf_nonstationary:baselines"),
     door.Baselines("svbrdf_stationary", ("nearest", "quilting"), f"{_HERE}.svbrdf_stationary:baselines"),
-    door.Baselines("texture", ("nearest", "quilting", "gpdm", "patches"), f"{_HERE}.texture:baselines"),
-    door.Baselines("transport", ("histogram", "histogram_8"), f"{_HERE}.transport:baselines"),
+    door.Baselines("texture", ("nearest", "quilting"), f"{_HERE}.texture:baselines"),
 )
 
 

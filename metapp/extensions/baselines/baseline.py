@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bisect
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,17 +43,6 @@ class Training:
             return self.stacked, self.stacked
         return split_validation(self.stacked)
 
-    def holding(self, tensor: str) -> Training:
-        """Those tasks that hold a tensor which some may lack.
-
-        Raises:
-            ValueError: none does.
-        """
-        kept = [task for task in self.tasks if tensor in task.data]
-        if not kept:
-            raise ValueError(f"{len(self.tasks)} training tasks, none with '{tensor}', which this baseline needs.")
-        return Training(self.app, kept)
-
 
 class Allowed(NamedTuple):
     """The samples and bytes of a baseline, so that it is compared at equal cost.
@@ -73,16 +61,14 @@ class BaselineFit(NamedTuple):
 
     Attributes:
         answer: makes what `App.errors_of` judges; not timed, as that of a network is not.
-        numbers: that are kept for the task; None where it is a file.
+        numbers: that are kept for the task.
         size: their bytes.
-        reached: True where it takes no more bytes than a network.
         picture: what it looks like beside the application's fits, linear RGB [H, W, 3], where it is a picture.
     """
 
     answer: Callable[[], object]
-    numbers: int | None
+    numbers: int
     size: int
-    reached: bool = True
     picture: Tensor | None = None
 
 
@@ -131,26 +117,6 @@ class DrawsAnswers(Protocol):
         """The files of an answer, as of `App.errors_of` for this one task, as `Presentation.files`."""
 
 
-def within_size(
-    name: str, title: str, cannot: str, rungs: Callable[[Tasks], int], encode: Callable[[Tasks, int], BaselineFit]
-) -> Baseline:
-    """A way to keep a task's data in fewer or more bytes, at the bytes of a network.
-
-    Args:
-        name, title, cannot: as of `Baseline`.
-        rungs: task -> how many settings there are, from the smallest to the best.
-        encode: (task, setting) -> its fit.
-    """
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        settings = range(rungs(tasks))
-        best = bisect.bisect_right(settings, allowed.size, key=lambda rung: encode(tasks, rung).size) - 1
-        fitted = encode(tasks, max(best, 0))
-        return fitted._replace(reached=fitted.size <= allowed.size)
-
-    return Baseline(name, title, cannot, lambda training, allowed: PreparedBaseline(fit), learns=False)
-
-
 def nearest(
     of: Callable[[Tasks, Generator, Allowed], Tensor],
     answer: Callable[[int], object],
@@ -169,32 +135,6 @@ def nearest(
         return BaselineFit(functools.partial(answer, index), 1, INDEX, picture=picture and picture(index))
 
     return fit
-
-
-def nearest_photo(
-    training: Training, holding: str, answer: Callable[[Tensor], object], scaled: Callable[[Tensor], Tensor]
-) -> PreparedBaseline:
-    """The training task whose photograph is nearest, by the mean absolute difference of scaled values.
-
-    The set itself is shared.
-
-    Args:
-        training: the tasks.
-        holding: the tensor that the answer is made of; tasks without it are left out.
-        answer: such a tensor [1, ...] -> what is judged.
-        scaled: of photographs.
-    """
-    app, tasks_kept = training.app, training.holding(holding).tasks
-    photos = torch.stack([scaled(app.prepare(task)["photo"]) for task in tasks_kept])  # a thousand: 1 GB at 256 px
-    size = len(tasks_kept) * bytes_of(*(app.prepare(tasks_kept[0])[key] for key in ("photo", holding)))
-
-    def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
-        return (photos - scaled(tasks.data["photo"][tasks.rows])).abs().mean((1, 2, 3))
-
-    def answer_of(index: int) -> object:
-        return answer(app.prepare(tasks_kept[index])[holding][None])
-
-    return PreparedBaseline(nearest(distances, answer_of), size)
 
 
 def bytes_of(*tensors: Tensor) -> int:

@@ -1,4 +1,4 @@
-"""Baselines of BRDF networks: components of training BRDFs, GGX lobes, the nearest training material.
+"""Baselines of BRDF networks: components of training BRDFs, two GGX lobes, the nearest training material.
 
 Components are of log-relative BRDFs (Nielsen et al. 2015, "On Optimal, Minimal BRDF Sampling ...").
 """
@@ -6,15 +6,13 @@ Components are of log-relative BRDFs (Nielsen et al. 2015, "On Optimal, Minimal 
 from __future__ import annotations
 
 import functools
-import itertools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import Cosines
-from metapp.extensions.baselines import anisotropic_lobes, lobes
+from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import (
     Allowed,
     Baseline,
@@ -26,14 +24,12 @@ from metapp.extensions.baselines.baseline import (
     mean_error,
     nearest,
 )
-from metapp.extensions.baselines.components import EPSILON, Components, Relative, components, reweighted, ridge
+from metapp.extensions.baselines.components import EPSILON, Components, Relative, components, ridge
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
 COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
-SOLVES = (1, 2)  # of a weighted fit
-NAMES = {1: "one {} lobe", 2: "two {} lobes"}
 
 
 class Samples(NamedTuple):
@@ -83,21 +79,19 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
     cannot = "say anything between the angles of its table, which all training materials must share"
     published = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015)"
-    entries = []
-    for weighted, title in ((False, published), (True, f"{published}, weighted for the table's error")):
-        for count in COUNTS:
-            ridge_of = RidgeOf(count, weighted)
-            entries.append(Baseline(f"pca_{count}{'w' if weighted else ''}", title, cannot, ridge_of.prepare))
-    kinds = {"": (ISOTROPIC, "GGX"), **({"a": (ANISOTROPIC, "anisotropic GGX")} if app.setup.anisotropic else {})}
-    for count, name in NAMES.items():
-        for letter, (kind, lobe) in kinds.items():
-            title = f"a Lambertian body and {name.format(lobe)}, by least squares on the table's error"
-            lobes_of = functools.partial(_lobes, kind, count)
-            entries.append(
-                Baseline(f"ggx_{count}{letter}", title, "be more than a sum of such lobes", lobes_of, learns=False)
-            )
+    lobes_title = "a Lambertian body and two GGX lobes, by least squares on the table's error"
     title = "the training material with the least error on the samples"
-    return (*entries, Baseline("nearest", title, "be a material that is not in its set", _nearest))
+    return (
+        *(Baseline(f"pca_{count}", published, cannot, functools.partial(_components, count)) for count in COUNTS),
+        Baseline(
+            "ggx_2",
+            lobes_title,
+            "be more than a sum of such lobes",
+            lambda *_: PreparedBaseline(_two_lobes),
+            learns=False,
+        ),
+        Baseline("nearest", title, "be a material that is not in its set", _nearest),
+    )
 
 
 def drawn(tasks: Tasks, rng: Generator, count: int) -> Samples:
@@ -142,39 +136,30 @@ def _space(training: Training, *, whole: bool) -> Space:
     return space_of(where[0], tasks.data["target"][tasks.rows])
 
 
-class RidgeOf(NamedTuple):
-    """A number of components, and whether their fit is weighted for the table's error."""
+def _components(kept: int, training: Training, allowed: Allowed) -> PreparedBaseline:
+    """So many components: the penalty is chosen on validation materials, then all are taken."""
 
-    kept: int
-    weighted: bool
-
-    def prepare(self, training: Training, allowed: Allowed) -> PreparedBaseline:
-        """Choose penalty and solves (0: unweighted) on validation materials, then take all."""
-        best = min(itertools.product(PENALTIES, SOLVES if self.weighted else (0,)),
-                   key=functools.partial(self._error, training, allowed))  # fmt: skip
-        space = _space(training, whole=True)
-        used = space.components.first(self.kept)
-        shared = bytes_of(used.mean, used.axes, space.relative.reference)
-        return PreparedBaseline(self.fit_in(space, *best), shared, {"penalty": best[0], "solves": best[1]})
-
-    def _error(self, training: Training, allowed: Allowed, setting: tuple[float, int]) -> float:
-        fit = self.fit_in(_space(training, whole=False), *setting)
+    def error(penalty: float) -> float:
+        fit = ridge_in(_space(training, whole=False), kept, penalty)
         return mean_error(training.app, fit, training.split[1], allowed)
 
-    def fit_in(self, space: Space, penalty: float, solves: int) -> FitTask:
-        """Fits of coefficients to a material's samples."""
-        space = space._replace(components=space.components.first(self.kept))
+    penalty, space = min(PENALTIES, key=error), _space(training, whole=True)
+    used = space.components.first(kept)
+    shared = bytes_of(used.mean, used.axes, space.relative.reference)
+    return PreparedBaseline(ridge_in(space, kept, penalty), shared, {"penalty": penalty})
 
-        def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-            samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
-            kept = coefficients(space.at(samples.rows), samples, penalty, solves)
-            return BaselineFit(functools.partial(answer, tasks, kept), kept.numel(), bytes_of(kept))
 
-        def answer(tasks: Tasks, kept: Tensor) -> Tensor:
-            held = torch.arange(len(space.where) // 2, len(space.where))
-            return space.at(held).reflectance(kept).T[None]
+def ridge_in(space: Space, kept: int, penalty: float) -> FitTask:
+    """Fits of coefficients to a material's samples."""
+    space = space._replace(components=space.components.first(kept))
 
-        return fit
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
+        found = coefficients(space.at(samples.rows), samples, penalty)
+        held = torch.arange(len(space.where) // 2, len(space.where))
+        return BaselineFit(lambda: space.at(held).reflectance(found).T[None], found.numel(), bytes_of(found))
+
+    return fit
 
 
 def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
@@ -194,55 +179,21 @@ def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     return samples._replace(rows=torch.tensor(rows))
 
 
-def coefficients(space: Space, samples: Samples, penalty: float, solves: int) -> Tensor:
-    """The coefficients [K, 3] of components, of a space at samples; without weights where there are no `solves`."""
-    relative, used = space.relative, space.components
-    reflectance, cos = samples.target.expm1() / samples.cos, samples.cos
-    mapped = relative.mapped(reflectance) - used.mean
-    penalty = penalty * len(mapped)
-    slope = cos * (reflectance + EPSILON / relative.weight) / samples.target.exp()
-    kept = ridge(used.axes, mapped, reweighted(slope, None) if solves else None, used.deviation, penalty)
-    for _ in range(1, solves):
-        weights = reweighted(slope, torch.log1p(space.reflectance(kept) * cos) - samples.target)
-        kept = ridge(used.axes, mapped, weights, used.deviation, penalty)
-    return kept
+def coefficients(space: Space, samples: Samples, penalty: float) -> Tensor:
+    """The coefficients [K, 3] of components, of a space at samples."""
+    used = space.components
+    mapped = space.relative.mapped(samples.target.expm1() / samples.cos) - used.mean
+    return ridge(used.axes, mapped, used.deviation, penalty * len(mapped))
 
 
-class LobeModel(NamedTuple):
-    """Sums of GGX lobes.
+def _two_lobes(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    samples, (where, _) = drawn(tasks, rng, allowed.samples), _of_one(tasks)
+    numbers = lobes.fit(lobes.CosineSamples(cosines_of(samples.where), samples.target.double()), 2).float()
 
-    Attributes:
-        fit: (places [n, 7], targets [n, 3], lobes) -> numbers.
-        reflectance: (numbers, places [n, 7]) -> BRDF [n, 3] in 1/sr.
-    """
+    def answer() -> Tensor:
+        return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
 
-    fit: Callable[[Tensor, Tensor, int], Tensor]
-    reflectance: Callable[[Tensor, Tensor], Tensor]
-
-
-ISOTROPIC = LobeModel(
-    lambda where, target, count: lobes.fit(lobes.CosineSamples(cosines_of(where), target.double()), count),
-    lambda numbers, where: lobes.reflectance(numbers, cosines_of(where)),
-)
-ANISOTROPIC = LobeModel(
-    anisotropic_lobes.fit,
-    lambda numbers, where: anisotropic_lobes.reflectance(numbers, anisotropic_lobes.pairs_of(where)),
-)
-
-
-def _lobes(kind: LobeModel, count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
-    """GGX lobes: nothing is shared."""
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        samples = drawn(tasks, rng, allowed.samples)
-        numbers = kind.fit(samples.where, samples.target, count).float()
-        return BaselineFit(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
-
-    def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
-        where, _ = _of_one(tasks)
-        return kind.reflectance(numbers.double(), where[len(where) // 2 :]).float().T[None]
-
-    return PreparedBaseline(fit)
+    return BaselineFit(answer, numbers.numel(), bytes_of(numbers))
 
 
 def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:

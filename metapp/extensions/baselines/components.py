@@ -13,7 +13,6 @@ from torch import Tensor
 
 EPSILON = 1e-3  # as published: what keeps logs finite, and cosines off 0
 ROWS = 8192  # that a Gram matrix is summed over at once
-DELTA = 0.3  # of the mean residual: smaller ones weigh no more
 
 
 class Relative(NamedTuple):
@@ -73,7 +72,7 @@ def components(columns: Tensor, count: int) -> Components:
     return Components(mean, axes, (1 / scale * math.sqrt(1 / columns.shape[1])).to(columns))
 
 
-def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tensor, penalty: float) -> Tensor:
+def ridge(axes: Tensor, targets: Tensor, deviation: Tensor, penalty: float) -> Tensor:
     """Coefficients [K, C] that fit targets [n, C], drawn towards 0 by how little training tasks vary.
 
     By normal equations; by QR in double precision where rounding would hide that these are positive definite: of fewer
@@ -82,48 +81,16 @@ def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tens
     Args:
         axes: [n, K].
         targets: [n, C].
-        weights: of the squared residuals, [n, C]; None: all 1.
         deviation: of training tasks along the axes, [K].
         penalty: of a coefficient at its deviation.
     """
-    if weights is None:
-        left, right = (axes.T @ axes)[None], (axes.T @ targets).T[..., None]
-    else:
-        weighted = axes * weights.T[..., None]
-        left, right = axes.T @ weighted, weighted.mT @ targets.T[..., None]
-    left = left.double() + torch.diag(penalty / deviation.double().square())
+    left = (axes.T @ axes).double() + torch.diag(penalty / deviation.double().square())
     factor, failed = torch.linalg.cholesky_ex(left)
     # rounding changes pivots by about this much: smaller ones are made of it, even where the factorisation succeeds
-    rounding = torch.finfo(axes.dtype).eps * left.diagonal(dim1=1, dim2=2).sum(1)
-    if bool((failed.bool() | (factor.diagonal(dim1=1, dim2=2).square().amin(1) < rounding)).any()):
-        roots = targets.new_ones(1, 1) if weights is None else weights.sqrt()
-        rows = torch.cat(
-            [
-                roots.T[..., None].double() * axes.double(),
-                torch.diag(math.sqrt(penalty) / deviation.double()).expand(roots.shape[1], -1, -1),
-            ],
-            1,
-        )
-        values = torch.nn.functional.pad((roots * targets).T.double(), (0, axes.shape[1]))[..., None]
+    rounding = torch.finfo(axes.dtype).eps * left.diagonal().sum()
+    if failed or factor.diagonal().square().amin() < rounding:
+        rows = torch.cat([axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
         q, r = torch.linalg.qr(rows)
-        exact: Tensor = torch.linalg.solve_triangular(r, q.mT @ values, upper=True)
-        return exact[..., 0].T.to(targets)
-    solved = torch.cholesky_solve(right.double(), factor)
-    return solved[..., 0].T.to(targets)
-
-
-def reweighted(slope: Tensor, residual: Tensor | None) -> Tensor:
-    """Weights [n, C], of mean 1, of squared residuals y whose error is |slope y|, so that absolute errors are fitted.
-
-    Iteratively reweighted least squares: slope^2 / |error|.
-
-    Args:
-        slope: of the error over the residual, [n, C], >= 0.
-        residual: errors [n, C] of the fit before; None: residuals that are all alike, which makes it the slope.
-    """
-    if residual is None:
-        weights = slope
-    else:
-        error = residual.abs()
-        weights = slope * slope / (error + DELTA * error.mean(0)).clamp_min(1e-12)
-    return weights / weights.mean(0)
+        exact: Tensor = torch.linalg.solve_triangular(r, q[: len(axes)].T @ targets.double(), upper=True)
+        return exact.to(targets)
+    return torch.cholesky_solve((axes.T @ targets).double(), factor).to(targets)

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from threadpoolctl import threadpool_limits
@@ -31,18 +30,7 @@ from metapp.storage.shards import read_manifest, read_shard
 ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 
 
-class Judged(NamedTuple):
-    """A baseline's fit of a task.
-
-    Attributes:
-        record: its errors, time and bytes.
-        kept: its `picture`, where there is one.
-        answer: what was judged, as of `App.errors_of`.
-    """
-
-    record: Record
-    kept: Params | None
-    answer: object
+Judged = tuple[Record, Params | None, object]  # the record, the picture, what was judged, as of `App.errors_of`
 
 
 def training_folder(plan: Plan) -> Path | None:
@@ -144,7 +132,6 @@ def _fit_one(plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowe
         "numbers": fitted.numbers,
         "size": fitted.size,
         "shared": prepared.shared,
-        "reached": fitted.reached,
         "chosen": prepared.chosen,
     }
-    return Judged(record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer)
+    return record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer

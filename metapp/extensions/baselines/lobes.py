@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from metapp.appearance.geometry import Cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 
 Floats = NDArray[np.float64]
-Residual = Callable[[Floats], Floats]
 
 LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
 ALPHAS = {1: ((0.03,), (0.12,), (0.4,)), 2: ((0.03, 0.3), (0.1, 0.5))}  # at which fits begin, by lobes
@@ -89,24 +87,11 @@ def _descend(samples: CosineSamples, first: Floats) -> tuple[Floats, float]:
         outer = cos / (1 + reflectance(numbers, samples.cosines) * cos)
         return (slopes(numbers, samples.cosines) * outer[..., None]).flatten(0, 1).numpy()
 
-    return descended(residual, first, _bounds(len(first)), slopes_of)
-
-
-def descended(
-    residual: Residual, first: Floats, bounds: tuple[Floats, Floats], slopes: Residual | None = None
-) -> tuple[Floats, float]:
-    """Numbers where errors, as absolute ones, are least, and their cost.
-
-    Args:
-        residual: errors [3 n] of numbers [P].
-        first: where the descent begins; what is out of bounds is moved there.
-        bounds: least and greatest numbers.
-        slopes: derivatives [3 n, P] of the errors; None: by differences.
-    """
+    bounds = _bounds(len(first))
     solution = least_squares(
         residual,
         np.clip(first, *bounds),
-        jac=slopes or "2-point",
+        jac=slopes_of,
         bounds=bounds,
         x_scale="jac",
         loss="soft_l1",

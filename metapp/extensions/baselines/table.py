@@ -71,8 +71,8 @@ def _measured(
 ) -> Iterator[tuple[Record, Params | None]]:
     """The record and the picture of each task, as far as it can be fitted."""
     try:
-        for fitted in fit_baselines(subject.plan, baseline, training_of(subject.app, source), tasks):
-            yield fitted.record, fitted.kept
+        for record, kept, _ in fit_baselines(subject.plan, baseline, training_of(subject.app, source), tasks):
+            yield record, kept
     except ValueError as error:
         say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
@@ -114,7 +114,6 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
         "numbers": sum(value.numel() for value in theta.values()),
         "size": size(theta),
         "shared": stored(fit.checkpoint),
-        "unreached": 0,
         "few": subject.is_of_few(name),
     }
     return row_of(subject, name, [subject.cell(name)], entries, against=against(subject, name, "meta"))
@@ -123,13 +122,11 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
 def _row_of_baseline(subject: Subject, baseline: Baseline) -> Row:
     cell = baseline_cell(subject, baseline)
     records = cell.records()
-    counts = [record["numbers"] for record in records if record["numbers"] is not None]
     entries = {
         "baseline": True,
-        "numbers": statistics.fmean(counts) if counts else None,
+        "numbers": statistics.fmean(record["numbers"] for record in records) if records else None,
         "size": statistics.fmean(record["size"] for record in records) if records else None,
         "shared": records[-1]["shared"] if records else None,
-        "unreached": sum(not record.get("reached", True) for record in records),
     }
     return row_of(subject, baseline.name, [cell], entries, against=against(subject, baseline.name, "meta"))
 
@@ -152,17 +149,15 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
 
 
 def _compared(all_rows: list[Row]) -> list[str]:
-    """The baselines of a lower error than Meta's, of a higher one, those not told apart, and those of more bytes."""
+    """The baselines of a lower error than Meta's, of a higher one, and those not told apart."""
     pairs = {row["paradigm"]: pair for row in all_rows if (pair := paired_of(row, "meta"))}
     lower = [name for name, pair in pairs.items() if apart(pair) and pair.value < pair.level]
     higher = [name for name, pair in pairs.items() if apart(pair) and pair.value > pair.level]
     level = [name for name, pair in pairs.items() if not apart(pair)]
-    large = [f"{row['paradigm']} on {row['unreached']} of {row['tasks']} tasks" for row in all_rows if row["unreached"]]
     return [
         *(f"{name}: {compared_text(pairs[name], 'meta')}" for name in lower),
         *([f"a higher error than meta's: {', '.join(higher)}"] if higher else []),
         *([f"no win either way: {', '.join(level)}"] if level else []),
-        *([f"more bytes than a network's: {', '.join(large)}"] if large else []),
     ]
 
 

@@ -13,13 +13,9 @@ from metapp.storage.records import read_records
 from tests.pictures import environment, photograph
 
 
-@pytest.mark.parametrize("method", ["quilting", "gpdm", "patches"])
-def test_a_method_makes_a_picture_and_a_record_of_a_file(
-    metapp: Callable, method: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("metapp.extensions.baselines.texture.DESCENT", 10)  # of 150 steps, which take seconds
+def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable) -> None:
     photograph(Path("wall.png"), 9, 80)
-    done = metapp("baseline", "texture", "wall.png", "--method", method, "--recipe", "quick", "--json")
+    done = metapp("baseline", "texture", "wall.png", "--method", "quilting", "--recipe", "quick", "--json")
     assert done.code == 0, done.err
     out = Path(done.document["out"])
     (record,) = read_records(out / "record.jsonl")
@@ -50,15 +46,20 @@ def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
 
 
 @pytest.mark.usefixtures("scene")
-def test_a_map_in_half_precision_is_written_as_radiance(metapp: Callable) -> None:
+def test_harmonics_of_a_map_are_written_as_radiance(metapp: Callable) -> None:
     environment(Path("hall.exr"))
-    options = ["--method", "halves", "--observe", "reference", "--recipe", "quick", "--json"]
+    options = ["--method", "sh", "--observe", "reference", "--recipe", "quick", "--json"]
     done = metapp("baseline", "illumination", "hall.exr", *options)
     assert done.code == 0, done.err
     made = Path(done.document["out"], "outputs", "hall")
     assert sorted(file.name for file in made.iterdir()) == ["map.exr", "map.png", "relit.png"]
-    pixels = [oiio.ImageBuf(str(file)).get_pixels("float") for file in (made / "map.exr", Path("hall.exr"))]
-    np.testing.assert_allclose(*pixels, rtol=0.01)
+    found, wanted = (oiio.ImageBuf(str(file)).get_pixels("float") for file in (made / "map.exr", Path("hall.exr")))
+    assert np.abs(found - wanted).mean() < 0.8 * np.abs(wanted - wanted.mean((0, 1))).mean()  # which is noise
+
+
+def test_an_application_without_methods_says_so(metapp: Callable) -> None:
+    done = metapp("baseline", "transport", "--method", "nearest")
+    assert "--method nearest: not one of transport, expected another application" in done.misuse
 
 
 @pytest.mark.long
@@ -66,7 +67,7 @@ def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None
     photograph(Path("wall.png"), 9, 520)
     sides = []
     for detail in ([], ["--detail", "512"]):
-        done = metapp("baseline", "texture", "wall.png", "--method", "patches", *detail, "--json").done
+        done = metapp("baseline", "texture", "wall.png", "--method", "quilting", *detail, "--json").done
         spec = oiio.ImageBuf(str(Path(done["out"], "outputs", "wall", "texture.png"))).spec()
         sides.append((spec.width, "detail512" in done["out"]))
     assert sides == [(256, False), (512, True)]

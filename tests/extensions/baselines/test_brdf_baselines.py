@@ -14,7 +14,7 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training
-from metapp.extensions.baselines.brdf import RidgeOf, baselines, cosines_of, drawn, space_of
+from metapp.extensions.baselines.brdf import _components, baselines, cosines_of, drawn, ridge_in, space_of
 from metapp.extensions.baselines.components import EPSILON, Relative, components, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
@@ -86,18 +86,15 @@ def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: G
     assert space.relative.weight.min() >= EPSILON
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> None:
+def test_ridge_of_fewer_samples_than_axes(rng: Generator) -> None:
     """Rounding in single precision hides that the system is definite; the answer is that of least squares."""
     rows = torch.randint(8, (800,), generator=rng)
     axes, targets = torch.randn(8, 30, generator=rng)[rows], torch.randn(8, 3, generator=rng)[rows]
-    weights = 0.5 + torch.rand(800, 3, generator=rng) if weighted else None
     deviation, penalty = torch.linspace(2, 0.5, 30), 1e-7
-    found = ridge(axes, targets, weights, deviation, penalty)
+    found = ridge(axes, targets, deviation, penalty)
     for channel in range(3):
-        root = weights[:, channel : channel + 1].double().sqrt() if weights is not None else 1.0
-        a = torch.cat([root * axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
-        b = torch.cat([root * targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
+        a = torch.cat([axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
+        b = torch.cat([targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
         wanted = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
         torch.testing.assert_close(found[:, channel].double(), wanted, atol=1e-5, rtol=1e-4)
 
@@ -105,29 +102,28 @@ def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> Non
 def test_the_penalty_is_chosen_on_validation_materials_and_bytes_are_counted(rng: Generator) -> None:
     training = Training(APP, random_materials(12, rng))
     allowed = Allowed(400, 2700)
-    method = RidgeOf(8, True)
-    prepared = method.prepare(training, allowed)
-    assert set(prepared.chosen) == {"penalty", "solves"}
+    prepared = _components(8, training, allowed)
+    assert set(prepared.chosen) == {"penalty"}
     assert prepared.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
     one = training.stacked.select([2])
     fitted = prepared.fit(one, Generator().manual_seed(0), allowed)
     assert (fitted.numbers, fitted.size) == (24, 96)
     assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
-    (unweighted,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
-    assert unweighted.prepare(training, allowed).chosen["solves"] == 0
+    (named,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
+    assert named.prepare(training, allowed).fit(one, rng, allowed).numbers == 30  # all that vary by more than rounding
 
 
 def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
     allowed = Allowed(100, 2700)
     with pytest.raises(ValueError, match="angles of their own"):
-        RidgeOf(4, False).prepare(Training(APP, random_materials(8, rng, apart=True)), allowed)
-    prepared = RidgeOf(4, False).prepare(Training(APP, random_materials(8, rng)), allowed)
+        _components(4, Training(APP, random_materials(8, rng, apart=True)), allowed)
+    prepared = _components(4, Training(APP, random_materials(8, rng)), allowed)
     other = stack(APP, random_materials(1, rng))
     with pytest.raises(ValueError, match="other angles"):
         prepared.fit(other, rng, allowed).answer()
     materials, half = random_materials(12, rng), SAMPLES // 2
     known = stack(APP, materials).data
-    fit = RidgeOf(8, False).fit_in(space_of(known["where"][0], known["target"]), 1e-9, 0)
+    fit = ridge_in(space_of(known["where"][0], known["target"]), 8, 1e-9)
     order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack(APP, [moved])

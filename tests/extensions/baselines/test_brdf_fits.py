@@ -12,8 +12,8 @@ from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training, mean_error
-from metapp.extensions.baselines.brdf import RidgeOf, coefficients, drawn, space_of
-from metapp.extensions.baselines.components import EPSILON, Relative, reweighted
+from metapp.extensions.baselines.brdf import PENALTIES, _components, coefficients, drawn, ridge_in, space_of
+from metapp.extensions.baselines.components import EPSILON, Relative
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
 from tests.extensions.baselines.test_brdf_baselines import random_materials
@@ -37,18 +37,6 @@ def test_the_mapping_is_the_published_one() -> None:
     )
 
 
-def test_weights_do_not_depend_on_the_unit_of_errors(rng: Generator) -> None:
-    slope, residual = (torch.rand(40, 3, generator=rng, dtype=torch.float64) + 0.1 for _ in range(2))
-    found = reweighted(slope, residual)
-    torch.testing.assert_close(found.mean(0), torch.ones(3, dtype=torch.float64))
-    torch.testing.assert_close(reweighted(7 * slope, -1000 * residual), found)
-    alike = reweighted(slope, torch.ones_like(residual))  # of errors that are alike, as the slope's square
-    torch.testing.assert_close(alike / alike[0], (slope / slope[0]) ** 2)
-    torch.testing.assert_close(reweighted(slope, None), slope / slope.mean(0))
-    some = reweighted(torch.ones_like(slope), residual)  # the larger the error, the less its square weighs
-    assert torch.equal(some.argsort(0), residual.argsort(0, descending=True))
-
-
 def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
     task = random_materials(1, rng)[0]
     prepared = APP.prepare(task)
@@ -58,40 +46,29 @@ def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
     torch.testing.assert_close(space.relative.weight[:, 0].double(), expected, atol=1e-6, rtol=1e-4)
 
 
-@pytest.mark.parametrize("solves", [0, 1, 2, 3])
-def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Generator, solves: int) -> None:
-    """Squares of log-relative residuals, weighted by the slope of the table's error and by its size before."""
+def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Generator) -> None:
+    """Squares of log-relative residuals, and of coefficients over their deviation."""
     where, target = materials.data["where"][0], materials.data["target"]
     whole, penalty = space_of(where, target[:8]), 1e-3
     whole = whole._replace(components=whole.components.first(5))
     seen = drawn(materials.select([10]), rng, 300)  # which is not in the span
     space = whole.at(seen.rows)
-    reflectance = (seen.target.expm1() / seen.cos).requires_grad_()
-    mapped = space.relative.mapped(reflectance)
-    error = torch.log1p(reflectance * seen.cos)
-    (by_reflectance,) = torch.autograd.grad(error.sum(), reflectance, retain_graph=True)
-    (mapped_by,) = torch.autograd.grad(mapped.sum(), reflectance)
-    slope, weights = by_reflectance / mapped_by, torch.ones_like(error)
-    if solves == 1:
-        weights = slope / slope.mean(0)
-    elif solves:
-        before = space.reflectance(coefficients(space, seen, penalty, solves - 1))
-        weights = reweighted(slope, torch.log1p(before * seen.cos) - seen.target)
-    found = coefficients(space, seen, penalty, solves).requires_grad_()
+    mapped = space.relative.mapped(seen.target.expm1() / seen.cos)
+    found = coefficients(space, seen, penalty).requires_grad_()
     used = space.components
-    residual = used.axes @ found + used.mean - mapped.detach()
+    residual = used.axes @ found + used.mean - mapped
     drawn_to = (found / used.deviation[:, None]) ** 2
-    cost = (weights.detach() * residual**2).sum() + penalty * len(residual) * drawn_to.sum()
+    cost = (residual**2).sum() + penalty * len(residual) * drawn_to.sum()
     (gradient,) = torch.autograd.grad(cost, found)
     assert gradient.abs().max() < 1e-8 * cost.item() + 1e-8
 
 
 def test_a_penalty_is_judged_on_materials_that_components_do_not_know(rng: Generator) -> None:
-    training, allowed, method = Training(APP, random_materials(12, rng)), Allowed(200, 2700), RidgeOf(4, True)
+    training, allowed = Training(APP, random_materials(12, rng)), Allowed(200, 2700)
     known, validation = training.split
     space = space_of(known.data["where"][0], known.data["target"][known.rows])
-    expected = mean_error(APP, method.fit_in(space, 1e-7, 1), validation, allowed)
-    assert method._error(training, allowed, (1e-7, 1)) == pytest.approx(expected, rel=1e-6)
+    errors = {penalty: mean_error(APP, ridge_in(space, 4, penalty), validation, allowed) for penalty in PENALTIES}
+    assert _components(4, training, allowed).chosen == {"penalty": min(errors, key=errors.__getitem__)}
 
 
 def near_mirror(rng: Generator, count: int = 3000) -> lobes.Cosines:

@@ -1,4 +1,4 @@
-"""Picture files of maps, and pictures of patches."""
+"""Pictures of pieces of a photo, and a photo as a flat material."""
 
 from __future__ import annotations
 
@@ -8,15 +8,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
-from metapp.appearance.flash import Maps, pack
+from metapp.appearance.flash import Maps
 from metapp.appearance.quilting import beyond_cut
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
-from metapp.extensions.baselines import svbrdf_nonstationary as codec
-from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training
-from metapp.extensions.baselines.svbrdf_nonstationary import baselines, flat_maps, maps_of, sheets
-from metapp.extensions.baselines.texture import quilt, random_patches
-from metapp.learning.app import App
-from metapp.learning.task import Tasks
+from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
+from metapp.extensions.baselines.texture import quilt
 
 
 @pytest.fixture
@@ -28,61 +24,18 @@ def smooth_maps(rng: Generator) -> Maps:
     return Maps(noise(3), noise(3) * 0.2, noise(1), normal)
 
 
-class Photographed:
-    """An application whose fits see the maps."""
-
-    protocol = "reference"
-
-
-def tasks_of(maps: Maps) -> Tasks:
-    return Tasks(("a",), {"maps": pack(Maps(*(each[0] for each in maps)))[None]}, torch.tensor([0]))
-
-
-def fits(maps: Maps, allowed: Allowed) -> dict[str, BaselineFit]:
-    app: App = Photographed()  # type: ignore[assignment]
-    prepared = {baseline.name: baseline.prepare(Training(app, []), allowed) for baseline in baselines(app)}
-    return {name: each.fit(tasks_of(maps), Generator(), allowed) for name, each in prepared.items()}
-
-
-def test_maps_come_back_from_their_pictures(smooth_maps: Maps) -> None:
-    for found, wanted in zip(maps_of(sheets(smooth_maps)), smooth_maps, strict=True):
-        torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-4)
-    picture = np.random.default_rng(0).random((16, 48, 3)).astype(np.float32)
-    assert np.abs(codec.decoded(codec.jpeg(picture * 0 + 0.5, 100)) - 0.5).max() < 0.01
-    assert codec.decoded(codec.jpeg(picture[..., :1], 90)).shape == (16, 48, 1)
-
-
-@pytest.mark.parametrize("size", [2000, 4000, 12_000, 10**6])
-def test_the_search_meets_the_budget_of_bytes(smooth_maps: Maps, size: int) -> None:
-    found = fits(smooth_maps, Allowed(1, size))
-    assert found["jpeg"].size <= size
-    assert found["jpeg"].reached
-    assert found["jpeg"].numbers is None
-
-
-def test_the_search_uses_larger_budgets(smooth_maps: Maps) -> None:
-    sizes = [{name: each.size for name, each in fits(smooth_maps, Allowed(1, size)).items()} for size in (2500, 5000)]
-    assert sizes[0]["jpeg"] < sizes[1]["jpeg"]
-    found = fits(smooth_maps, Allowed(1, 1))
-    assert not found["jpeg"].reached
-
-
-# Patches
-
-
 @pytest.fixture
 def exemplar() -> np.ndarray:
     return np.random.default_rng(1).random((32, 32, 3)).astype(np.float32)
 
 
-@pytest.mark.parametrize("make", [quilt, random_patches])
-def test_pictures_are_made_of_the_exemplars_pixels(make: object, exemplar: np.ndarray) -> None:
-    found = make(exemplar, np.random.default_rng(0))  # type: ignore[operator]
+def test_pictures_are_made_of_the_exemplars_pixels(exemplar: np.ndarray) -> None:
+    found = quilt(exemplar, np.random.default_rng(0))
     assert found.shape == exemplar.shape
     known = {tuple(each) for each in exemplar.reshape(-1, 3)}
     assert {tuple(each) for each in found.reshape(-1, 3)} <= known
     assert not np.array_equal(found, exemplar)
-    other = make(exemplar, np.random.default_rng(1))  # type: ignore[operator]
+    other = quilt(exemplar, np.random.default_rng(1))
     assert not np.array_equal(found, other)
 
 
