@@ -188,7 +188,7 @@ def coefficients(space: Space, samples: Samples, penalty: float) -> Tensor:
 
 def _two_lobes(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
     samples, (where, _) = drawn(tasks, rng, allowed.samples), _of_one(tasks)
-    numbers = lobes.fit(lobes.CosineSamples(cosines_of(samples.where), samples.target.double()), 2).float()
+    numbers = lobes.fit(cosines_of(samples.where), samples.target.double(), 2).float()
 
     def answer() -> Tensor:
         return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]

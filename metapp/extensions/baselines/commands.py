@@ -117,7 +117,7 @@ def run(plan: Plan, method: str) -> tuple[str, Path, list[Record], Path | None]:
     from metapp.apps import presentation_of
     from metapp.extensions.baselines import baselines_of
     from metapp.extensions.baselines.baseline import DrawsAnswers
-    from metapp.extensions.baselines.fits import FORM, fit_baselines, settings_of, training_folder, training_of
+    from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder, training_of
     from metapp.runs.inputs.sources import tasks_to_fit
     from metapp.runs.outputs.files import OUTPUTS, write_pictures
     from metapp.storage.records import RunFolder, file_name
@@ -133,7 +133,7 @@ def run(plan: Plan, method: str) -> tuple[str, Path, list[Record], Path | None]:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
     words = [label, request.recipe, f"seed{request.seed}", *name_parts(app.name, plan.options), method, app.protocol]
     path = request.out / app.name / "baseline" / "-".join(filter(None, words))
-    folder = RunFolder(path, settings_of(plan, baseline, source, label), FORM, plan.origin())
+    folder = RunFolder(path, settings_of(plan, baseline, source, label), ENTRIES, plan.origin())
     records, presentation = [], presentation_of(app)
     made = folder.path / OUTPUTS if isinstance(presentation, DrawsAnswers) else None
     with progress(method, len(tasks), quiet=request.quiet) as bar:

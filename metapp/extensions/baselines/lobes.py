@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,18 +22,6 @@ NARROWEST, WIDEST = 0.005, 1.5
 SMALL = 0.003  # errors below it count as squares, those above as they are
 STEP = 1e-5  # of log alpha, for its slope: forward differentiation takes ten times as long
 ENOUGH = 1e-5  # of change, of numbers and of the cost, to stop at
-
-
-class CosineSamples(NamedTuple):
-    """Samples in double precision.
-
-    Attributes:
-        cosines: [n].
-        target: log(1 + f cos theta_i), [n, 3].
-    """
-
-    cosines: Cosines
-    target: Tensor
 
 
 def reflectance(numbers: Tensor, cosines: Cosines) -> Tensor:
@@ -67,25 +54,31 @@ def _shape(log_alpha: Tensor, cosines: Cosines) -> Tensor:
     return microfacet_lobe(cosines, log_alpha.exp(), torch.ones_like)[..., 0]
 
 
-def fit(samples: CosineSamples, lobes: int) -> Tensor:
-    """The numbers of a fit, float64; absolute errors of log(1 + f cos theta_i) count."""
-    few = CosineSamples(Cosines(*(cosine[:FEW] for cosine in samples.cosines)), samples.target[:FEW])
-    fits = [_descend(few, _first(few, alphas)) for alphas in ALPHAS[lobes]]
+def fit(cosines: Cosines, target: Tensor, lobes: int) -> Tensor:
+    """The numbers of a fit, float64; absolute errors count.
+
+    Args:
+        cosines: of the samples, [n], float64.
+        target: log(1 + f cos theta_i), [n, 3], float64.
+        lobes: how many.
+    """
+    few = Cosines(*(cosine[:FEW] for cosine in cosines)), target[:FEW]
+    fits = [_descend(*few, _first(*few, alphas)) for alphas in ALPHAS[lobes]]
     best = min(fits, key=lambda fit: fit[1])[0]
-    return torch.from_numpy(_descend(samples, best)[0])
+    return torch.from_numpy(_descend(cosines, target, best)[0])
 
 
-def _descend(samples: CosineSamples, first: Floats) -> tuple[Floats, float]:
+def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, float]:
     """Numbers after a descent, and their cost."""
-    cos = samples.cosines.incident[:, None]
+    cos = cosines.incident[:, None]
 
     def residual(x: Floats) -> Floats:
-        return (torch.log1p(reflectance(torch.from_numpy(x), samples.cosines) * cos) - samples.target).numpy().ravel()
+        return (torch.log1p(reflectance(torch.from_numpy(x), cosines) * cos) - target).numpy().ravel()
 
     def slopes_of(x: Floats) -> Floats:
         numbers = torch.from_numpy(x)
-        outer = cos / (1 + reflectance(numbers, samples.cosines) * cos)
-        return (slopes(numbers, samples.cosines) * outer[..., None]).flatten(0, 1).numpy()
+        outer = cos / (1 + reflectance(numbers, cosines) * cos)
+        return (slopes(numbers, cosines) * outer[..., None]).flatten(0, 1).numpy()
 
     bounds = _bounds(len(first))
     solution = least_squares(
@@ -109,18 +102,16 @@ def _bounds(size: int) -> tuple[Floats, Floats]:
     return np.array([0.0] * 3 + lobe_low * lobes), np.array([np.inf] * 3 + lobe_high * lobes)
 
 
-def _first(samples: CosineSamples, alphas: tuple[float, ...]) -> Floats:
+def _first(cosines: Cosines, target: Tensor, alphas: tuple[float, ...]) -> Floats:
     """Where a descent begins: colours that fit best at these alphas and F0 = 0.04, none below 0."""
-    shapes = [torch.full_like(samples.cosines.half, 1 / math.pi)]
-    fresnel = fresnel_schlick(samples.cosines.difference, 0.04)
-    shapes += [
-        _shape(torch.tensor(math.log(alpha), dtype=torch.float64), samples.cosines) * fresnel for alpha in alphas
-    ]
-    cos = samples.cosines.incident
+    shapes = [torch.full_like(cosines.half, 1 / math.pi)]
+    fresnel = fresnel_schlick(cosines.difference, 0.04)
+    shapes += [_shape(torch.tensor(math.log(alpha), dtype=torch.float64), cosines) * fresnel for alpha in alphas]
+    cos = cosines.incident
     columns = torch.stack(shapes, 1) * cos[:, None]
     solutions = []
-    for target in samples.target.unbind(1):
-        weight = torch.exp(-target)[:, None]  # the slope of the log
-        solutions.append(nnls((columns * weight).numpy(), (target.expm1() * weight[:, 0]).numpy())[0])
+    for channel in target.unbind(1):
+        weight = torch.exp(-channel)[:, None]  # the slope of the log
+        solutions.append(nnls((columns * weight).numpy(), (channel.expm1() * weight[:, 0]).numpy())[0])
     colours = np.stack(solutions, 1) + 1e-4
     return np.concatenate([colours[0], *([math.log(a), 0.04, *c] for a, c in zip(alphas, colours[1:], strict=True))])

@@ -85,27 +85,27 @@ def lobe(alpha: float) -> Tensor:
     return torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.04, 0.5, 0.8, 0.2], dtype=torch.float64)
 
 
-def samples_of(numbers: Tensor, at: lobes.Cosines) -> lobes.CosineSamples:
-    return lobes.CosineSamples(at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
+def samples_of(numbers: Tensor, at: lobes.Cosines) -> tuple[lobes.Cosines, Tensor]:
+    return (at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
 
 
 @pytest.mark.parametrize("alpha", [0.03, 0.12, 0.4])
 def test_a_descent_begins_at_the_colours_of_a_material_of_its_alphas(rng: Generator, alpha: float) -> None:
     at = near_mirror(rng)
-    first = torch.from_numpy(lobes._first(samples_of(lobe(alpha), at), (alpha,)))
+    first = torch.from_numpy(lobes._first(*samples_of(lobe(alpha), at), (alpha,)))
     torch.testing.assert_close(first, lobe(alpha), atol=2e-4, rtol=1e-6)
 
 
 @pytest.mark.parametrize("alpha", [0.006, 0.02, 1.2])
 def test_lobes_from_nearly_a_mirror_to_nearly_none_are_recovered(rng: Generator, alpha: float) -> None:
-    found = lobes.fit(samples_of(lobe(alpha), near_mirror(rng)), 1)
+    found = lobes.fit(*samples_of(lobe(alpha), near_mirror(rng)), 1)
     assert found[3].exp().item() == pytest.approx(alpha, rel=0.05)
 
 
 def test_alphas_stay_in_their_bounds(rng: Generator) -> None:
     at = near_mirror(rng)
     for alpha in (0.001, 4.0):
-        found = lobes.fit(samples_of(lobe(alpha), at), 1)
+        found = lobes.fit(*samples_of(lobe(alpha), at), 1)
         assert 0.005 * (1 - 1e-9) <= found[3].exp().item() <= 1.5 * (1 + 1e-9)
         assert 0 <= found[4] <= 1
         assert found[[0, 1, 2, 5, 6, 7]].min() >= 0
