@@ -16,7 +16,7 @@ from PIL import Image
 from data_tools.readers.photos import FRAME_MM
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
-cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[markers]"')
+cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[capture]"')
 
 PX_PER_CM = 80
 FOCAL_MM = 26  # as of 35 mm film

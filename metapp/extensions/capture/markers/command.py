@@ -40,7 +40,7 @@ def markers(
     """Write a marker sheet to print: a frame of markers round an opening, which is laid on a flat material.
 
     `metapp data rectify` finds the markers in photographs of it. Needs OpenCV, which metapp's extra
-    `markers` installs.
+    `capture` installs.
 
     Example:
       metapp data markers sheet.pdf
@@ -92,7 +92,7 @@ def rectify(options: Rectify) -> None:
     Writes square pictures 00.png, 01.png, ... of the sheet's opening, that from nearest to straight above first,
     camera_pos.txt, light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR --observe
     photo`. Pictures in its folder found/ show what was found. Photos whose markers are missing or do not fit are
-    skipped, each with a line. Needs OpenCV, which metapp's extra `markers` installs.
+    skipped, each with a line. Needs OpenCV, which metapp's extra `capture` installs.
 
     Examples:
       metapp data rectify photos/ --out leaf
@@ -101,15 +101,22 @@ def rectify(options: Rectify) -> None:
     """
     flash = _flash(options.flash)
     from data_tools.readers.photos import find_photos
-    from metapp.extensions.capture.markers.rectified import FOUND, Settings, place, summary, write_set
+    from metapp.extensions.capture.markers.rectified import FOUND, place, summary, write_set
 
     folder, quiet = options.folder, options.quiet
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
     photos, others = find_photos(options.paths)
-    settings = Settings(options.size, math.radians(options.fov), flash, options.ruler, options.white)
     with progress("photos", len(photos), quiet=quiet) as bar:
-        placed = place(photos, settings, bar.advance)
+        placed = place(
+            photos,
+            size=options.size,
+            fov_rad=math.radians(options.fov),
+            flash_cm=flash,
+            ruler_cm=options.ruler,
+            white=options.white,
+            done=bar.advance,
+        )
     for line in [*others, *placed.skipped]:
         say(f"warning: skipped: {line}")
     if any(flash) and len({photo.sighting.height > photo.sighting.width for photo in placed.photos}) > 1:
@@ -146,7 +153,7 @@ def _document(folder: Path, placed: Set, others: list[str]) -> dict[str, object]
         {
             "file": f"{number:02}.png",
             "source": str(photo.sighting.path),
-            "markers": len(photo.sighting.numbers),
+            "markers": len(photo.sighting.markers),
             "error_px": photo.pose.error_px,
             "tilt_degrees": photo.pose.tilt,
             "camera_cm": photo.camera_cm.tolist(),

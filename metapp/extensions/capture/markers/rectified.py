@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,40 +16,19 @@ from numpy.typing import NDArray
 
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import linear_light
+from data_tools.readers.photos import FRAME_MM, linear_light
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.markers import opencv
-from metapp.extensions.capture.markers.pose import Pose, common_focal, focal_of, pose_of
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
-from metapp.extensions.capture.markers.sighting import Sighting, find_sheet
+from metapp.extensions.capture.markers.sighting import LIMIT, Pose, Sighting, common_focal, find_sheet, pose_of
 from metapp.extensions.capture.markers.white import adaptation, paper_colour
+from metapp.extensions.capture.opencv import opencv
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
 
 LARGEST_PX = 1024
 FOUND = "found"  # folder of pictures that show what was found
 
-_ROWS = 128  # made at a time
 _SHOWN_PX = 1200  # the longer side of pictures that show what was found
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of rectifying photographs.
-
-    Attributes:
-        size: greatest side of the pictures in px.
-        fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
-        flash_cm: where the flash is beside the lens: right and up in the photograph.
-        ruler_cm: measured length of the printed ruler.
-        white: whether pictures are adapted to D65 by the colour of the sheet's paper.
-    """
-
-    size: int = LARGEST_PX
-    fov_rad: float = 0.0
-    flash_cm: tuple[float, float] = (0.0, 0.0)
-    ruler_cm: float = RULER_CM
-    white: bool = False
 
 
 class Placed(NamedTuple):
@@ -88,12 +66,25 @@ class Set(NamedTuple):
     focal_mm: float
 
 
-def place(paths: Sequence[Path], settings: Settings, done: Callable[[str], object] = str) -> Set:
+def place(
+    paths: Sequence[Path],
+    *,
+    size: int = LARGEST_PX,
+    fov_rad: float = 0.0,
+    flash_cm: tuple[float, float] = (0.0, 0.0),
+    ruler_cm: float = RULER_CM,
+    white: bool = False,
+    done: Callable[[str], object] = str,
+) -> Set:
     """Find sheet and camera in photographs.
 
     Args:
         paths: the photographs, of one sheet.
-        settings: how.
+        size: greatest side of the pictures in px.
+        fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
+        flash_cm: where the flash is beside the lens: right and up in the photograph.
+        ruler_cm: measured length of the printed ruler.
+        white: whether pictures are adapted to D65 by the colour of the sheet's paper.
         done: called with the name of each photograph that was searched.
 
     Raises:
@@ -109,12 +100,15 @@ def place(paths: Sequence[Path], settings: Settings, done: Callable[[str], objec
             skipped.append(str(error))
         done(path.name)
     _check_one_sheet(sightings)
-    without = [sighting for sighting in sightings if not (settings.fov_rad or sighting.focal_mm)]
-    focal_mm = common_focal(without) if without else 0.0
+    if fov_rad:
+        sightings = [each._replace(focal_mm=_focal_of(fov_rad, each.height, each.width)) for each in sightings]
+    without = [each for each in sightings if not each.focal_mm]
+    found_mm = common_focal(without) if without else 0.0
     photos = []
     for sighting in sightings:
         try:
-            photos.append(_placed(sighting, settings, focal_mm))
+            focal_mm = sighting.focal_mm or found_mm
+            photos.append(_placed(sighting._replace(focal_mm=focal_mm), flash_cm, ruler_cm / RULER_CM, white))
         except ValueError as error:
             skipped.append(str(error))
     if len(photos) < 2:
@@ -126,8 +120,12 @@ def place(paths: Sequence[Path], settings: Settings, done: Callable[[str], objec
     photos.sort(key=lambda photo: photo.pose.tilt)
     opening = sightings[0].opening
     resolved = int(opening * photos[0].sighting.scales()[0])
-    side_cm = opening * settings.ruler_cm / RULER_CM
-    return Set(photos, skipped, side_cm, min(settings.size, resolved), focal_mm)
+    return Set(photos, skipped, opening * ruler_cm / RULER_CM, min(size, resolved), found_mm)
+
+
+def _focal_of(fov_rad: float, height: int, width: int) -> float:
+    """The focal length in mm as of 35 mm film: the inverse of `data_tools.readers.photos.field_of_view`."""
+    return FRAME_MM * min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2)
 
 
 def _check_one_sheet(sightings: Sequence[Sighting]) -> None:
@@ -140,21 +138,17 @@ def _check_one_sheet(sightings: Sequence[Sighting]) -> None:
             )
 
 
-def _placed(sighting: Sighting, settings: Settings, focal_mm: float) -> Placed:
-    if settings.fov_rad:
-        focal_mm = focal_of(settings.fov_rad, sighting.height, sighting.width)
-    elif sighting.focal_mm:
-        focal_mm = sighting.focal_mm
-    pose = pose_of(sighting, focal_mm)
-    if pose.error_px > sighting.limit_px:
+def _placed(sighting: Sighting, flash_cm: tuple[float, float], scale: float, white: bool) -> Placed:
+    pose = pose_of(sighting, sighting.focal_mm)
+    limit_px = LIMIT * sighting.opening * sighting.scales()[1]
+    if pose.error_px > limit_px:
         raise ValueError(
-            f"{sighting.path}: markers are {pose.error_px:.1f} px from where a lens of {focal_mm:.0f} mm sees them, "
-            f"expected up to {sighting.limit_px:.1f}; give the photo uncropped, or the camera's --fov."
+            f"{sighting.path}: markers are {pose.error_px:.1f} px from where a lens of {sighting.focal_mm:.0f} mm sees "
+            f"them, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
         )
-    scale = settings.ruler_cm / RULER_CM
     camera = pose.place_cm * scale
-    right, up = settings.flash_cm
-    paper = paper_colour(read_pixels(sighting.path), sighting) if settings.white else None
+    right, up = flash_cm
+    paper = paper_colour(read_pixels(sighting.path), sighting) if white else None
     return Placed(sighting, pose, camera, camera + right * pose.axes[0] - up * pose.axes[1], paper)
 
 
@@ -175,7 +169,7 @@ def write_set(placed: Set, folder: Path, done: Callable[[str], object] = str) ->
         bits = 8 if pixels.values.dtype == np.uint8 else 16
         name = f"{number:02}.png"
         write_png(picture, {"encoding": "sRGB"}, folder / name, bits)
-        write_png(torch.from_numpy(_shown(pixels, photo, name)), {"encoding": "sRGB"}, folder / FOUND / name)
+        write_png(_shown(pixels, photo, name), {"encoding": "sRGB"}, folder / FOUND / name)
         done(name)
     _write_text(folder / SIZE, f"{placed.side_cm:.4f}\n")
     _write_text(folder / LIGHT, _lines([photo.light_cm for photo in placed.photos]))
@@ -210,45 +204,30 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int, paper: Floats | Non
     to_cm = np.array([[step, 0, -middle * step], [0, -step, middle * step], [0, 0, 1]])
     to_part = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1]]) @ sighting.to_px @ to_cm
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    result = np.empty((size, size, 3), np.float32)
-    for row in range(0, size, _ROWS):
-        rows = min(_ROWS, size - row)
-        below = np.array([[1, 0, 0], [0, 1, row * many], [0, 0, 1]])
-        samples = cv2.warpPerspective(
-            linear, to_part @ below, (size * many, rows * many), flags=flags, borderMode=cv2.BORDER_REPLICATE
-        )
-        result[row : row + rows] = cv2.resize(samples, (size, rows), interpolation=cv2.INTER_AREA)
+    side = size * many
+    samples = cv2.warpPerspective(linear, to_part, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    result = cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA)
     if paper is not None:
         result = (result @ adaptation(paper).T).clip(0, 1).astype(np.float32)
     return linear_to_srgb(torch.from_numpy(result)).numpy()
 
 
-def _shown(pixels: Pixels, photo: Placed, name: str) -> NDArray[np.float32]:
+def _shown(pixels: Pixels, photo: Placed, name: str) -> torch.Tensor:
     """The photograph with the markers and the opening that were found, [H, W, 3] in [0, 1]."""
-    from PIL import Image, ImageDraw, ImageFont
-
     cv2 = opencv()
     sighting = photo.sighting
     share = min(1.0, _SHOWN_PX / max(sighting.height, sighting.width))
     size = round(sighting.width * share), round(sighting.height * share)
     values = cv2.resize(np.ascontiguousarray(pixels.values[..., :3]), size, interpolation=cv2.INTER_AREA)
-    if values.dtype != np.uint8:
-        display = linear_to_srgb(torch.from_numpy(linear_light(pixels._replace(values=values), slice(None)))).numpy()
-        values = (display * 255 + 0.5).astype(np.uint8)
-    image = Image.fromarray(values)
-    draw = ImageDraw.Draw(image)
-
-    def outline(points: Floats, colour: str) -> None:
-        ends = [tuple(point) for point in (points + 0.5) * share]
-        draw.line([*ends, ends[0], ends[1]], fill=colour, width=3, joint="curve")
-
-    for corners in sighting.points_px.reshape(-1, 4, 2):
-        outline(corners, "#00c800")
-    outline(sighting.corners_px(), "#ff00c8")
-    draw.text(
-        (8, 6), f"{name}: {summary(photo)}", "white", ImageFont.load_default(18), stroke_width=3, stroke_fill="black"
-    )
-    return np.asarray(image, dtype=np.float32) / np.float32(255)
+    light = torch.from_numpy(linear_light(pixels._replace(values=values), slice(None)))
+    image = (linear_to_srgb(light) * 255).round().to(torch.uint8).numpy()
+    for outlines, colour in ((sighting.markers, (0, 200, 0)), (sighting.corners_px()[None], (255, 0, 200))):
+        ends = list(((outlines + 0.5) * share).round().astype(np.int32))
+        cv2.polylines(image, ends, True, colour, 3)
+    words = f"{name}: {summary(photo)}"
+    for colour, width in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+        cv2.putText(image, words, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.55, colour, width, cv2.LINE_AA)
+    return torch.from_numpy(image) / 255
 
 
 def summary(photo: Placed) -> str:
@@ -256,6 +235,6 @@ def summary(photo: Placed) -> str:
     distance = float(np.linalg.norm(photo.camera_cm))
     white = "" if photo.paper is None else ", white x " + ", ".join(f"{factor:.2f}" for factor in 1 / photo.paper)
     return (
-        f"{photo.sighting.path.name}, {len(photo.sighting.numbers)} markers, error {photo.pose.error_px:.2f} px, "
+        f"{photo.sighting.path.name}, {len(photo.sighting.markers)} markers, error {photo.pose.error_px:.2f} px, "
         f"camera {distance:.1f} cm away, {photo.pose.tilt:.0f} degrees aside{white}"
     )

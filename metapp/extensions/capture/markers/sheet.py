@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.extensions.capture.markers import opencv
+from metapp.extensions.capture.opencv import opencv
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.path import Path as Outline
 
 OPENINGS_CM = range(4, 14)  # sides of the opening; each has markers of its own, so that photos tell it
 OPENING_CM = 10
@@ -29,6 +28,7 @@ _LARGEST_CM = 2.4  # a marker's side
 _GAP_CM = 0.6  # from the opening to the markers
 _CUT_CM = 0.15  # from the opening to the line to cut along: an uneven cut leaves no paper in the picture
 _CM = 1 / 2.54  # in inches
+_FINE = 40  # px of a cell, so that viewers that smooth pictures keep edges
 _TOP_CM = 1.0  # margin that printers leave blank
 
 Floats = NDArray[np.float64]
@@ -107,41 +107,27 @@ def write_sheet(path: Path, opening: int = OPENING_CM, page: str = "a4") -> None
 def draw_sheet(opening: int = OPENING_CM, page: str = "a4") -> Page:
     """Draw the page, as `write_sheet` writes it."""
     from matplotlib.figure import Figure
-    from matplotlib.patches import PathPatch, Rectangle
+    from matplotlib.patches import Rectangle
 
     width, height = PAGES_CM[page]
     figure = Figure(figsize=(width * _CM, height * _CM))
+    figure.suppressComposite = True  # a picture of each marker, as sharp as it is
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(0, height))
     axes.set_axis_off()
     markers = corners_cm(opening)
     outer = max(corners.max() for corners in markers.values())
     centre = width / 2, height - _TOP_CM - outer
+    aruco = opencv().aruco
     for number, corners in markers.items():
-        axes.add_patch(PathPatch(_black_cells(number, corners + centre), color="black", linewidth=0))
+        (left, top), _, (right, bottom), _ = corners + centre
+        picture = aruco.generateImageMarker(dictionary(), number, CELLS * _FINE)
+        axes.imshow(picture, cmap="gray", extent=(left, right, bottom, top), interpolation="none", aspect="auto")
     cut = opening + 2 * _CUT_CM
     corner = centre[0] - cut / 2, centre[1] - cut / 2
     axes.add_patch(Rectangle(corner, cut, cut, fill=False, edgecolor="0.45", linewidth=0.6, linestyle=(0, (6, 4))))
     axes.text(*centre, "Cut this square out\nalong the dashed line.", ha="center", va="center", color="0.45", size=9)
     _write_words(axes, opening, centre[1] - outer - 1.2)
     return Page(figure, axes, centre)
-
-
-def _black_cells(number: int, corners: Floats) -> Outline:
-    """The black cells of a marker as one path: without seams between them."""
-    from matplotlib.path import Path as Outline
-
-    aruco = opencv().aruco
-    is_black = aruco.generateImageMarker(dictionary(), number, CELLS) == 0
-    (left, top), side = corners[0], (corners[1, 0] - corners[0, 0]) / CELLS
-    cells = [
-        Outline([(left + x * side, top - y * side) for x, y in _around(column, row)], closed=True)
-        for row, column in zip(*np.nonzero(is_black), strict=True)
-    ]
-    return Outline.make_compound_path(*cells)
-
-
-def _around(column: int, row: int) -> list[tuple[int, int]]:
-    return [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1), (column, row)]
 
 
 def _write_words(axes: Axes, opening: int, top: float) -> None:

@@ -8,7 +8,7 @@ from data_tools.readers.image_files import Pixels
 from data_tools.readers.photos import linear_light
 from metapp.appearance.colorimetry import colour_science
 from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Sighting, moved
+from metapp.extensions.capture.markers.sighting import Sighting
 
 CLIPPED = 0.95  # linear light from which a channel may be clipped: 250 of 255
 DARK = 0.01  # below which noise and rounding colour it: 25 of 255
@@ -24,7 +24,7 @@ def paper_colour(pixels: Pixels, sighting: Sighting) -> Floats:
     Raises:
         ValueError: most of it is clipped, or too dark.
     """
-    x, y = moved(sighting.to_px, _places_cm(sighting.opening)).round().astype(int).T
+    x, y = sighting.seen(_places_cm(sighting.opening)).round().astype(int).T
     seen = (x >= 0) & (x < sighting.width) & (y >= 0) & (y < sighting.height)
     part = pixels._replace(values=pixels.values[y[seen], x[seen]][None, :, :3])
     values = linear_light(part, slice(None))[0].astype(np.float64)
