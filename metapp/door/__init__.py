@@ -46,4 +46,3 @@ from metapp.door.outputs import Page as Page
 from metapp.door.outputs import PictureMeasure as PictureMeasure
 from metapp.door.outputs import Plugin as Plugin
 from metapp.door.outputs import Table as Table
-from metapp.door.outputs import Watcher as Watcher

@@ -54,18 +54,6 @@ class Output(NamedTuple):
     examples: tuple[tuple[str, str], ...] = ()
 
 
-class Watcher(NamedTuple):
-    """Follows fits while they run, where its option is given.
-
-    Attributes:
-        option: that asks for it.
-        watcher: `watcher(app, paradigm) -> metapp.runs.fits.fitter.Watching`.
-    """
-
-    option: Option
-    watcher: str
-
-
 class PictureMeasure(NamedTuple):
     """A measure of pictures of fits against their references, a row of the table `image`.
 
@@ -103,8 +91,8 @@ class Page(NamedTuple):
 
     Attributes:
         app: the application.
-        view: `view(presentation, theta, task, *, quick) -> metapp.extensions.viewer.view.View`: of a fit, `theta`
-            without a task axis, of a task, without data where that is not at hand; `quick`: without what takes seconds.
+        view: `view(presentation, theta, task) -> metapp.extensions.viewer.view.View`: of a fit, `theta`
+            without a task axis, of a task, without data where that is not at hand.
             KeyError where the fit alone is not enough.
     """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import statistics
 import time
@@ -18,7 +17,7 @@ REMEMBERED = 7  # fits that say what pace is usual
 
 
 class Stopwatch:
-    """The clock of a fit: seconds since it was made, without pauses; it waits for what the device has not done yet."""
+    """The clock of a fit: seconds since it was made; it waits for what the device has not done yet."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
@@ -27,15 +26,6 @@ class Stopwatch:
     def __call__(self) -> float:
         """Seconds so far."""
         return self._now() - self._begin
-
-    @contextlib.contextmanager
-    def paused(self) -> Iterator[None]:
-        """Stop the clock meanwhile."""
-        begin = self._now()
-        try:
-            yield
-        finally:
-            self._begin += self._now() - begin
 
     def _now(self) -> float:
         if self._device.type == "cuda":

@@ -61,7 +61,7 @@ def test_help_shows_the_options_of_the_application_alone(metapp: Callable, name:
 
 
 UNUSED = {
-    "general": {"steps", "rule", "budget", "watch"},
+    "general": {"steps", "rule", "budget"},
     "overfit": {"rule", "checkpoint", "train", "train-steps"},
     "finetune": {"rule"},
     "quickft": {"rule"},

@@ -139,8 +139,6 @@ def own_help(name: str) -> dict[str, str]:
 
 def unused(paradigm: str, app: str) -> set[str]:
     """Options that help of a paradigm leaves out, of one application or, for "", of all."""
-    watching = {watcher.option.name for watcher in door.offers(door.Watcher)}
-    varying = {"observe", "export", *all_options()} - watching
+    varying = {"observe", "export", *all_options()}
     by_app = {"app"} | (varying - own_help(app).keys()) if app else varying
-    pointless = {*POINTLESS.get(paradigm, ()), *(watching if paradigm == "general" else ())}
-    return by_app | IGNORED.get(paradigm, {}).keys() | pointless
+    return by_app | IGNORED.get(paradigm, {}).keys() | {*POINTLESS.get(paradigm, ())}

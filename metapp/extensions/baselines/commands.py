@@ -60,12 +60,12 @@ class Options:
 
 def all_read_options() -> dict[str, door.Option]:
     """The options that say how inputs are read, of formats, of merges and of recipes, by name."""
-    of_presentations, others = all_shown_options(), (door.Output, door.Watcher)
+    of_presentations = all_shown_options()
     names = {
         option.name: option
         for application in door.offers(door.Application)
         for option, owner in options_of(application.name)
-        if not isinstance(owner, others)
+        if not isinstance(owner, door.Output)
     }
     return {name: option for name, option in names.items() if name not in of_presentations}
 

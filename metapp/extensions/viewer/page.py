@@ -109,14 +109,8 @@ def picture(pixels: Tensor) -> str:
     return png_address(png_bytes(in_8_bits(pixels.detach().cpu().numpy())))
 
 
-def html(data: Document, live: str = "") -> str:
-    """The page.
-
-    Args:
-        data: as of `document`.
-        live: the address, relative to the page's, that tells what has changed while a fit runs; "" for a page that is
-            finished.
-    """
+def html(data: Document) -> str:
+    """The page of a document, as of `document`."""
     facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
     scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in SCRIPTS)]
     return page(
@@ -124,7 +118,7 @@ def html(data: Document, live: str = "") -> str:
         _text("page.css"),
         BODY,
         element("script", _text("three.min.js")),
-        data_script("data", data | {"live": live}),
+        data_script("data", data),
         element("script", "\n".join(scripts)),
     )
 

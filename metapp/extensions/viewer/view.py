@@ -40,20 +40,19 @@ class View(NamedTuple):
     thumbnail: Tensor | None = None
 
 
-def view_of(presentation: Presentation[Any], theta: Params, task: Task, *, quick: bool = False) -> View:
+def view_of(presentation: Presentation[Any], theta: Params, task: Task) -> View:
     """The view of a fit as its application's `Page` makes it: its pictures, where no extension offers one.
 
     Args:
         presentation: of the application.
         theta: the fit, without a task axis.
         task: what was fitted, without data where that is not at hand.
-        quick: whether what takes seconds is left out.
 
     Raises:
         KeyError: the fit alone is not enough.
     """
     for page in door.offers_of(door.Page, presentation.app.name):
-        view: View = door.load(page.view)(presentation, theta, task, quick=quick)
+        view: View = door.load(page.view)(presentation, theta, task)
         return view
     return pictures_view(presentation.outputs(theta, task))
 

@@ -156,12 +156,10 @@ def group_of(fits: Sequence[FitOfRun], labels: dict[Path, str], lacking: list[st
     return Group(fits[0].record["name"], title_of(fits[0].app), shown)
 
 
-def shown_of(
-    presentation: Presentation[Any], label: str, record: Document, theta: Params, task: Task, *, quick: bool = False
-) -> Shown:
-    """One fit, with its error and seconds; `quick`: without what takes seconds to make."""
+def shown_of(presentation: Presentation[Any], label: str, record: Document, theta: Params, task: Task) -> Shown:
+    """One fit, with its error and seconds."""
     try:
-        view = view_of(presentation, theta, task, quick=quick)
+        view = view_of(presentation, theta, task)
     except KeyError as missing:
         if task.data:
             raise

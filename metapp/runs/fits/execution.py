@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import torch
 
-from metapp import door
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
 from metapp.runs.checkpoints.finding import find_checkpoint, tuned_by
@@ -23,7 +22,7 @@ from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, pictur
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
 from metapp.runs.requests.choosing import chosen_recipe
 from metapp.runs.requests.naming import name_of, observe_of
-from metapp.runs.requests.options import outputs_of, watchers_of
+from metapp.runs.requests.options import outputs_of
 from metapp.runs.requests.plan import Plan
 from metapp.runs.requests.plan import plan as plan_of
 from metapp.runs.requests.request import Request, portion_of
@@ -191,8 +190,6 @@ def _run(fitter: Fitter, sources: list[Source], label: str, folder: RunFolder) -
         finished, loop.anew = {}, True  # a finished run is run anew, one that was cut off is completed
     if not request.quiet:
         _announce(plan, folder, len(sources), len(mine), len(finished) if request.resumes else 0)
-    for line in loop.lines:
-        say(line)
     begin = time.perf_counter()
     with progress(plan.paradigm.name, len(mine), done=len(finished), quiet=request.quiet) as bar:
         for done in loop.fit([source for source in mine if source.place not in finished]):
@@ -253,15 +250,11 @@ class _Loop:
         exported: the names of fits by the form that they were written in.
         failures: what was not fitted, or not exported.
         remarks: what outputs say of themselves.
-        lines: what those that watch say before the first fit.
     """
 
     def __init__(self, fitter: Fitter, folder: RunFolder) -> None:
         plan = fitter.plan
         self.fitter, self.folder, self.presentation = fitter, folder, plan.presentation
-        watchers = [door.load(watcher.watcher) for watcher in watchers_of(plan.options)]
-        fitter.watching = [watch(plan.app, plan.paradigm.name) for watch in watchers]
-        self.lines = [line for watching in fitter.watching for line in watching.lines]
         self.outputs = outputs_of(plan.app.name, plan.options)
         self.size = BatchSize(check_batch(plan.request.batch or "1"), plan.device)
         self.failures: list[Failure] = []
@@ -287,19 +280,15 @@ class _Loop:
         }
 
     def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
-        """Fit sources and keep each fit; what has a record is whole. Those that watch end, whatever fails."""
-        try:
-            first = 0
-            while first < len(sources):
-                some, first = sources[first : first + self.size.now], first + self.size.now
-                failed = len(self.failures)
-                for group in alike(self._read(some)):
-                    yield from self._fitted(group)
-                yield from self.failures[failed:]
-            self.fitter.finish(self.count)
-        finally:
-            for watching in self.fitter.watching:
-                watching.close()
+        """Fit sources and keep each fit; what has a record is whole."""
+        first = 0
+        while first < len(sources):
+            some, first = sources[first : first + self.size.now], first + self.size.now
+            failed = len(self.failures)
+            for group in alike(self._read(some)):
+                yield from self._fitted(group)
+            yield from self.failures[failed:]
+        self.fitter.finish(self.count)
 
     def sheet(self, sources: Sequence[Source], records: Mapping[str, Document]) -> Path:
         """Write the picture of the first fits beside their references."""

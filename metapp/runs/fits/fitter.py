@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from torch import Generator
@@ -25,28 +25,6 @@ WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % 
 PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
 PACING = 0.3  # seconds that these take, about; one of them at least
 ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
-
-
-class Watching(Protocol):
-    """Follows fits while they run.
-
-    Attributes:
-        lines: what to say before the first fit.
-    """
-
-    lines: Sequence[str]
-
-    def follow(self, descent: Iterator[Step], task: Task, steps: int, clock: Stopwatch) -> Iterator[Step]:
-        """The descent of a fit of this task, first of several; what takes time pauses the clock."""
-
-    def show(self, task: Task, theta: Params, when: str) -> None:
-        """Take note of parameters [T, ...], of which the first are the task's."""
-
-    def finish(self) -> None:
-        """The last fit is over."""
-
-    def close(self) -> None:
-        """End, whatever failed."""
 
 
 class Result(NamedTuple):
@@ -82,14 +60,12 @@ class Fitter:
 
     Attributes:
         plan: with a checkpoint.
-        watching: what follows the fits; drawing is not part of their times.
         warns: whether warnings are also said.
         over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
     """
 
     def __init__(self, plan: Plan, *, warns: bool = False) -> None:
         self.plan, self.warns = plan, warns
-        self.watching: list[Watching] = []
         self.over: dict[bool, list[float]] = {True: [], False: []}
         self._budget = plan.budget
         self._paces: list[Pace] = []
@@ -113,13 +89,11 @@ class Fitter:
         """
         plan, app = self.plan, self.plan.app
         self._warm_up(tasks[0])
-        first, fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watching)
+        first, fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget)
         theta = fit.theta
         if isinstance(app, Finishing):
             clock = Stopwatch(plan.device)
             theta, seconds = app.finished(theta), seconds + clock()
-        for watching in self.watching:
-            watching.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
         warnings = warnings_of(plan, stacked, first, fit)
         results = []
@@ -151,9 +125,7 @@ class Fitter:
         return results
 
     def finish(self, count: int) -> None:
-        """Draw what was not drawn yet; say how many of so many fits took longer than the budget, and why."""
-        for watching in self.watching:
-            watching.finish()
+        """Say how many of so many fits took longer than the budget, and why."""
         budget = self._budget or 0.0
         for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
             if over := self.over[moved]:
@@ -184,7 +156,7 @@ class Fitter:
         return rngs if len(rngs) > 1 else rngs[0]
 
     def _timed(
-        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watching: Sequence[Watching] = ()
+        self, tasks: Sequence[Task], job: Job, budget: float | None = None
     ) -> tuple[Step, Step, float, Tasks, int]:
         """Fits at their beginning and end, their seconds, stacked tasks, steps taken; a budget learns their pace."""
         plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
@@ -193,8 +165,6 @@ class Fitter:
         deadline = None if budget is None else Deadline(budget, clock, usual_pace)
         stacked = stack(plan.app, tasks, plan.device)
         descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
-        for watcher in watching:
-            descent = watcher.follow(descent, tasks[0], count, clock)
         first = next(descent)
         fit = last(chain([first], descent))
         seconds = clock()

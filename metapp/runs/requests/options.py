@@ -1,4 +1,4 @@
-"""The options that extensions declare: of an application, its formats, merges and outputs, and of what watches fits.
+"""The options that extensions declare: of an application, its formats, merges and outputs.
 
 A `Request` holds what was given of them by name; here they are checked, and each owner gets its own.
 """
@@ -17,7 +17,7 @@ from metapp.runs import BadOption
 from metapp.runs.requests.request import Request
 from metapp.storage.text import meant, path_of
 
-Owner = door.Application | door.Format | door.Merge | door.Output | door.Watcher
+Owner = door.Application | door.Format | door.Merge | door.Output
 
 
 class Owned(NamedTuple):
@@ -48,8 +48,7 @@ def options_of(app: str) -> list[Owned]:
     owned = [Owned(option, form) for form in inputs_of(app) for option in form.options]
     owned += [Owned(merge.option, merge) for merge in door.offers_of(door.Merge, app)]
     owned += [Owned(option, application) for option in application.options]
-    owned += [Owned(output.option, output) for output in door.offers_of(door.Output, app)]
-    return owned + [Owned(watcher.option, watcher) for watcher in door.offers(door.Watcher)]
+    return owned + [Owned(output.option, output) for output in door.offers_of(door.Output, app)]
 
 
 def check_options(request: Request, protocol: str) -> dict[str, object]:
@@ -152,11 +151,6 @@ def outputs_of(app: str, options: Mapping[str, object]) -> list[tuple[door.Outpu
     """The outputs of a run beside files of its fits, and their values."""
     own = [output for output in door.offers_of(door.Output, app) if output.option.name in options]
     return [(output, converted(output.option, options[output.option.name])) for output in own]
-
-
-def watchers_of(options: Mapping[str, object]) -> list[door.Watcher]:
-    """The watchers that follow fits while they run."""
-    return [watcher for watcher in door.offers(door.Watcher) if watcher.option.name in options]
 
 
 def recorded_options(app: str, options: Mapping[str, object]) -> dict[str, object]:

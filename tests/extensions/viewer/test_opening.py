@@ -12,7 +12,6 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.extensions.viewer.live import Live
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import View
 from metapp.storage.html import write_page
@@ -163,20 +162,3 @@ def test_another_light_map_is_read_or_refused(page: Page) -> None:
     assert page.page.evaluate(read, [*head.encode(), *rows]) == [8, "Light map: a.hdr"]
     page.settle()
     assert not page.problems
-
-
-def test_a_page_that_follows_goes_on_with_the_next_task(browser: Any) -> None:
-    live = Live()
-    try:
-        for title in ("gold", "brass"):
-            view = View("pictures", pictures={f"fit of {title}": torch.rand(8, 8, 3)})
-            told = document("metapp", [Group(title, "Fits", [Shown("meta", "step 1", view)])])
-            live.tell(told, f"{title}, step 1 of 2", [], done=title == "brass")
-            if title == "gold":
-                page = Page(browser, live.address, 320, 240)
-        page.page.wait_for_function("document.querySelector('footer').textContent === 'brass, step 1 of 2'")
-        assert page.page.inner_text("h1") == "brass"
-        assert page.page.evaluate("metapp.viewer.titles") == ["fit of brass"]
-        assert page.page.locator(".problem").is_hidden()
-    finally:
-        live.close()

@@ -207,10 +207,10 @@ def test_fits_that_cannot_be_shown_are_left_out(
     run, lacking = fitted("meta"), {"m0"}
     view = brdf.view
 
-    def some(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+    def some(presentation: BrdfPresentation, theta: Params, task: Task) -> View:
         if task.name in lacking:
             raise ValueError(f"{task.name}: no photo, expected one; give it by --input.")
-        return view(presentation, theta, task, quick=quick)
+        return view(presentation, theta, task)
 
     monkeypatch.setattr(brdf, "view", some)
     result = metapp("view", run, "--no-open", "--out", "some.html")

@@ -26,7 +26,7 @@ WIDENED = 4  # times that cells without samples look one cell farther
 PLOTTED = 8192  # samples of plots, at most
 
 
-def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+def view(presentation: BrdfPresentation, theta: Params, task: Task) -> View:
     """The fit, its samples where the task has some, and a reference where the material is known everywhere."""
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
@@ -46,10 +46,8 @@ def view(presentation: BrdfPresentation, theta: Params, task: Task, *, quick: bo
         "darkest": folded.darkest,
         "alphas": [list(alpha) for alpha in lobes.alphas],
     }
-    shown = None
-    if not quick:
-        lit = shade_sphere(environment_scene(azimuths=folded.turn is not None), evaluate)
-        shown = thumbnail(torch.from_numpy(to_srgb(lit[..., :3])))
+    lit = shade_sphere(environment_scene(azimuths=folded.turn is not None), evaluate)
+    shown = thumbnail(torch.from_numpy(to_srgb(lit[..., :3])))
     return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": light_map()}, shown)
 
 

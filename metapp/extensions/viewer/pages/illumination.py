@@ -26,7 +26,7 @@ NODES = 32  # cosines that the albedos of lobes are known at
 
 
 @torch.no_grad()
-def view(presentation: IlluminationPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+def view(presentation: IlluminationPresentation, theta: Params, task: Task) -> View:
     """The map as `files` has it, to look around in, and spheres lit by it; of a photograph also the ball.
 
     Raises:

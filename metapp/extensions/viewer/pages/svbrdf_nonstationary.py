@@ -13,7 +13,7 @@ from metapp.learning.task import Params, Task
 
 
 @torch.no_grad()
-def view(presentation: SvbrdfNonstationaryPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+def view(presentation: SvbrdfNonstationaryPresentation, theta: Params, task: Task) -> View:
     """The maps as `files` writes them, the photographs, and the true maps where the task has them."""
     flashes = placed(presentation.app, theta, task)
     photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]

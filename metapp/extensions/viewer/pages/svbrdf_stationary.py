@@ -10,7 +10,7 @@ from metapp.extensions.viewer.view import View
 from metapp.learning.task import Params, Task
 
 
-def view(presentation: SvbrdfStationaryPresentation, theta: Params, task: Task, *, quick: bool) -> View:
+def view(presentation: SvbrdfStationaryPresentation, theta: Params, task: Task) -> View:
     """The maps as `files` writes them, and the photograph where it is at hand."""
     app, photographed = presentation.app, []
     if "image" in task.data:

@@ -14,22 +14,15 @@ from metapp.learning.task import Params, Task
 QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
 
 
-def view(presentation: TexturePresentation, theta: Params, task: Task, *, quick: bool) -> View:
-    """The texture as `files` writes it, the exemplar where it is at hand, and one quilted of that, at one scale.
-
-    While a fit runs the texture is of the exemplar's size, and nothing is quilted.
-    """
+def view(presentation: TexturePresentation, theta: Params, task: Task) -> View:
+    """The texture as `files` writes it, the exemplar where it is at hand, and one quilted of that, at one scale."""
     app = presentation.app
-    if quick:
-        fit = presentation.generated(theta, app.generate, presentation.once())[0, 0].permute(1, 2, 0)
-    else:
-        fit = presentation.files(theta, task)["texture"].pixels
+    fit = presentation.files(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
         exemplar = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
         pictures["exemplar"] = exemplar
-        if not quick:
-            pictures["image quilting"] = _quilted(exemplar)
+        pictures["image quilting"] = _quilted(exemplar)
     rows = [{"title": name, "name": name, "tiles": how} for name, how in tiles.items() if name in pictures]
     facts = {"pictures": rows, "compared": [rows[0]["title"], "fit"]}
     return View("pictures", pictures=pictures, facts=facts, thumbnail=thumbnail(fit))

@@ -45,10 +45,10 @@ class Progress(NamedTuple):
     spp: int
 
 
-def view(presentation: TransportPresentation, theta: Params, task: Task, *, quick: bool) -> View:
-    """Pictures of the scene in equal time; densities where there is no scene, and while a fit runs."""
+def view(presentation: TransportPresentation, theta: Params, task: Task) -> View:
+    """Pictures of the scene in equal time; densities where there is no scene."""
     app = presentation.app
-    if "scene" in task.data and not quick:
+    if "scene" in task.data:
         return scene_view(app.flow, theta, task)
     shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.flow, theta)}
     return pictures_view(shown)._replace(thumbnail=thumbnail(shown["fit"][:, : len(shown["fit"])]))

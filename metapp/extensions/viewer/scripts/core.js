@@ -109,8 +109,8 @@ class Controls {
 
 // A viewer shows the fits of a group side by side in an element of its own, all by the same settings and from the same place.
 //
-// Its own: `controls()`, `open()` before the first frame, `draw()` -> whether the picture still improves, `resize()`, `update(group)`
-// where a fit goes on, `close()`, `png()` -> canvas that holds what is seen. Once it is open the page gives it `set(name, value)`,
+// Its own: `controls()`, `open()` before the first frame, `draw()` -> whether the picture still improves, `resize()`,
+// `close()`, `png()` -> canvas that holds what is seen. Once it is open the page gives it `set(name, value)`,
 // which its controls follow; from the start `lost()` and `restored()`, to be called where it cannot draw for now, and can again.
 class Viewer {
   constructor(stage, group, redraw) {
@@ -125,7 +125,6 @@ class Viewer {
   changed() {}
   get strip() { return true; }  // whether labels stand above pictures, not over them
   close() { this.lost = this.restored = null; this.element.remove(); }
-  async update(group) { this.fits = group.fits; }
 }
 
 const VIEWERS = {};  // by kind

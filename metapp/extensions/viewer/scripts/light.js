@@ -158,13 +158,6 @@ class LightViewer extends ShapeViewer {
     return texture(texels, shape[1], shape[0], options);
   }
 
-  async update(group) {
-    const before = this.lights;
-    await super.update(group);
-    await this.ownLight();
-    before.forEach(forget);
-    this.restart();
-  }
   close() { this.lights?.forEach(forget); super.close(); }
 
   lightOf(column) { return this.lights[column]; }

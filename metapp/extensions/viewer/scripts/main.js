@@ -81,39 +81,6 @@ function expose(stops) {
   if (control) controls.set("exposure", clamp(controls.settings.exposure + stops, control.min, control.max));
 }
 
-// While a fit runs its page asks for what has changed.
-async function follow(address) {
-  for (let serial = 0, failures = 0; failures < 3;) {
-    let news;
-    try { news = await (await fetch(`${address}?after=${serial}`)).json(); failures = 0; } catch { failures += 1; continue; }
-    if (news.group && news.serial !== serial) {
-      const [before] = DATA.groups;
-      DATA.groups[0] = news.group;
-      captions(news.group);
-      if (news.group.title !== before.title) await openGroup(0);  // the next task
-      else await viewer?.update(news.group);
-      dirty = true;
-    }
-    serial = news.serial;
-    say(news.text);
-    curve(news.curve);
-    if (news.done) return;
-  }
-  say("The fit is over, or was stopped.");
-}
-
-// The visible loss by steps, log scale, at the right of the footer.
-function curve(points) {
-  if (points.length < 2) return;
-  const logs = points.map(([, loss]) => Math.log(Math.max(loss, 1e-9))), low = Math.min(...logs), high = Math.max(...logs, low + 1e-6);
-  const line = logs.map((each, i) => `${(160 * i / (points.length - 1)).toFixed(1)},${(20 - 18 * (each - low) / (high - low)).toFixed(1)}`);
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), drawn = document.createElementNS(svg.namespaceURI, "polyline");
-  svg.setAttribute("width", 162); svg.setAttribute("height", 22);
-  drawn.setAttribute("points", line.join(" ")); drawn.setAttribute("fill", "none"); drawn.setAttribute("stroke", "currentColor");
-  svg.append(drawn);
-  page.footer.querySelector(".said").append(`; visible loss ${points.at(-1)[1].toPrecision(3)} `, svg);
-}
-
 async function png() {
   viewer.draw();
   return viewer.png().toDataURL("image/png");
@@ -179,5 +146,5 @@ window.metapp = {
   get drawn() { return drawn; },
   settled: async () => { do await new Promise((done) => { setTimeout(done, 30); }); while ((dirty || busy) && page.problem.hidden); },
 };
-window.metapp.ready.then(() => { if (DATA.live) follow(DATA.live); }).catch(() => {});
+window.metapp.ready.catch(() => {});
 requestAnimationFrame(frame);

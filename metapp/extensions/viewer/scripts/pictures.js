@@ -27,13 +27,6 @@ class PicturesViewer extends Viewer {
     this._listen();
   }
 
-  async update(group) {
-    await super.update(group);
-    await this._load();
-    this._layout();
-    this.redraw();
-  }
-
   // Of each fit the pictures by title.
   async _load() {
     this.sets = await Promise.all(this.fits.map(async (fit) => {

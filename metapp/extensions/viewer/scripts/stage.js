@@ -147,15 +147,6 @@ class ShapeViewer extends DrawnViewer {
 
   shape() { return (this.settings.view === "picture" && this.picture(this.settings)?.shape) || this.settings.shape || this.constructor.shapes[0]; }
 
-  async update(group) {
-    await super.update(group);
-    const made = [];
-    for (const fit of this.fits) made.push(this._made(await this.material(fit)));
-    this.materials.forEach((each) => this._free(each));
-    this.materials = made;
-    this.restart();
-  }
-
   _free(material) {
     Object.values(material.uniforms).forEach((each) => { if (each.value?.isTexture && each.own) each.value.dispose(); });
     if (material.block) this.renderer.getContext().deleteBuffer(material.block);
