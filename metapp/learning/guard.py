@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import TORCH, AnyBatch, Engine, Loss, UpdateRule, same
-from metapp.learning.deadline import Deadline
 from metapp.learning.learn import Step, checked, descend, last
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import fixed_adam, like
@@ -37,7 +36,7 @@ def descend_guarded(
     *,
     rng: Rng,
     guard: Guard,
-    deadline: Deadline,
+    steps: int,
     engine: Engine = TORCH,
 ) -> Iterator[Step]:
     """Descend by a learned rule; where that fails, go on by Adam, and keep what has the lowest visible loss.
@@ -52,29 +51,26 @@ def descend_guarded(
         loss: what the rule descends; each task has its own parameters.
         rng: source of the rule's draws, one for all tasks or one for each; the guard draws from copies.
         guard: which fits are doubtful, and the Adam that these go on by.
-        deadline: of all steps; it has planned those of the rule, and plans at most as many of Adam.
+        steps: number of the rule's steps, and of Adam's.
         engine: what takes the steps.
 
     Yields:
-        The rule's steps, then one with the parameters that are kept, unless there was no time for a step.
+        The rule's steps, then one with the parameters that are kept.
 
     Raises:
         FloatingPointError: the loss of an initialisation is not finite.
     """
     judge = functools.partial(_judged, loss, loss.draw(tasks, copied(rng), 1.0).batch)
-    before, now, steps = Step(0, params, {}), Step(0, params, {}), deadline.planned
+    before, now = Step(0, params, {}), Step(0, params, {})
     losses: list[Tensor] = []
 
     def descent(theta: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Rng) -> Iterator[Step]:
-        steps_taken = descend(theta, rule, tasks, loss, steps=deadline.planned, rng=rng, engine=engine)
-        return checked(deadline.within(steps_taken), every=0)
+        return checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=engine), every=0)
 
     for after in descent(params, rule, tasks, loss, rng):
         before, now = now, after
         losses += [] if after.loss is None else [after.loss]
         yield after
-    if not losses:
-        return
     candidates = [judge(now.theta), judge(params)]
     doubtful = ~(candidates[0].loss <= guard.fall * candidates[1].loss)
     if math.isfinite(guard.rise):
@@ -83,7 +79,7 @@ def descend_guarded(
     if rows := doubtful.nonzero()[:, 0].tolist():
         best = functools.reduce(_lower, candidates)
         some = {key: value[rows] for key, value in best.theta.items()}
-        adam = fixed_adam(guard.adam, some, deadline.plan(steps))
+        adam = fixed_adam(guard.adam, some, steps)
         plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule does
         further = last(descent(some, adam, tasks.select(rows), plain, picked(copied(rng), rows))).theta
         best = _lower(best, judge({k: value.index_put((doubtful,), further[k]) for k, value in best.theta.items()}))

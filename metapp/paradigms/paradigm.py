@@ -9,7 +9,6 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, UpdateRule, fastest
 from metapp.learning.app import App
-from metapp.learning.deadline import Deadline
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
 from metapp.learning.progress import Progress
@@ -106,16 +105,13 @@ class Paradigm(NamedTuple):
         """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""
         return last(self.descend(job, prepared, tasks, rng)).theta
 
-    def descend(
-        self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng, deadline: Deadline | None = None
-    ) -> Iterator[Step]:
+    def descend(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[Step]:
         """Fit tasks, one or many: descend from initialisation(task) by the rule, one step at a time.
 
         Args:
             job, prepared: what fits.
             tasks: one or many.
             rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
-            deadline: when to be done: schedules end with the last step that fits.
 
         Yields:
             Where the fit is before its first step and after each; a learned rule's guard may add a last one.
@@ -123,22 +119,16 @@ class Paradigm(NamedTuple):
         Raises:
             FloatingPointError: a loss is not finite; names the tasks and the step.
         """
-        deadline = deadline or Deadline()
         theta = self.initialisation(job, prepared, tasks, rng)
-        steps = deadline.plan(self.count(job))
-        job = job._replace(steps=steps)
-        guard = self.guard(job)
+        steps, guard = self.count(job), self.guard(job)
         if steps == 0:
             yield Step(0, theta, {})
             return
         rule, loss = self.rule(job, prepared, theta, steps), self.loss(job)
         if guard:
-            yield from descend_guarded(
-                theta, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline, engine=fastest()
-            )
+            yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, engine=fastest())
         else:
-            descent = descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=fastest())
-            yield from checked(deadline.within(descent))
+            yield from checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=fastest()))
 
     def count(self, job: Job) -> int:
         """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""

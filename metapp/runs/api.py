@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 # options of `Request` that programs give
-GENERAL = ("observe", "rule", "recipe", "steps", "budget", "data", "checkpoint", "seed", "device")
+GENERAL = ("observe", "rule", "recipe", "steps", "data", "checkpoint", "seed", "device")
 
 
 class Fit:
@@ -74,8 +74,8 @@ class Fit:
         self.seconds: float = record["seconds"]
         self.warning: str = record.get("warning", "")
         self.guarded: bool = record.get("guarded", False)
-        self.steps: int = (settings | record)["steps"]
-        fields = ("name", "seconds", "threads", "counts", "note", "warning", "guarded", "steps")
+        self.steps: int = settings["steps"]
+        fields = ("name", "seconds", "threads", "counts", "note", "warning", "guarded")
         self.errors = {key: value for key, value in record.items() if key not in fields and value is not None}
 
     def __getattr__(self, name: str) -> Callable[..., object]:
@@ -239,7 +239,7 @@ def fit_all(
         sources: files and folders, or things in memory, as of `fit`; None: the test tasks of `data`, else of the
             embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
-        options: observe, rule, recipe, steps, budget, data, checkpoint, seed, device, and those of the application,
+        options: observe, rule, recipe, steps, data, checkpoint, seed, device, and those of the application,
             with the names of the command line.
 
     Returns:

@@ -191,7 +191,6 @@ def test_shards_are_a_partition_and_others_are_refused(fit: Callable) -> None:
         with pytest.raises(BadOption, match="expected I/N"):
             portion_of(text)
         assert fit("--shard", text).misuse
-    assert "--budget" in fit("--batch", "4", "--budget", "1s").misuse  # not side by side
     assert fit("--batch", "many").misuse
 
 

@@ -11,7 +11,6 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
-from metapp.learning.deadline import Deadline
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import Step, descend, last, learn, spread, task_loss
 from metapp.learning.recipe import Adam, Guard
@@ -62,9 +61,7 @@ def fit(
 def guarded_descent(
     start: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Generator, guard: Guard
 ) -> Iterator[Step]:
-    deadline = Deadline()
-    deadline.plan(STEPS)
-    return descend_guarded(start, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline)
+    return descend_guarded(start, rule, tasks, loss, rng=rng, guard=guard, steps=STEPS)
 
 
 def test_no_task_ends_above_its_initialisation(start: Params, tasks: Tasks) -> None:

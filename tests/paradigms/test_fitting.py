@@ -11,7 +11,6 @@ import torch
 from metapp.apps import app_of, recipes_of
 from metapp.learning.adjoint import fastest
 from metapp.learning.app import App
-from metapp.learning.deadline import Deadline, Pace
 from metapp.learning.learn import MetaParameters, last, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, rule_of
@@ -136,18 +135,6 @@ def test_fits_side_by_side_are_as_if_each_were_alone(name: str, job: Job, tasks:
             assert bool(alone.guarded[0]) == bool(together.guarded[i])
         # of errors, as Adam turns rounding of a gradient near 0 into a step of any sign
         torch.testing.assert_close(errors[i : i + 1], job.app.errors(alone.theta, one)["error"], rtol=1e-3, atol=1e-5)
-
-
-@pytest.mark.parametrize("name", ["general", "finetune", "quickft", "meta"])
-def test_a_fit_by_a_deadline_is_one_of_the_steps_it_planned(name: str, job: Job, tasks: Tasks) -> None:
-    """Schedules end with the last step that fits."""
-    paradigm, few = paradigms()[name], tasks.select([0, 1])
-    deadline = Deadline(2.5, lambda: 0.0, Pace(1.0, 1.0, 0.25))
-    prepared = prepared_for(paradigm, job)
-    found = last(paradigm.descend(job, prepared, few, rng(), deadline))
-    expected = last(paradigm.descend(job._replace(steps=2), prepared, few, rng()))
-    assert deadline.taken[0] == (0 if name == "general" else 2)
-    assert all(torch.equal(found.theta[key], value) for key, value in expected.theta.items())
 
 
 def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:

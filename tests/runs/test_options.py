@@ -56,12 +56,12 @@ def test_help_shows_the_options_of_the_application_alone(metapp: Callable, name:
     assert result.code == 0
     options = set(re.findall(r"--([a-z-]+)", result.out))
     assert options & OWN == SHOWN[name]
-    assert {"steps", "rule", "recipe", "batch", "budget"} <= options
+    assert {"steps", "rule", "recipe", "batch"} <= options
     assert ("MERL" in result.out) == (name == "brdf")  # the inputs are those of the application, too
 
 
 UNUSED = {
-    "general": {"steps", "rule", "budget"},
+    "general": {"steps", "rule"},
     "overfit": {"rule", "checkpoint", "train", "train-steps"},
     "finetune": {"rule"},
     "quickft": {"rule"},

@@ -49,11 +49,6 @@ OPTIONS: Document = {
         "default: the recipe's.",
     ),
     "steps": typer.Option(metavar="N", min=0, rich_help_panel=FIT, help="Gradient steps; default: the recipe's."),
-    "budget": typer.Option(
-        metavar="TIME",
-        rich_help_panel=FIT,
-        help="Time limit per fit (50ms, 2s, 1.5min): as many of the steps as it allows.",
-    ),
     "checkpoint": typer.Option(
         metavar="FILE",
         rich_help_panel=FIT,
@@ -105,8 +100,8 @@ IGNORED: dict[str, dict[str, str]] = {
     "finetune": NO_RULE,
     "quickft": NO_RULE,
 }
-# what help leaves out as well: General has no steps to take, Overfit nothing to train
-POINTLESS = {"general": ("budget",), "overfit": ("train", "train_steps")}
+# what help leaves out as well: Overfit has nothing to train
+POINTLESS = {"overfit": ("train", "train_steps")}
 
 
 def exports() -> str:

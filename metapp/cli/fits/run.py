@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -122,7 +121,7 @@ def table_of(
         remarks.insert(0, f"{most} of {len(records)} tasks, those of the largest errors")
     if rate is not None:
         remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
-    total, steps = summary(records), [record["steps"] for record in records if "steps" in record]
+    total = summary(records)
     measured = total["error"] is not None
     caption = "\n".join([caption_of(app, measured), *remarks])
     table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
@@ -130,14 +129,11 @@ def table_of(
     if measured:
         table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
-    if steps:
-        table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
     if not measured and made:
         table.add_column("files", justify="right")
     for record in listed:
         cells = [number(record["error"], ".3f")] if measured else []
         cells.append(number(record.get("seconds"), ".4f"))
-        cells += [f"{record['steps']}"] if steps else []
         cells += [f"{sum(1 for _ in (made / file_name(record['name'])).glob('*'))}"] if made and not measured else []
         table.add_row(Text(escaped(record["name"])), *cells)
     return table

@@ -92,14 +92,13 @@ class Run(NamedTuple):
     def document(self) -> Document:
         """The object that --json prints."""
         plan, settings = self.plan, self.folder.settings
-        fields = ("name", "error", "seconds", "steps", "counts", "note", "warning")
+        fields = ("name", "error", "seconds", "counts", "note", "warning")
         document = {
             "app": plan.app.name,
             **observe_of(plan.app),
             "paradigm": settings["paradigm"],
             "rule": settings["rule"],
             "steps": settings["steps"],
-            **({"budget": plan.budget} if plan.budget is not None else {}),
             "device": str(plan.device),
             "data": self.label,
             **plan.app.conditions(),
@@ -288,7 +287,6 @@ class _Loop:
             for group in alike(self._read(some)):
                 yield from self._fitted(group)
             yield from self.failures[failed:]
-        self.fitter.finish(self.count)
 
     def sheet(self, sources: Sequence[Source], records: Mapping[str, Document]) -> Path:
         """Write the picture of the first fits beside their references."""

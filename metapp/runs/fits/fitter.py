@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import NamedTuple
@@ -12,18 +13,14 @@ import torch
 from torch import Generator
 
 from metapp.learning.app import Doubtful, Finishing, Remarked, stack
-from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usual
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
 from metapp.runs.reporter import say
 from metapp.runs.requests.plan import Plan
-from metapp.runs.requests.request import time_text
 from metapp.storage import Document
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
-PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
-PACING = 0.3  # seconds that these take, about; one of them at least
 ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
 
 
@@ -52,7 +49,6 @@ def fit_tasks(plan: Plan, tasks: Sequence[Task], *, warns: bool = False) -> Iter
     fitter.check(tasks)
     for task in tasks:
         yield from fitter.fit([task])
-    fitter.finish(len(tasks))
 
 
 class Fitter:
@@ -61,14 +57,10 @@ class Fitter:
     Attributes:
         plan: with a checkpoint.
         warns: whether warnings are also said.
-        over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
     """
 
     def __init__(self, plan: Plan, *, warns: bool = False) -> None:
         self.plan, self.warns = plan, warns
-        self.over: dict[bool, list[float]] = {True: [], False: []}
-        self._budget = plan.budget
-        self._paces: list[Pace] = []
         self._warm = False
 
     def check(self, tasks: Sequence[Task]) -> None:
@@ -89,11 +81,13 @@ class Fitter:
         """
         plan, app = self.plan, self.plan.app
         self._warm_up(tasks[0])
-        first, fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget)
-        theta = fit.theta
-        if isinstance(app, Finishing):
-            clock = Stopwatch(plan.device)
-            theta, seconds = app.finished(theta), seconds + clock()
+        rng, begin = self._rng(tasks), _now(plan.device)
+        stacked = stack(app, tasks, plan.device)
+        descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng)
+        first = next(descent)
+        fit = last(chain([first], descent))
+        theta = app.finished(fit.theta) if isinstance(app, Finishing) else fit.theta
+        seconds = _now(plan.device) - begin
         measures = app.errors(theta, stacked)
         warnings = warnings_of(plan, stacked, first, fit)
         results = []
@@ -110,31 +104,16 @@ class Fitter:
             record |= (
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )
-            record |= {"steps": taken} if self._budget is not None else {}
             if self.warns and "note" in record:
                 say(f"{task.name}: {record['note']}")
             results.append(Result(record | ({"warning": "; ".join(clauses)} if clauses else {}), theta_of_task))
             for clause in clauses if self.warns else ():
                 remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
                 say(f"warning: {task.name}: {clause}{remedy}")
-        if self._budget is not None:
-            if seconds > self._budget:
-                self.over[taken > 0].append(seconds - self._budget)
-            if taken < min(2, plan.steps):
-                self._measure(tasks[0], 0.0)  # a fit of no step does not say whether one would fit now
         return results
 
-    def finish(self, count: int) -> None:
-        """Say how many of so many fits took longer than the budget, and why."""
-        budget = self._budget or 0.0
-        for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
-            if over := self.over[moved]:
-                most = time_text(budget + max(over))
-                say(f"budget: on {len(over)} of {count} tasks {why} than {time_text(budget)}, up to {most}")
-                over.clear()
-
     def _warm_up(self, task: Task) -> None:
-        """Take a step before the first fit, as first calls load kernels; for a budget measure how long they are."""
+        """Take a step before the first fit, as first calls load kernels."""
         if self._warm:
             return
         self._warm = True
@@ -142,35 +121,17 @@ class Fitter:
         unguarded = plan.paradigm._replace(guard=lambda job: None)  # what a guard looks at takes longer than a step
         tasks = stack(plan.app, [task], plan.device)
         unguarded.fit(plan.job._replace(steps=few), plan.prepared, tasks, self._rng([task]))
-        if self._budget is not None and few:
-            self._measure(task, PACING)
-
-    def _measure(self, task: Task, seconds: float) -> None:
-        """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
-        spent = 0.0
-        while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
-            spent += self._timed([task], self.plan.job._replace(steps=PACED), math.inf)[2]
 
     def _rng(self, tasks: Sequence[Task]) -> Rng:
         rngs = tuple(rng_of(self.plan, task) for task in tasks)
         return rngs if len(rngs) > 1 else rngs[0]
 
-    def _timed(
-        self, tasks: Sequence[Task], job: Job, budget: float | None = None
-    ) -> tuple[Step, Step, float, Tasks, int]:
-        """Fits at their beginning and end, their seconds, stacked tasks, steps taken; a budget learns their pace."""
-        plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
-        clock = Stopwatch(plan.device)
-        usual_pace = usual(self._paces) if self._paces and budget != math.inf else None
-        deadline = None if budget is None else Deadline(budget, clock, usual_pace)
-        stacked = stack(plan.app, tasks, plan.device)
-        descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
-        first = next(descent)
-        fit = last(chain([first], descent))
-        seconds = clock()
-        pace = deadline and deadline.pace()
-        self._paces += [pace] if pace else []
-        return first, fit, seconds, stacked, deadline.taken[0] if deadline else count
+
+def _now(device: torch.device) -> float:
+    """Seconds on a clock, once the device has done what it was asked for."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
 
 
 def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:

@@ -28,7 +28,7 @@ from metapp.runs.requests.options import (
     shown_options,
     without_adapted,
 )
-from metapp.runs.requests.request import Request, portion_of, seconds_of, time_text
+from metapp.runs.requests.request import Request, portion_of
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.text import meant
@@ -51,7 +51,6 @@ class Plan:
         paradigm: what fits.
         job: application, recipe, rule and steps that it works on.
         device: what it works with.
-        budget: seconds that a fit may take; None: as many as its steps do.
         options: what was given of the options that extensions declare, but for what is their default.
         checkpoint: what fits begin at; None until `checkpoints.find_checkpoint` has found it.
     """
@@ -60,7 +59,6 @@ class Plan:
     paradigm: Paradigm
     job: Job
     device: torch.device
-    budget: float | None = None
     options: Mapping[str, object] = field(default_factory=dict)
     checkpoint: Checkpoint | None = None
 
@@ -109,7 +107,6 @@ class Plan:
             "batch": recipe.batch,
             "adam": adam and asdict(adam),
             **({"guard": asdict(guard)} if guard else {}),
-            **({"budget": self.budget} if self.budget is not None else {}),
             "checkpoint": self.checkpoint.digest,
             "data": label,
             "recipe": self.request.recipe,
@@ -130,8 +127,6 @@ class Plan:
         name += "".join(f"-{part}" for part in name_parts(self.app.name, self.options))
         if request.steps is not None:
             name += f"-{request.steps}steps"
-        if self.budget is not None:
-            name += f"-{time_text(self.budget)}"
         if self.app.protocol:
             name += f"-{self.app.protocol}"
         return request.out / self.app.name / self.paradigm.name / name
@@ -176,7 +171,7 @@ def plan(request: Request) -> Plan:
     steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
     request = replace(request, recipe=name, rule=rule, steps=steps)
     _check(request, options)
-    planned = Plan(request, paradigm, Job(app, recipe, rule, steps), device, seconds_of(request.budget), options)
+    planned = Plan(request, paradigm, Job(app, recipe, rule, steps), device, options)
     try:
         planned.presentation  # noqa: B018  # which may refuse its options
     except ValueError as error:
@@ -191,8 +186,7 @@ def _check(request: Request, options: Mapping[str, object]) -> None:
         BadOption: there is such a one.
     """
     portion_of(request.shard)
-    if check_batch(request.batch or "1") != 1 and request.budget:
-        raise BadOption("--budget: the time of one fit; fits side by side have none, leave --batch out or give 1.")
+    check_batch(request.batch or "1")
     if request.train_steps and not request.train:
         raise BadOption("--train-steps: only with --train.")
     for form in request.exports:

@@ -11,7 +11,6 @@ from typing import NamedTuple, TypeVar
 from metapp.runs import BadOption
 
 Item = TypeVar("Item")
-UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,6 @@ class Request:
     rule: str = ""
     recipe: str = ""
     observe: str = ""
-    budget: str = ""
     train: bool = False
     train_steps: int | None = None
     checkpoint: Path | None = None
@@ -83,24 +81,3 @@ def portion_of(text: str) -> Portion:
     if not 1 <= portion.number <= portion.parts:
         raise BadOption(f"--shard '{text}': expected I/N, the I-th of N parts, such as 1/4 to 4/4.")
     return portion
-
-
-def seconds_of(text: str) -> float | None:
-    """Seconds of a time such as 50ms, 2s or 1.5min; None of "".
-
-    Raises:
-        BadOption: it is no time above 0.
-    """
-    if not text:
-        return None
-    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?|\.\d{1,9}) ?(ms|s|min|h)", text.strip())
-    seconds = round(float(match[1]) * UNITS[match[2]], 9) if match else 0.0
-    if not seconds:
-        raise BadOption(f"--budget '{text}': expected a time above 0 with its unit (ms, s, min or h), such as 50ms.")
-    return seconds
-
-
-def time_text(seconds: float) -> str:
-    """A time as `seconds_of` reads it: 50ms, 2s, 1.5min."""
-    unit = max((unit for unit in UNITS if UNITS[unit] <= max(seconds, 1e-3)), key=UNITS.__getitem__)
-    return f"{seconds / UNITS[unit]:.4g}{unit}"
