@@ -9,7 +9,6 @@ import functools
 import importlib
 import math
 import os
-import re
 import shutil
 import signal
 import tempfile
@@ -24,7 +23,6 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from metapp.cli.streams import one_line
 from tests.fuzz import files
 from tests.fuzz.mutations import damaged
 from tests.needs_mitsuba import MISSING
@@ -32,8 +30,6 @@ from tests.small_spheres import shrink_spheres
 
 EXAMPLES = int(os.environ.get("METAPP_FUZZ", "0"))  # of each reader; 0: a few, the same ones every time
 SECONDS = 20.0  # of CPU time that an input may take
-CHARACTERS = 300  # of a message, without the path of the folder
-CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
 
 
 class Hang(BaseException):
@@ -205,7 +201,7 @@ def attempt(name: str, content: files.Files, file: str) -> str:
     except ValueError as error:
         if isinstance(error, UnicodeError):
             raise
-        return one_line(str(error)).replace(str(place), "")
+        return str(error).replace(str(place), "")
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
@@ -243,8 +239,7 @@ def test_damaged_files_give_a_task_or_one_line(name: str) -> None:
     @given(st.data())
     def check(data: Any) -> None:
         said = attempt(name, *data.draw(damaged(whole)))
-        assert not CONTROL.search(said), said
-        assert len(said) <= CHARACTERS, said
+        assert len(said.splitlines()) <= 1, said
         assert not said or "fuzzed" in said, said
 
     check()
