@@ -143,13 +143,6 @@ def what_failed(error: Exception) -> str:
     return what if foreseen else f"{type(error).__name__}: {cut}; {REPORT}"
 
 
-def lines_of_input() -> Iterator[str]:
-    """Lines of standard input as they come, without their ends; empty ones are left out."""
-    for line in sys.stdin.buffer:
-        if text := os.fsdecode(line.rstrip(b"\r\n")):
-            yield text
-
-
 def _end_like_ctrl_c() -> None:
     """SIGTERM, by which clusters and systems end a program, keeps what Ctrl-C keeps."""
 

@@ -1,8 +1,7 @@
-"""`--batch` and `--shard`: many inputs, side by side and on several machines, whatever is broken among them."""
+"""`--batch`: many inputs, side by side, whatever is broken among them."""
 
 from __future__ import annotations
 
-import itertools
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,11 +9,8 @@ from pathlib import Path
 import pytest
 
 from metapp.apps.brdf.app import Brdf
-from metapp.runs import BadOption
-from metapp.runs.fits.execution import _Loop
 from metapp.runs.fits.fitter import Fitter
 from metapp.runs.inputs.sources import Source
-from metapp.runs.requests.request import Portion, portion_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -62,8 +58,7 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[l
     folder = Path(together["out"])
     assert [record["batch"] for record in read_records(folder / "record.jsonl")] == [2, 2, 2, 2, 1]
     assert folder != Path(alone["out"])  # seconds of fits side by side are shares
-    page = (folder / "gallery.html").read_text()
-    assert all((folder / "thumbnails" / f"{name}.png").is_file() and f"{name}.png" in page for name in NAMES)
+    assert (folder / "pictures.png").is_file()
     assert (folder / "params" / "m3.safetensors").is_file()
 
 
@@ -96,28 +91,10 @@ def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], ma
     (failure,) = result.document["failures"]
     assert failure["source"].endswith("m2")
     assert sorted(errors(result.document)) == ["m0", "m1", "m3", "m4"]
-    assert "1 failed" in Path(result.document["gallery"]).read_text()
     broken.write_bytes(whole)
     del fitted[:]
     assert sorted(errors(fit("--batch", "3").done)) == NAMES
     assert fitted == [["m2"]]
-
-
-def test_failures_keep_nothing_of_what_was_read(
-    fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Frames of a traceback hold arrays and tensors: of thousands of damaged files that would be all memory."""
-    (materials / "m2" / "b1.npy").write_bytes(b"broken")
-    kept, original = [], _Loop.fit
-
-    def watched(self, sources):
-        yield from original(self, sources)
-        kept.extend(failure.error for failure in self.failures)
-
-    monkeypatch.setattr(_Loop, "fit", watched)
-    fit("--batch", "3")
-    (error,) = kept
-    assert (error.__traceback__, error.__context__, error.__cause__) == (None, None, None)
 
 
 def test_a_fit_that_fails_is_parted_from_its_batch(
@@ -136,10 +113,14 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
     assert result.code == 1
     assert sorted(errors(result.document)) == ["m0", "m2", "m3", "m4"]
     assert "not finite" in result.document["failures"][0]["reason"]
-    assert fitted == [["m0", "m1", "m2", "m3"], ["m0", "m1"], ["m0"], ["m1"], ["m2", "m3"], ["m4"]]
+    assert fitted == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
+    (folder,) = Path("runs/brdf/quickft").iterdir()
+    assert {record["name"]: record["batch"] for record in read_records(folder / "record.jsonl")} == dict.fromkeys(
+        ["m0", "m2", "m3", "m4"], 1
+    )
 
 
-def test_batches_that_are_too_large_for_the_memory_are_halved(
+def test_tasks_of_batches_that_are_too_large_for_the_memory_are_fitted_one_by_one(
     fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original = Fitter.fit
@@ -151,29 +132,12 @@ def test_batches_that_are_too_large_for_the_memory_are_halved(
 
     monkeypatch.setattr(Fitter, "fit", short)
     assert fit("--batch", "4").code == 0
-    assert fitted == [["m0", "m1"], ["m2", "m3"], ["m4"]]
-
-
-def test_shards_together_are_one_run(fit: Callable, fitted: list[list[str]]) -> None:
-    """Each takes every other input; the folder holds all, as that of one run does."""
-    parts = [fit("--shard", f"{i}/2").document for i in (1, 2)]
-    assert [sorted(errors(part)) for part in parts] == [["m0", "m2", "m4"], ["m1", "m3"]]
-    assert parts[0]["out"] == parts[1]["out"]
-    del fitted[:]
-    whole = fit("--batch", "1").document
-    assert fitted == []  # the two have fitted all
-    assert errors(whole) == errors(parts[0]) | errors(parts[1])
-    shutil.rmtree(Path("runs"))
-    assert errors(fit("--batch", "1").document) == errors(whole)
-    assert len(fitted) == len(NAMES)
+    assert fitted == [["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
 
 
 def test_tasks_of_a_data_set_are_fitted_side_by_side(metapp: Callable, ten_materials: Path) -> None:
     told = ("overfit", "brdf", "--steps", "2", "--data", ten_materials, "--json")
-    assert sorted(errors(metapp(*told, "--batch", "auto").document)) == ["m4", "m9"]
-    assert sorted(errors(metapp(*told, "--shard", "2/2").document)) == ["m9"]
-    empty = metapp(*told, "--shard", "3/3").error
-    assert "--shard 3/3: none of 2 inputs, expected some; take 2 parts at most" in empty
+    assert sorted(errors(metapp(*told, "--batch", "2").document)) == ["m4", "m9"]
 
 
 def test_names_that_repeat_in_other_folders_are_kept_apart(fit: Callable, materials: Path) -> None:
@@ -183,20 +147,25 @@ def test_names_that_repeat_in_other_folders_are_kept_apart(fit: Callable, materi
     assert names == sorted(["below-m0", f"{materials.name}-m0", *NAMES[1:]])
 
 
-def test_shards_are_a_partition_and_others_are_refused(fit: Callable) -> None:
-    parts = [Portion(i, 3).of(range(10)) for i in (1, 2, 3)]
-    assert sorted(itertools.chain(*parts)) == list(range(10))
-    assert portion_of("") == Portion(1, 1)
-    for text in ("0/2", "3/2", "1", "1/0", "a/b", "-1/2", "1/2/3"):
-        with pytest.raises(BadOption, match="expected I/N"):
-            portion_of(text)
-        assert fit("--shard", text).misuse
-    assert fit("--batch", "many").misuse
-
-
 def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     fit: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = Source.task
     monkeypatch.setattr(Source, "task", lambda self: task(self)._replace(name="one"))
     assert sorted(errors(fit("--batch", "8").document)) == ["one", *(f"one-{i}" for i in range(2, 6))]
+
+
+def test_numbers_of_inputs_are_1_or_more(fit: Callable) -> None:
+    for text in ("0", "-1", "many", "auto", "1.5"):
+        assert fit("--batch", text).misuse, text
+
+
+def test_one_at_a_time_is_the_run_of_no_batch(fit: Callable, fitted: list[list[str]]) -> None:
+    """It goes on where that was cut off, and stays as it is once it is finished."""
+    alone = fit().document
+    del fitted[:]
+    again = fit("--batch", "1").document
+    assert fitted == []
+    assert (again["out"], errors(again)) == (alone["out"], errors(alone))
+    fit()
+    assert fitted == [[name] for name in NAMES]  # without, a finished run is run anew

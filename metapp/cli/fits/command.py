@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-import typer
 from typer.core import TyperArgument, TyperCommand
 
 from metapp.apps import app_names
-from metapp.cli.console import importing, lines_of_input
+from metapp.cli.console import importing
 from metapp.cli.fits.options import IGNORED, JSON, OPTIONS, PANELS, declared, own_help, unused
 from metapp.cli.fits.run import fit
 from metapp.cli.options import option_parameter, plain, signed
@@ -80,15 +79,11 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         request = Request(
             paradigm=name, options={key: value for key, value in own.items() if value is not None}, **values
         )
-        lines = request.inputs == [Path("-")]
-        if lines and (not json or request.resumes):
-            raise typer.BadParameter("-: give --json, by which lines are answered, no --batch, --shard.")
         planned = plan(request)
         for option, remark in IGNORED.get(name, {}).items():
             if getattr(request, option):
                 say(f"--{option}: {remark}; the option is ignored.")
-        some = (replace(request, inputs=(Path(line),)) for line in lines_of_input()) if lines else None
-        fit(planned, some, json=json)
+        fit(planned, json=json)
 
     own_options = declared()
     hints, defaults = get_type_hints(Request), {field.name: field.default for field in fields(Request)}

@@ -14,7 +14,7 @@ from metapp.runs.requests.options import all_options, options_of
 from metapp.storage import Document
 
 PANELS = INPUT, FIT, OUTPUT, MACHINE = ("Input", "Fit", "Output", "Machine")
-WITHOUT = "default: the test tasks of --data; - (with --json): paths on standard input, one JSON line printed for each"
+WITHOUT = "default: the test tasks of --data"
 # of each field of a Request; names, types and defaults are the field's
 OPTIONS: Document = {
     "app": typer.Argument(
@@ -80,15 +80,10 @@ OPTIONS: Document = {
         help=f"{', '.join(completion.DEVICES)}; default: auto.",
     ),
     "batch": typer.Option(
-        metavar="N|auto",
+        metavar="N",
+        min=1,
         rich_help_panel=MACHINE,
-        help="Fit N inputs in parallel in one run; the same command again resumes it; failures are listed at the end; "
-        "writes gallery.html.",
-    ),
-    "shard": typer.Option(
-        metavar="I/N",
-        rich_help_panel=MACHINE,
-        help="Fit every N-th input from the I-th on; all shards share one run folder.",
+        help="Fit N inputs in parallel in one run; the same command again resumes it; failures are listed at the end.",
     ),
 }
 JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of standard output.")

@@ -1,9 +1,9 @@
-"""Execute a plan and show what came of it, for each run that it makes."""
+"""Execute a plan and show what came of it."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import typer
 
 from data_tools.formats import exports_of
 from metapp import door
-from metapp.cli.console import Exit, out, print_json, what_failed
+from metapp.cli.console import Exit, out, print_json
 from metapp.cli.streams import escaped, one_line
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
@@ -22,40 +22,31 @@ if TYPE_CHECKING:
     from metapp.learning.app import App
     from metapp.runs.fits.execution import Run
     from metapp.runs.requests.plan import Plan
-    from metapp.runs.requests.request import Request
 
 NARROWEST = 50  # columns of a table, so that titles stay on a line
 LISTED = 20  # tasks in the table of a run that lists what failed
 
 
-def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
-    """Fit what a plan asks for, or requests as they come; the exit code is 1 if something was not fitted.
+def fit(plan: Plan, *, json: bool) -> None:
+    """Fit what a plan asks for; the exit code is 1 if something was not fitted.
 
     Args:
         plan: what to do.
-        lines: each is a run, answered by a line; None: the plan is the one run.
         json: print an object in place of tables.
     """
-    from metapp.runs.fits.execution import Failure, execute
+    from metapp.runs.fits.execution import execute
 
-    failed = total = unwritten = 0
-    for done in execute(plan, lines):
-        if isinstance(done, Failure):
-            failed, total = failed + 1, total + 1
-            print_json({"input": done.source, "failure": one_line(what_failed(done.error))})
-            continue
-        unfitted = [failure for failure in done.counted_failures if not failure.kept]
-        failed, unwritten = failed + len(unfitted), unwritten + len(done.counted_failures) - len(unfitted)
-        total += len(unfitted) + len(done.records) if lines is None else 1
-        if lines is not None:
-            print_json({"input": str(done.plan.request.inputs[0])} | done.document())
-        else:
-            _show(done, json=json)
-    if failed:
-        say(f"error: {failed} of {total} inputs were not fitted.")
+    run = execute(plan)
+    if run is None:
+        return
+    _show(run, json=json)
+    counted = [failure for failure in run.failures if failure.counted]
+    unwritten = sum(failure.kept for failure in counted)
+    if failed := len(counted) - unwritten:
+        say(f"error: {failed} of {failed + len(run.records)} inputs were not fitted.")
     if unwritten:
         say(f"error: {unwritten} export{'s were' if unwritten > 1 else ' was'} not written; all fits are kept.")
-    if failed or unwritten:
+    if counted:
         raise typer.Exit(Exit.FAILED)
 
 
@@ -65,14 +56,13 @@ def _show(run: Run, *, json: bool) -> None:
 
     plan, paradigm = run.plan, run.plan.paradigm.name
     if not plan.request.quiet:
-        where = f"gallery: {run.gallery}" if run.gallery else f"picture: {run.picture}"
         if not json:
-            most = LISTED if run.gallery else None
-            rate = run.tasks_per_second if run.gallery else None
+            resumes = plan.request.resumes
+            most, rate = (LISTED, run.tasks_per_second) if resumes else (None, None)
             out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
         folder, names = run.folder.path, [record["name"] for record in run.records]
         made = f"\nmade: {listed(run.made, names)}" if run.made else ""
-        say(f"{where}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}{made}")
+        say(f"picture: {run.picture}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}{made}")
         if any(offer.name == "view" for offer in door.offers(door.Command)):
             say(f"to look at: metapp view {shlex.quote(str(folder))}")
         if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]:
@@ -80,7 +70,7 @@ def _show(run: Run, *, json: bool) -> None:
         for line in run.remarks:
             say(line)
     for failure in run.failures:
-        what = "failed" if failure in run.counted_failures else "warning: skipped"
+        what = "failed" if failure.counted else "warning: skipped"
         say(f"{what}: {one_line(failure.reason)}")
     if json:
         print_json(run.document())

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from data_tools.synthetic.examples import EXAMPLES, write_example
 from metapp.extensions.viewer.viewing import Wanted, view_page
-from metapp.runs.fits.execution import Run, execute
+from metapp.runs.fits.execution import execute
 from metapp.runs.requests.plan import plan
 from metapp.runs.requests.request import Request
 from metapp.storage import Document
@@ -43,8 +43,8 @@ def try_app(app: str, out: Path, recipe: str = "") -> Tried:
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS)[0]
     request = Request(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True)
-    (run,) = execute(plan(request))
-    assert isinstance(run, Run)  # what fails is raised
+    run = execute(plan(request))
+    assert run is not None  # of several ranks only
     (fit,) = run.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}
     return Tried(run.folder.path, {"app": app, **told, "whole_seconds": time.perf_counter() - begin})

@@ -1,4 +1,4 @@
-"""Pictures of runs: contact sheets of references and fits with their errors, thumbnails, and the page of many fits.
+"""Pictures of runs: contact sheets of references and fits with their errors.
 
 Pillow draws sheets: matplotlib, which figures are made by, takes longer to import than most fits.
 """
@@ -6,7 +6,6 @@ Pillow draws sheets: matplotlib, which figures are made by, takes longer to impo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,13 +17,11 @@ from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.reporter import number
-from metapp.runs.requests.naming import caption_of, factor_of, title_of
-from metapp.storage import Document, html
+from metapp.runs.requests.naming import factor_of, title_of
+from metapp.storage import Document
 from metapp.storage.files import write_atomically
-from metapp.storage.html import element
 from metapp.storage.images import in_8_bits
-from metapp.storage.records import RunFolder, file_name, read_theta, summary
+from metapp.storage.records import read_theta, summary
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -202,23 +199,6 @@ def _shown(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]
     return {name: to_srgb(picture) for name, picture in pictures.items()}
 
 
-THUMBNAIL = 128  # px, the height of a picture
-FOLDER = "thumbnails"
-STYLE = """
-body { margin: 2rem; font: 15px/1.5 system-ui, sans-serif; color: #1d1d1f; background: #fbfbfa; }
-main { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 1rem; }
-figure { margin: 0; padding: .6rem; background: #fff; border: 1px solid #e3e3e0; border-radius: 8px; }
-img { max-width: 100%; height: auto; display: block; margin: auto; }
-figcaption { font-size: .85rem; overflow-wrap: anywhere; } small, p { color: #5c5f66; }
-"""
-
-
-def write_thumbnail(app: App, task: Task, theta: Params, folder: Path) -> None:
-    """Write the picture of a fit, parameters without a task axis, into a run's folder: reference left, fit right."""
-    strip = beside([image_of(linear) for linear in presentation_of(app).outputs(theta, task).values()], THUMBNAIL)
-    write_atomically(folder / FOLDER / f"{file_name(task.name)}.png", lambda file: strip.save(file, "PNG"))
-
-
 def beside(images: Sequence[Image], height: int = 0) -> Image:
     """Pictures beside each other on white, each of a height in px; 0: as high as the first one."""
     from PIL import Image
@@ -231,40 +211,3 @@ def beside(images: Sequence[Image], height: int = 0) -> Image:
         strip.paste(image, (left, 0))
         left += image.width + 4
     return strip
-
-
-def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence[tuple[str, str]]) -> Path:
-    """Write `gallery.html` of all fits of a run's folder, whichever machine made them, those of large errors first.
-
-    Args:
-        app: the application.
-        paradigm: its name.
-        folder: the run's.
-        failures: what this program could not fit, and why.
-
-    Returns:
-        The file.
-    """
-    records = sorted(folder.finished().values(), key=lambda record: (-(record["error"] or 0.0), record["name"]))
-    total = summary(records)
-    title = f"{title_of(app)}, {paradigm}: {len(records)} fit{'s' * (len(records) != 1)}"
-    mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; {caption_of(app)}"
-    listed = [element("li", escape(source), "<br>", element("small", escape(reason))) for source, reason in failures]
-    failed = element("h2", f"{len(failures)} failed") + element("ul", *listed) if failures else ""
-    text = html.page(
-        title,
-        STYLE,
-        element("h1", escape(title)),
-        element("p", escape(f"{mean}. Reference left, fit right; large errors first.")),
-        failed,
-        element("main", *map(_figure, records)),
-    )
-    return html.write_page(text, folder.path / "gallery.html")
-
-
-def _figure(record: Document) -> str:
-    name, file = record["name"], f"{FOLDER}/{file_name(record['name'])}.png"
-    error = "" if record["error"] is None else f"error {record['error']:.3f}, "
-    lines = [f"{error}{record['seconds']:.3g} s", f"warning: {record['warning']}" if record.get("warning") else ""]
-    told = "".join(f"<br>{element('small', escape(line))}" for line in lines if line)
-    return html.figure(html.image(file, name), escape(name) + told)

@@ -15,7 +15,6 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
-from metapp.runs.fits.batch_size import check_batch
 from metapp.runs.requests.checks import check_export, check_name, check_numbers, check_protocol, check_rule
 from metapp.runs.requests.choosing import chosen_recipe
 from metapp.runs.requests.naming import observe_of
@@ -28,7 +27,7 @@ from metapp.runs.requests.options import (
     shown_options,
     without_adapted,
 )
-from metapp.runs.requests.request import Request, portion_of
+from metapp.runs.requests.request import Request
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.text import meant
@@ -185,11 +184,9 @@ def _check(request: Request, options: Mapping[str, object]) -> None:
     Raises:
         BadOption: there is such a one.
     """
-    portion_of(request.shard)
-    check_batch(request.batch or "1")
     if request.train_steps and not request.train:
         raise BadOption("--train-steps: only with --train.")
     for form in request.exports:
         check_export(form, request.app)
     if (merging := merge_of(request.app, options)) and request.resumes:
-        raise BadOption(f"{merging[0].option.flag} makes one input of all; leave out --batch and --shard.")
+        raise BadOption(f"{merging[0].option.flag} makes one input of all; leave out --batch.")

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, TypeVar
-
-from metapp.runs import BadOption
-
-Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -40,8 +34,7 @@ class Request:
     checkpoint: Path | None = None
     data: Path | None = None
     out: Path = Path("runs")
-    batch: str = ""
-    shard: str = ""
+    batch: int | None = None
     export: str = ""
     options: Mapping[str, object] = field(default_factory=dict)
     seed: int = 0
@@ -55,29 +48,5 @@ class Request:
 
     @property
     def resumes(self) -> bool:
-        """True if a run that is finished stays as it is, and failures are listed: with --batch or --shard."""
-        return bool(self.batch or self.shard)
-
-
-class Portion(NamedTuple):
-    """The share of one machine in a run: every `parts`-th of its tasks from the `number`-th on, both counted from 1."""
-
-    number: int = 1
-    parts: int = 1
-
-    def of(self, items: Sequence[Item]) -> list[Item]:
-        """The items of this portion."""
-        return list(items[self.number - 1 :: self.parts])
-
-
-def portion_of(text: str) -> Portion:
-    """Read I/N; all of "".
-
-    Raises:
-        BadOption: it is no such text, or there is no such portion.
-    """
-    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text or "1/1")
-    portion = Portion(int(match[1]), int(match[2])) if match else Portion(0, 0)
-    if not 1 <= portion.number <= portion.parts:
-        raise BadOption(f"--shard '{text}': expected I/N, the I-th of N parts, such as 1/4 to 4/4.")
-    return portion
+        """True if a run that is finished stays as it is, and failures are listed: with --batch."""
+        return self.batch is not None

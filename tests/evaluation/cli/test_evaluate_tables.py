@@ -115,11 +115,10 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
             assert table.columns[0].text(row) in text, name
 
 
-def test_parts_of_fits_fill_the_table(evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path) -> None:
-    for part in ("1/2", "2/2"):
-        words = ("--recipe", "quick", "--out", tmp_path / "runs", "--quiet", "--shard", part)
-        result = metapp("quickft", "brdf", "--data", data, *words)
-        assert result.code == 0, result.err
+def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path) -> None:
+    words = ("--recipe", "quick", "--out", tmp_path / "runs", "--quiet")
+    result = metapp("quickft", "brdf", "--data", data, *words)
+    assert result.code == 0, result.err
     rows = {row["paradigm"]: row for row in evaluate("--no-run", "--json").document["rows"]}
     assert {name: row["tasks"] for name, row in rows.items() if row["tasks"]} == {"quickft": 3}
 

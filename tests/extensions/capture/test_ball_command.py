@@ -77,7 +77,7 @@ def test_fits_merge_photos_of_several_exposures(
         (["illumination", "--observe", "photo", "--exposures", "soon"], "expected exposure times"),
         (
             ["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"],
-            "--exposures makes one input of all; leave out --batch and --shard",
+            "--exposures makes one input of all; leave out --batch",
         ),
         (["illumination", "--exposures", "auto"], "--exposures: only with --observe photo; add that"),
         (
