@@ -182,7 +182,7 @@ def shared_scene(_shared_cache: Path) -> Path:
 
 
 def lend_scene(cache: Path) -> Path:
-    return lend(USER_MATRIX, cache, "the second scene's matrix is not there: metapp data scene builds it")
+    return lend(USER_MATRIX, cache, "the second scene's matrix is not there: make setup builds it")
 
 
 def lend(file: Path, cache: Path, reason: str) -> Path:

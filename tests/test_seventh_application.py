@@ -145,13 +145,17 @@ def test_every_command_takes_it(commands: Callable, curves: Path, tmp_path: Path
         ["data", "--help"],
         ["data", "curve", curves, "--out", data, "--json", "--quiet"],
         ["general", "curve", *train, "200"],
-        ["quickft", "curve", *train, "5"],
-        ["meta", "curve", *train, "10"],
+    )
+    (folder,) = (runs / "curve" / "checkpoints").iterdir()
+    general, trained = ["--checkpoint", folder / "general.safetensors"], [*shared, "--checkpoint", folder]
+    said += commands(
+        ["quickft", "curve", *general, *train, "5"],
+        ["meta", "curve", *general, *train, "10"],
         ["overfit", "curve", *shared, "--json"],
-        ["finetune", "curve", *shared, "--json"],
-        ["evaluate", "curve", *shared, "--whole", "--json"],
-        ["evaluate", "curve", *shared, "--which", "storage", "--format", "markdown"],
-        ["evaluate", "curve", *shared, "--figures", tmp_path / "figures", "--report", tmp_path / "report"],
+        ["finetune", "curve", *trained, "--json"],
+        ["evaluate", "curve", *trained, "--whole", "--json"],
+        ["evaluate", "curve", *trained, "--which", "storage", "--format", "markdown"],
+        ["evaluate", "curve", *trained, "--figures", tmp_path / "figures", "--report", tmp_path / "report"],
     )  # fmt: skip
     assert "Convert curves, text files of 32 numbers." in said[0]
     error = {name: json.loads(said[2 + i])["error"] for i, name in

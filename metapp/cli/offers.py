@@ -11,5 +11,4 @@ OFFERS = (
     Command("cornell", f"{_HERE}.data.sets:cornell", under="data", bare_is_help=True),
     Command("join", f"{_HERE}.data.sets:join", under="data", bare_is_help=True),
     Command("check", f"{_HERE}.data.sets:check", under="data", bare_is_help=True),
-    Command("scene", f"{_HERE}.data.scene:scene", under="data"),
 )

@@ -9,11 +9,11 @@ from metapp import door
 from metapp.apps import app_names, protocols_of
 from metapp.cli import completion
 from metapp.cli.options import annotated
-from metapp.learning.names import composition_names, rule_names
+from metapp.learning.names import rule_names
 from metapp.runs.requests.options import all_options, options_of
 from metapp.storage import Document
 
-PANELS = INPUT, FIT, OUTPUT, MACHINE = ("Input", "Fit", "Output", "Machine")
+PANELS = INPUT, FIT, OUTPUT = ("Input", "Fit", "Output")
 WITHOUT = "default: the test tasks of --data"
 # of each field of a Request; names, types and defaults are the field's
 OPTIONS: Document = {
@@ -45,8 +45,7 @@ OPTIONS: Document = {
         autocompletion=completion.rules,
         metavar="NAME",
         rich_help_panel=FIT,
-        help=f"{', '.join(rule_names())}; or parts joined by +: {', '.join(composition_names())}; "
-        "default: the recipe's.",
+        help=f"{', '.join(rule_names())}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     ),
     "steps": typer.Option(metavar="N", min=0, rich_help_panel=FIT, help="Gradient steps; default: the recipe's."),
     "checkpoint": typer.Option(
@@ -76,17 +75,17 @@ OPTIONS: Document = {
     "device": typer.Option(
         autocompletion=completion.devices,
         metavar="NAME",
-        rich_help_panel=MACHINE,
+        rich_help_panel=FIT,
         help=f"{', '.join(completion.DEVICES)}; default: auto.",
     ),
     "batch": typer.Option(
         metavar="N",
         min=1,
-        rich_help_panel=MACHINE,
-        help="Fit N inputs in parallel in one run; the same command again resumes it; failures are listed at the end.",
+        rich_help_panel=FIT,
+        help="Fit N inputs in parallel; the same command resumes the run; failures are listed.",
     ),
 }
-JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of standard output.")
+JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
 NO_RULE = {"rule": "only meta has learned rules"}
 # what a paradigm does not use, and why: scripts over all paradigms give all the same options, so it is ignored
 IGNORED: dict[str, dict[str, str]] = {

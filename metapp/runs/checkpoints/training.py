@@ -164,13 +164,19 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now, for as many steps. A
     training with the same settings that has ended is not repeated.
+
+    Raises:
+        ValueError: there is a General of other settings in its place, which is not replaced.
     """
     request = replace(plan.request, paradigm="general")
     plan = replace(plan, request=request, paradigm=paradigms()["general"])
     if not request.checkpoint and not ships_general(plan):
         begin = replace(plan, request=replace(request, checkpoint=None))
         path = trained_path(begin, "general")
-        if not _is_trained(begin, steps):
+        if path.is_file() and not _is_trained(begin, steps):
+            found = "a General that was trained by other settings"
+            raise ValueError(f"{path}: {found}; begin at it with --checkpoint {path}, or move it to train another one.")
+        if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
             train_checkpoint(begin, steps)
         plan = replace(plan, request=replace(request, checkpoint=path))
@@ -183,8 +189,6 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
 def _is_trained(plan: Plan, steps: int | None) -> bool:
     """True if the General that would be trained now is there, by the same settings."""
     path = trained_path(plan, "general")
-    if not path.is_file():
-        return False
     folder = data_folder(plan.app, plan.request.data, plan.request.quiet)
     settings = _settings(plan, "general", steps, folder, None) | _about(plan, "general", folder, None)
     return load_checkpoint(path)[1].get("training_digest") == digest(settings)
