@@ -79,7 +79,6 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
 
     writes, phi = ranks.number() == 0, first.prepared
     settings = _settings(plan, name, steps, folder, encoder) | info
-    settings |= {"device": str(plan.device), "threads": get_num_threads()}
     checkpoint, since = _opened(path, settings, plan, training_of(plan.job, name, steps))
     with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
         rng = Generator(plan.device).manual_seed(request.seed)
@@ -119,6 +118,7 @@ def _opened(
         _remove_partial(path)
     else:
         ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
+    settings = settings | {"device": str(plan.device), "threads": get_num_threads()}  # what rounding depends on
     checkpoint = TrainingCheckpoint(path, settings, plan.device)
     since = _go_on(checkpoint, training)
     if writes:
