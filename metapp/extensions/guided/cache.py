@@ -143,11 +143,6 @@ class GuideCache:
             for number, value in enumerate(values):
                 dr.scatter_reduce(dr.ReduceOp.Add, sums, mi.Float64(value), first + number, active)
 
-    def forget(self, kept: float) -> None:
-        """Keep a share of the weight of all that was added."""
-        self.sums, self.bounces = self.sums * kept, self.bounces * kept
-        dr.eval(self.sums, self.bounces)
-
     def statistics(self) -> tuple[Tensor, Tensor, Tensor]:
         """Entries that paths visited, [P], and their sums of squares and of counts, float64 [P, SIDE, SIDE]."""
         # most entries are in the air: they are left out before their sums are read

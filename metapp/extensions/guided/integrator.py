@@ -7,9 +7,8 @@ Efficient Light-Transport Simulation): a scene that gives one of its properties 
 
 Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`; `emitter_sampling` (true), whether there is
 next-event estimation; `checkpoint`, the file of the cache's prior: the one that ships unless given, "none" for none, as
-without `emitter_sampling`, for which none was trained; and `keep_cache` (false), whether the next picture of the same
-scene goes on with what was learned, for cameras that move, and objects that move a little. The mean is that of `path`.
-Where a guide cannot help, `path` renders instead, and a warning says so once.
+without `emitter_sampling`, for which none was trained. The mean is that of `path`. Where a guide cannot help, `path`
+renders instead, and a warning says so once.
 """
 
 from __future__ import annotations
@@ -60,8 +59,6 @@ def plugin() -> mt.PluginClass:
             checkpoint = str(props.get("checkpoint", ""))
             none = checkpoint == NO_PRIOR or not emitter_sampling
             self.prior = None if none else read_prior(Path(checkpoint) if checkpoint else shipped())
-            self.keeps = bool(props.get("keep_cache", False))
-            self.last: GuidedPicture | None = None
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
             self.tracer = PathTracer(depth if depth >= 0 else 2**32 - 1, rr_depth, emitter_sampling)
 
@@ -77,17 +74,16 @@ def plugin() -> mt.PluginClass:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
             paths = spp * int(dr.prod(film.crop_size()))
-            before = self.last if self.last and self.last.scene is scene else None
-            prior = self.prior if self.keeps or paths >= SURVEYED else None
-            fewest = 0 if before else FEWEST if spp >= SEVERAL else SURVEYED  # the survey alone may be learned from
+            prior = self.prior if paths >= SURVEYED else None
+            fewest = FEWEST if spp >= SEVERAL else SURVEYED  # the survey alone may be learned from
             why = _useless(self.tracer, scene, paths, fewest, hides_emitters=self.hide_emitters)
             if why:
                 _warn(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad():
-                picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior, before)
+                picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior)
                 picture.render(spp)
-                self.spent, self.last = picture.spent, picture if self.keeps else None
+                self.spent = picture.spent
                 if not picture.pays:
                     _warn("what was learned of a scene does not lower the noise enough")
                 return film.develop() if develop else mi.TensorXf()

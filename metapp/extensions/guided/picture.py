@@ -25,7 +25,6 @@ SEVERAL = 4  # samples a pixel, with which a picture has parts
 FIRST = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
 PAYS = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time
-KEPT = 0.5  # weight of what a kept cache knows beside what it learns of the next picture
 FEWER = 0.3  # weight of samples of the regular part beside guided ones, where these pay
 STEP_COST = 1.25  # of a guided bounce over one of `path`
 BLOCK = 128  # samples of the blocks in which noise is compared, at least
@@ -89,7 +88,6 @@ class GuidedPicture:
         tracer: of paths.
         scene, sensor, seed: as of `render` of an integrator.
         prior: parameters of the network that is the cache's prior; None for none.
-        before: the last picture of the scene, of which the cache is kept; None for none.
 
     Attributes:
         pays: whether guided paths have less error in the same time, as far as is known.
@@ -104,19 +102,16 @@ class GuidedPicture:
         sensor: mt.Sensor,
         seed: mt.UInt32 | int,
         prior: Params | None = None,
-        before: GuidedPicture | None = None,
     ) -> None:
         begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.first: mt.ImageBlock = None  # of the regular part
         self.block: mt.ImageBlock = None
         self.made = 0
-        self.pays: bool = before is None or before.pays
-        self.regular: Work | None = before.regular if before else None
-        self.cache: GuideCache = before.cache if before else GuideCache(*_extent(scene, sensor))
-        if before:
-            self.cache.forget(KEPT)
-        elif prior is not None:
+        self.pays = True
+        self.regular: Work | None = None
+        self.cache = GuideCache(*_extent(scene, sensor))
+        if prior is not None:
             self.cache.prior = LearnedPrior(prior, survey(tracer, scene, sensor, self.cache, seed))
         self.spent = {"survey": time.process_time() - begin}
 
@@ -124,9 +119,7 @@ class GuidedPicture:
         """Put all parts of so many samples a pixel on the sensor's film."""
         film = self.sensor.film()
         parts = parts_of(spp, int(dr.prod(film.crop_size())))
-        if self.regular is not None and len(parts) > 2:  # the cache is kept: a part keeps it up to date
-            parts = [parts[1], spp - parts[1]]
-        if len(parts) == 1 and self.regular is None:
+        if len(parts) == 1:
             self.cache.learn()  # of the survey alone
         for part in parts[:-1]:
             self.add(part, learns=True)

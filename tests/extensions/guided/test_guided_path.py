@@ -290,15 +290,15 @@ def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) 
     assert noise[0] < 0.95 * noise[1]
 
 
-@pytest.mark.parametrize(("size", "more", "surveys"), [(8, {}, 0), (16, {}, 1), long(8, {"keep_cache": True}, 1)])
+@pytest.mark.parametrize(("size", "surveys"), [(8, 0), (16, 1)])
 def test_pictures_of_few_paths_do_not_pay_for_a_survey(
-    mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, more: Any, surveys: int
+    mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, surveys: int
 ) -> None:
     from metapp.extensions.guided import picture
 
     made, survey = [], picture.survey
     monkeypatch.setattr(picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
-    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4, **more})
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
     mi.render(loaded(mi, random_scene(101), size), integrator=integrator, spp=16)
     assert len(made) == surveys
     assert "guided samples" in integrator.spent
@@ -315,23 +315,6 @@ def test_the_roulette_gives_no_path_more_than_it_began_with(mi: Any) -> None:
         after = throughput.numpy() / survival
         assert (after <= np.maximum(1 / 0.95, throughput.numpy() / 0.95) + 1e-4).all()
         assert survival.min() == pytest.approx(max(LEAST, min(1.5 * remaining, 0.95 if depth == 7 else 1)), rel=1e-5)
-
-
-@pytest.mark.long
-def test_a_kept_cache_serves_the_next_picture_of_its_scene(
-    mi: Any, plugin: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene, other = (loaded(mi, random_scene(seed), 32) for seed in (1, 2))
-    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5, "keep_cache": True})
-    first, spent = np.array(mi.render(scene, integrator=integrator, spp=64, seed=1)), integrator.spent
-    assert spent["survey"] > 0.01
-    monkeypatch.setattr(plugin, "FEWEST", 2**40)  # with a cache it takes none to begin
-    made = np.array([mi.render(scene, integrator=integrator, spp=16, seed=seed) for seed in range(2, 34)])
-    assert integrator.spent["survey"] < 0.01
-    assert "guided samples" in integrator.spent
-    assert made.mean() == pytest.approx(first.mean(), rel=0.03)
-    with pytest.warns(UserWarning, match="expected 1,099,511,627,776"):
-        mi.render(other, integrator=integrator, spp=16)
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
