@@ -37,8 +37,6 @@ REGULAR, GUIDED = "regular + NEE", {"type": "metapp_guided_path"}
 METHODS: dict[str, dict[str, Any]] = {  # integrators
     REGULAR: {"type": "path"},
     "guided + NEE": GUIDED,
-    "guided + NEE, no prior": GUIDED | {"checkpoint": "none"},
-    "guided": GUIDED | {"emitter_sampling": False},
 }
 WARM = 48  # samples a pixel by which code is compiled and speeds are first known
 NEAR = 0.1  # of the seconds

@@ -47,13 +47,10 @@ def resize(scene: Scene, side: int) -> None:
     values.update()
 
 
-def guided_picture(
-    scene: Scene, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
-) -> TimedPicture:
-    """By `metapp_guided_path`, which must be registered, with properties of it."""
+def guided_picture(scene: Scene, spp: int, depth: int, seed: int = 0) -> TimedPicture:
+    """By `metapp_guided_path`, which must be registered."""
     begin = time.process_time()
-    more = {"emitter_sampling": emitter_sampling, "checkpoint": checkpoint}
-    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": depth, **more})
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": depth})
     picture = rendered(scene, integrator, spp, seed)
     spent, total = dict(integrator.spent), time.process_time() - begin
     rest = "all else" if spent else "regular samples"  # where `path` rendered instead

@@ -5,21 +5,18 @@
 It is `guided_path`, too. Public scenes call another integrator so, of Mueller et al. 2017 (Practical Path Guiding for
 Efficient Light-Transport Simulation): a scene that gives one of its properties is refused.
 
-Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`; `emitter_sampling` (true), whether there is
-next-event estimation; `checkpoint`, the file of the cache's prior: the one that ships unless given, "none" for none, as
-without `emitter_sampling`, for which none was trained. The mean is that of `path`. Where a guide cannot help, `path`
-renders instead, and a warning says so once.
+Properties: `max_depth`, `rr_depth` and `hide_emitters`, as of `path`. The mean is that of `path`. Where a guide cannot
+help, `path` renders instead, and a warning says so once.
 """
 
 from __future__ import annotations
 
 import functools
 import warnings
-from pathlib import Path
 
 from metapp.extensions.guided.path_tracer import PathTracer
 from metapp.extensions.guided.picture import SEVERAL, GuidedPicture
-from metapp.extensions.guided.prior import read_prior, shipped
+from metapp.extensions.guided.prior import read_prior
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
 from metapp.rendering.scenes.plugins import snake_case
@@ -31,7 +28,6 @@ NAME, SHORT_NAME = "metapp_guided_path", "guided_path"
 _OTHERS = {"budget", "budget_type", "bsdf_sampling_fraction", "bsdf_sampling_fraction_loss", "directional_filter",
            "d_tree_threshold", "dump_sdtree", "nee", "s_tree_threshold", "sample_combination", "sd_tree_max_memory",
            "spatial_filter", "spp_per_pass"}  # fmt: skip
-NO_PRIOR = "none"
 DEPTH, RR_DEPTH = -1, 5  # as of `path`
 
 
@@ -46,21 +42,15 @@ def plugin() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
     class GuidedPath(mi.SamplingIntegrator):  # type: ignore[misc]  # a class of the variant
-        """Properties, by default: `max_depth` -1, `rr_depth` 5, `hide_emitters` false, `emitter_sampling` true."""
+        """Properties, by default: `max_depth` -1, `rr_depth` 5, `hide_emitters` false."""
 
         def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
             _check_meant(props)
             self.path = _path(props)  # refuses what is out of range
             depth, rr_depth = int(props.get("max_depth", DEPTH)), int(props.get("rr_depth", RR_DEPTH))
-            emitter_sampling = bool(props.get("emitter_sampling", True))
-            if self.hide_emitters and not emitter_sampling:
-                raise ValueError(f"{NAME}: hide_emitters without emitter_sampling, expected one of them; change it.")
-            checkpoint = str(props.get("checkpoint", ""))
-            none = checkpoint == NO_PRIOR or not emitter_sampling
-            self.prior = None if none else read_prior(Path(checkpoint) if checkpoint else shipped())
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
-            self.tracer = PathTracer(depth if depth >= 0 else 2**32 - 1, rr_depth, emitter_sampling)
+            self.tracer = PathTracer(depth if depth >= 0 else 2**32 - 1, rr_depth)
 
         def render(
             self,
@@ -74,7 +64,7 @@ def plugin() -> mt.PluginClass:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
             paths = spp * int(dr.prod(film.crop_size()))
-            prior = self.prior if paths >= SURVEYED else None
+            prior = read_prior() if paths >= SURVEYED else None
             fewest = FEWEST if spp >= SEVERAL else SURVEYED  # the survey alone may be learned from
             why = _useless(self.tracer, scene, paths, fewest, hides_emitters=self.hide_emitters)
             if why:
@@ -107,7 +97,7 @@ def _check_meant(props: mt.Properties) -> None:
     if others:
         raise ValueError(
             f"{SHORT_NAME}: '{others[0]}' is a property of the integrator of Mueller et al. 2017, expected {NAME} with "
-            "max_depth, rr_depth, hide_emitters, emitter_sampling or checkpoint; change the scene to the one it means."
+            "max_depth, rr_depth or hide_emitters; change the scene to the one it means."
         )
 
 
@@ -119,14 +109,13 @@ def _path(props: mt.Properties) -> mt.Integrator:
 
 def _useless(tracer: PathTracer, scene: mt.Scene, paths: int, fewest: int, *, hides_emitters: bool) -> str:
     """Why a guide cannot help, if so."""
-    if tracer.emitter_sampling and tracer.max_depth <= 2:
+    if tracer.max_depth <= 2:
         return f"max_depth {tracer.max_depth} leaves direct light alone, expected 3 or more"
     if not scene.bbox().valid():
         return "no surfaces to learn of"
     if hides_emitters:
         return "hide_emitters, which is not guided"
-    few = tracer.emitter_sampling and paths < fewest
-    return f"{paths:,} paths (samples a pixel times pixels), expected {fewest:,} or more" if few else ""
+    return f"{paths:,} paths (samples a pixel times pixels), expected {fewest:,} or more" if paths < fewest else ""
 
 
 def _warn(why: str) -> None:

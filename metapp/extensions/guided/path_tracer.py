@@ -49,34 +49,16 @@ class _Paths:
     expected: mt.Float
 
 
-class Traced(NamedTuple):
-    """The results of traced paths.
-
-    Attributes:
-        radiance: of each.
-        hits: where one met something, a sky at least.
-        bounces: how many surfaces it met.
-    """
-
-    radiance: mt.Color
-    hits: mt.Mask
-    bounces: mt.UInt32
-
-
 class PathTracer(NamedTuple):
     """Traces paths, as Mitsuba's `path`.
 
     Attributes:
         max_depth: edges of the longest path.
         rr_depth: edges from which on paths end by chance (Russian roulette).
-        emitter_sampling: whether there is next-event estimation.
-        vertex: what samples at surfaces.
     """
 
     max_depth: int
     rr_depth: int
-    emitter_sampling: bool = True
-    vertex: type[Vertex] = Vertex
 
     def trace(
         self,
@@ -86,8 +68,8 @@ class PathTracer(NamedTuple):
         cache: GuideCache,
         guided: bool,
         records: Records | None,
-    ) -> Traced:
-        """Trace paths.
+    ) -> tuple[mt.Color, mt.Mask, mt.UInt32]:
+        """Trace paths: their radiance, where they met something (a sky at least), and how many surfaces they met.
 
         Args:
             scene, sampler, ray: as of `sample` of an integrator.
@@ -98,13 +80,13 @@ class PathTracer(NamedTuple):
 
         def bounce(paths: _Paths) -> tuple[_Paths]:
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
-            paths.radiance += paths.throughput * self._emitted(scene, si, paths)
+            paths.radiance += paths.throughput * _emitted(scene, si, paths)
             active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
-            vertex = self.vertex(scene, paths.sampler, paths.ray, si, active, emitter_sampling=self.emitter_sampling)
+            vertex = Vertex(scene, paths.sampler, paths.ray, si, active)
             sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
             unlit, remaining = mi.luminance(paths.radiance), mi.Float(0)
             if guided:
-                paths.expected, remaining = self._expected(paths, *vertex.expected(cache, sample))
+                paths.expected, remaining = _expected(paths, *vertex.expected(cache, sample))
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
                 path = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit
@@ -128,19 +110,7 @@ class PathTracer(NamedTuple):
             mi.Bool(True), mi.Float(0),
         )  # fmt: skip
         (paths,) = dr.while_loop((paths,), lambda paths: paths.active, bounce)
-        return Traced(paths.radiance, paths.hits, paths.depth)
-
-    def _expected(self, paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:
-        """The luminance of whole paths, and the share of it that they are expected to bring yet; 0 if not known.
-
-        Args:
-            paths: before next-event estimation.
-            outgoing, carried: what the cache expects here, as of `GuideCache.expect`.
-        """
-        throughput, known = mi.luminance(paths.throughput), outgoing > 0
-        here = mi.luminance(paths.radiance) + throughput * outgoing
-        whole = dr.select((paths.expected == 0) & known, here, paths.expected)
-        return whole, dr.select(known, throughput * carried / whole, 0)
+        return paths.radiance, paths.hits, paths.depth
 
     def _survival(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
         """The probability that paths go on: by what remains of them, or as in `path` where that is not known."""
@@ -150,11 +120,23 @@ class PathTracer(NamedTuple):
         least = dr.clip(throughput, LEAST, most)  # or ends of others would brighten a path, by chance without bound
         return dr.select(remaining > 0, dr.clip(WORTH * remaining, least, most), usual)
 
-    def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
-        """Emission of the surface or sky that paths met, by its MIS weight beside emitter sampling."""
-        there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
-        light = there.emitter.eval(si, paths.active)
-        if not self.emitter_sampling:
-            return light
-        density = scene.pdf_emitter_direction(paths.origin, there, paths.active & ~paths.is_delta)
-        return light * mis_weight(paths.density, density)
+
+def _expected(paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:
+    """The luminance of whole paths, and the share of it that they are expected to bring yet; 0 if not known.
+
+    Args:
+        paths: before next-event estimation.
+        outgoing, carried: what the cache expects here, as of `GuideCache.expect`.
+    """
+    throughput, known = mi.luminance(paths.throughput), outgoing > 0
+    here = mi.luminance(paths.radiance) + throughput * outgoing
+    whole = dr.select((paths.expected == 0) & known, here, paths.expected)
+    return whole, dr.select(known, throughput * carried / whole, 0)
+
+
+def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
+    """Emission of the surface or sky that paths met, by its MIS weight beside emitter sampling."""
+    there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
+    light = there.emitter.eval(si, paths.active)
+    density = scene.pdf_emitter_direction(paths.origin, there, paths.active & ~paths.is_delta)
+    return light * mis_weight(paths.density, density)

@@ -112,7 +112,7 @@ class GuidedPicture:
         self.regular: Work | None = None
         self.cache = GuideCache(*_extent(scene, sensor))
         if prior is not None:
-            self.cache.prior = LearnedPrior(prior, survey(tracer, scene, sensor, self.cache, seed))
+            self.cache.prior = LearnedPrior(prior, *survey(tracer, scene, sensor, self.cache, seed))
         self.spent = {"survey": time.process_time() - begin}
 
     def render(self, spp: int) -> None:

@@ -10,18 +10,17 @@ there. It knows nothing else of a scene. General trained it on rooms (checkpoint
 
 from __future__ import annotations
 
+import functools
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 from torch.nn.functional import conv2d, silu
 
 from metapp.extensions.guided.histogram import (
     AXES,
-    BINS,
-    DEFENSIVE,
     ENTRIES,
     GRID,
     POWER,
@@ -32,7 +31,6 @@ from metapp.extensions.guided.histogram import (
     voxels_of,
 )
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer
 from metapp.storage.records import load_checkpoint
 
 CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
@@ -41,35 +39,6 @@ ENTRY_PRIOR_PATHS = 8.0  # that the entries around one count as
 _HALF = GRID // 2
 _COARSE_ENTRIES = _HALF**3 * AXES
 _BRIGHTEST = 1e4  # luminance; more says no more
-
-
-class SurveyFeatures(NamedTuple):
-    """Features of entries in voxels of twice the side.
-
-    Attributes:
-        rows: of all these entries the row here, or -1.
-        voxels: of the rows, as of `voxels_of`, [P, 4].
-        features: float32 [P, len(CHANNELS), SIDE, SIDE]: log of the squared light that is expected to arrive; the part
-            of it that comes from emitters; log(1 + distance); the cosine at the surface that is met; and of how many
-            paths it is known what that sends out.
-    """
-
-    rows: Tensor
-    voxels: Tensor
-    features: Tensor
-
-    @classmethod
-    def of(cls, voxels: Tensor, features: Tensor) -> SurveyFeatures:
-        """Features of so many entries, by the index of their voxels."""
-        rows = torch.full((_COARSE_ENTRIES,), -1)
-        rows[_index(voxels)] = torch.arange(len(voxels))
-        return cls(rows, voxels, features)
-
-    def lookup(self, voxels: Tensor) -> tuple[Tensor, Tensor]:
-        """The index of those of such coarse voxels [P, 4] that were surveyed, [K], and their rows [K]."""
-        row = self.rows[_index(voxels)]
-        known = (row >= 0).nonzero()[:, 0]
-        return known, row[known]
 
 
 class FirstHits(NamedTuple):
@@ -89,7 +58,17 @@ class FirstHits(NamedTuple):
 
 
 def features_of(hits: FirstHits, sums: Tensor, counts: Tensor) -> Tensor:
-    """The features, of what entries send out: sums of luminance and counts of paths, float64 [ENTRIES] each."""
+    """Features of entries in voxels of twice the side.
+
+    Args:
+        hits: of rays from them.
+        sums, counts: what entries send out, sums of luminance and counts of paths, float64 [ENTRIES] each.
+
+    Returns:
+        float32 [P, len(CHANNELS), SIDE, SIDE]: log of the squared light that is expected to arrive; the part of it that
+        comes from emitters; log(1 + distance); the cosine at the surface that is met; and of how many paths it is known
+        what that sends out.
+    """
     outgoing, paths = (values.float() for values in _shrunk_means(sums, counts))
     emitted = hits.emitted.clamp(max=_BRIGHTEST)
     arriving = (outgoing[hits.entry] + emitted).square().mean(1)
@@ -122,49 +101,11 @@ def _index(voxels: Tensor) -> Tensor:
     return index
 
 
-NAME = "guiding"
-FEATURES = len(CHANNELS) + 3
-HIDDEN = 16
-_ESTIMATE = len(CHANNELS)  # the feature that holds the histogram's own estimate
-
-
-def shipped() -> Path:
-    """The checkpoint that ships."""
-    return Path(str(resources.files("metapp.extensions.guided"))) / "checkpoints" / "general.safetensors"
-
-
-def read_prior(path: Path) -> Params:
-    """The network's parameters from a checkpoint.
-
-    Raises:
-        ValueError: it is none, or of another network.
-    """
-    prepared, _ = load_checkpoint(path)
-    expected = {key: value.shape for key, value in init(Generator().manual_seed(0)).items()}
-    if {key: value.shape for key, value in prepared.encoder.items()} != expected:
-        raise ValueError(f"{path}: a checkpoint of another network, expected one of guide priors ({NAME}).")
-    return {key: value.float() for key, value in prepared.encoder.items()}
-
-
-def init(rng: Generator) -> Params:
-    """Parameters by which the network returns the histogram's own estimate."""
-    theta: Params = {}
-    add_layer(theta, rng, "first", HIDDEN, FEATURES, 3, 3)
-    add_layer(theta, rng, "second", HIDDEN, HIDDEN, 3, 3)
-    theta["out.kernel"] = torch.zeros(1, HIDDEN, 1, 1)
-    theta["past.kernel"] = torch.zeros(1, FEATURES, 1, 1)
-    theta["past.kernel"][0, _ESTIMATE] = POWER
-    return theta
-
-
-def densities(theta: Params, features: Tensor) -> Tensor:
-    """Densities of directions by features [P, FEATURES, SIDE, SIDE] of any entries.
-
-    Returns:
-        [P, BINS], of sum 1, each at least 1 / DEFENSIVE of the uniform density.
-    """
-    share = logits(theta, features).softmax(1)
-    return 1 / (DEFENSIVE * BINS) + (1 - 1 / DEFENSIVE) * share
+@functools.cache
+def read_prior() -> Params:
+    """The parameters of the network that ships."""
+    file = Path(str(resources.files("metapp.extensions.guided"))) / "checkpoints" / "general.safetensors"
+    return load_checkpoint(file)[0].encoder
 
 
 def logits(theta: Params, features: Tensor) -> Tensor:
@@ -185,18 +126,27 @@ def histogram_features(squares: Tensor, counts: Tensor, moments: Tensor) -> Tens
 
 
 class LearnedPrior:
-    """The expected second moments in a scene that was surveyed, for `GuideCache.prior`."""
+    """The expected second moments in a scene that was surveyed, for `GuideCache.prior`.
 
-    def __init__(self, theta: Params, survey: SurveyFeatures) -> None:
-        self.theta, self.survey = theta, survey
+    Args:
+        theta: the network's parameters.
+        voxels: that were surveyed, of twice the side, as of `voxels_of`, [S, 4].
+        features: of these, as of `features_of`.
+    """
+
+    def __init__(self, theta: Params, voxels: Tensor, features: Tensor) -> None:
+        self.theta, self.features = theta, features
+        self.rows = torch.full((_COARSE_ENTRIES,), -1)  # of all such voxels the row of features, or none
+        self.rows[_index(voxels)] = torch.arange(len(voxels))
 
     @torch.no_grad()
     def __call__(self, squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
         """Second moments of the arguments of `second_moments`; the network's where the survey has features."""
         moments = second_moments(squares, counts, voxels)
-        known, rows = self.survey.lookup(voxels)
+        row = self.rows[_index(voxels)]
+        known = (row >= 0).nonzero()[:, 0]
         found = histogram_features(squares[known], counts[known], moments[known])
-        features = torch.cat([self.survey.features[rows], found], 1)
+        features = torch.cat([self.features[row[known]], found], 1)
         # with channels last it is twice as fast
         share = logits(self.theta, features.contiguous(memory_format=torch.channels_last)).double().softmax(1)
         moments[known] = (share ** (1 / POWER)).reshape(-1, SIDE, SIDE)

@@ -9,7 +9,7 @@ from torch import Tensor
 from metapp.extensions.guided.cache import RECORDED, GuideCache, Records
 from metapp.extensions.guided.histogram import BINS, ENTRIES, SIDE, coarse_voxels, voxels_of
 from metapp.extensions.guided.path_tracer import PathTracer
-from metapp.extensions.guided.prior import CHANNELS, FirstHits, SurveyFeatures, features_of
+from metapp.extensions.guided.prior import CHANNELS, FirstHits, features_of
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.paths.next_event import mis_weight
@@ -53,7 +53,7 @@ class SurveyRecords(Records):
 
 def survey(
     tracer: PathTracer, scene: mt.Scene, sensor: mt.Sensor, cache: GuideCache, seed: mt.UInt32
-) -> SurveyFeatures:
+) -> tuple[Tensor, Tensor]:
     """Trace a few paths of a scene, and rays from where they were.
 
     Args:
@@ -61,6 +61,9 @@ def survey(
         scene, sensor: as of `render` of an integrator.
         cache: of the scene, which learns from the paths, too.
         seed: of all draws.
+
+    Returns:
+        voxels of twice the side where paths were, as of `voxels_of`, [P, 4]; and their features, as of `features_of`.
     """
     paths = FILM**2
     sampler = mi.load_dict({"type": "independent"})
@@ -69,25 +72,19 @@ def survey(
     film = (mi.Point2f(mi.Float(index % FILM), mi.Float(index // FILM)) + sampler.next_2d()) / FILM
     ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, sampler.next_2d())
     records = SurveyRecords(paths)
-    light = tracer.trace(scene, sampler, mi.RayDifferential3f(ray), cache, False, records).radiance
+    light, *_ = tracer.trace(scene, sampler, mi.RayDifferential3f(ray), cache, False, records)
     dr.eval(light)
     records.train(cache, light)
-    return _features(records, light, scene, cache, sampler)
-
-
-def _features(
-    records: SurveyRecords, light: mt.Color, scene: mt.Scene, cache: GuideCache, sampler: mt.Sampler
-) -> SurveyFeatures:
     entries, points = records.one_per_entry()
     if not len(entries):
-        return SurveyFeatures.of(torch.zeros(0, 4, dtype=torch.long), torch.zeros(0, len(CHANNELS), SIDE, SIDE))
+        return torch.zeros(0, 4, dtype=torch.long), torch.zeros(0, len(CHANNELS), SIDE, SIDE)
     voxels, parent = coarse_voxels(voxels_of(entries)).unique(dim=0, return_inverse=True)
     # a bin's rays start in one or another of the entries of each coarse voxel, where a path was
     order, size = parent.argsort(stable=True), parent.bincount()
     spread = torch.arange(RAYS * BINS)[None] * 7 + torch.arange(len(voxels))[:, None] * 3
     start = points[order[(size.cumsum(0) - size)[:, None] + spread % size[:, None]]].reshape(-1, RAYS, BINS)
     hits = _first_hits(records, start, scene, cache, sampler)
-    return SurveyFeatures.of(voxels, features_of(hits, *records.outgoing(light)))
+    return voxels, features_of(hits, *records.outgoing(light))
 
 
 def _first_hits(

@@ -38,26 +38,8 @@ class Sampled(NamedTuple):
     guide: tuple[mt.Float, mt.UInt32] | None
 
 
-class Evaluated(NamedTuple):
-    """A direction, of the guide or of the BSDF.
-
-    Attributes:
-        drawn, weight: the BSDF's sample.
-        wo: the direction, in the surface's frame.
-        value, density: of the BSDF there.
-        to_emitter: both in the emitter's direction.
-    """
-
-    drawn: mt.BsdfSample
-    weight: mt.Color
-    wo: mt.Vector3
-    value: mt.Color
-    density: mt.Float
-    to_emitter: tuple[mt.Color, mt.Float]
-
-
-Fields = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
-"""Those of `Evaluated`, which Dr.Jit dispatches."""
+Evaluated = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
+"""The BSDF's sample and its weight; a direction in the surface's frame; value and density there, and to the emitter."""
 
 
 class Vertex:
@@ -70,16 +52,12 @@ class Vertex:
         ray: mt.Ray,
         si: mt.Interaction,
         active: mt.Mask,
-        *,
-        emitter_sampling: bool,
     ) -> None:
         self.si, self.bsdf, self.active = si, si.bsdf(ray), active
         flags, kinds = self.bsdf.flags(), mi.BSDFFlags
-        self.emitter: mt.EmitterSample = None
-        if emitter_sampling:
-            scatters = active & mi.has_flag(flags, kinds.Smooth)
-            self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
-            self.is_lit = scatters & (self.emitter.pdf != 0)
+        scatters = active & mi.has_flag(flags, kinds.Smooth)
+        self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
+        self.is_lit = scatters & (self.emitter.pdf != 0)
         self.draws = sampler.next_1d(), sampler.next_2d()
         diffuse, glossy = (mi.has_flag(flags, kind) for kind in (kinds.DiffuseReflection, kinds.GlossyReflection))
         transmits = mi.has_flag(flags, kinds.Transmission)
@@ -91,15 +69,12 @@ class Vertex:
 
     def by_bsdf(self) -> Sampled:
         """Sample directions as the BSDF does."""
-        context = mi.BSDFContext()
-        if self.emitter is None:
-            drawn, weight = self.bsdf.sample(context, self.si, *self.draws, self.active)
-            light = mi.Color3f(0)
-        else:
-            wo = self.si.to_local(self.emitter.d)
-            value, density, drawn, weight = self.bsdf.eval_pdf_sample(context, self.si, wo, *self.draws, self.active)
-            light = self._emitter_radiance(value, density)
+        wo = self.si.to_local(self.emitter.d)
+        value, density, drawn, weight = self.bsdf.eval_pdf_sample(
+            mi.BSDFContext(), self.si, wo, *self.draws, self.active
+        )
         is_delta, is_null = (mi.has_flag(drawn.sampled_type, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Null))
+        light = self._emitter_radiance(value, density)
         return Sampled(drawn.wo, drawn.pdf, weight, drawn.eta, is_delta, is_null, light, None)
 
     def by_cache(self, cache: GuideCache) -> Sampled:
@@ -110,38 +85,25 @@ class Vertex:
         rest = dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
         guided = self.active & (self.share > 0)
         index, local = cache.sample(location.row, self.draws[1], guided & of_cache)
-        evaluated = self._evaluated(si.to_local(location.frame.to_world(local)), of_cache, rest)
-        local = dr.select(of_cache, local, location.frame.to_local(si.to_world(evaluated.wo)))
+        drawn, weight, wo, value, density, to_emitter = self._evaluated(
+            si.to_local(location.frame.to_world(local)), of_cache, rest
+        )
+        local = dr.select(of_cache, local, location.frame.to_local(si.to_world(wo)))
         index = dr.select(of_cache, index, cache.bin(local))
         relative = cache.density(location.row, index, guided)
         cosine = dr.maximum(local.z, 0)
-        mixture = dr.lerp(evaluated.density, relative * cosine * dr.inv_pi, self.share)
-        light = mi.Color3f(0)
-        if self.emitter is not None:
-            value, density = evaluated.to_emitter
-            light = self._emitter_radiance(value, self._mixture_to_emitter(cache, location, density))
-        return self._sampled(evaluated, of_cache, mixture, light, (mixture * dr.pi / dr.maximum(cosine, 1e-6), index))
-
-    def _sampled(
-        self,
-        evaluated: Evaluated,
-        of_guide: mt.Mask,
-        mixture: mt.Float,
-        light: mt.Color,
-        guide: tuple[mt.Float, mt.UInt32],
-    ) -> Sampled:
-        """The direction that was evaluated, of the guide or the BSDF, whose densities are mixed."""
-        drawn, weight, wo, value, *_ = evaluated
-        is_delta = ~of_guide & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+        mixture = dr.lerp(density, relative * cosine * dr.inv_pi, self.share)
+        light = self._emitter_radiance(to_emitter[0], self._mixture_to_emitter(cache, location, to_emitter[1]))
+        is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return Sampled(
             wo,
             dr.select(is_delta, drawn.pdf, mixture),
             dr.select(is_delta, weight / (1 - self.share), dr.select(mixture > 0, value / mixture, 0)),
-            dr.select(of_guide, 1, drawn.eta),
+            dr.select(of_cache, 1, drawn.eta),
             is_delta,
-            ~of_guide & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
+            ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
             light,
-            guide,
+            (mixture * dr.pi / dr.maximum(cosine, 1e-6), index),
         )
 
     def recorded(
@@ -161,25 +123,22 @@ class Vertex:
 
     def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
         """Of the cache's direction `guided`, or one of the BSDF."""
-        sees_emitter = self.emitter is not None
 
         def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3, of_cache: mt.Mask,
-                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Fields:  # fmt: skip
+                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
             if is_lambertian(bsdf):
                 lobe = lambertian(bsdf, si, active)
-                light = lobe(to_emitter) if sees_emitter else (mi.Color3f(0), mi.Float(0))
-                return dr.zeros(mi.BSDFSample3f), mi.Color3f(0), mi.Vector3f(guided), *lobe(guided), light
+                return dr.zeros(mi.BSDFSample3f), mi.Color3f(0), mi.Vector3f(guided), *lobe(guided), lobe(to_emitter)
             context = mi.BSDFContext()
             drawn, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
             wo = dr.select(of_cache, guided, drawn.wo)
             value, density = bsdf.eval_pdf(context, si, wo, active)
-            light = bsdf.eval_pdf(context, si, to_emitter, active) if sees_emitter else (mi.Color3f(0), mi.Float(0))
-            return drawn, weight, wo, value, density, light
+            return drawn, weight, wo, value, density, bsdf.eval_pdf(context, si, to_emitter, active)
 
-        to_emitter = self.si.to_local(self.emitter.d) if sees_emitter else mi.Vector3f(0, 0, 1)
-        return Evaluated(
-            *dr.dispatch(self.bsdf, evaluate, self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active)
-        )
+        to_emitter = self.si.to_local(self.emitter.d)
+        inputs = (self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active)
+        evaluated: Evaluated = dr.dispatch(self.bsdf, evaluate, *inputs)
+        return evaluated
 
     def _location(self, cache: GuideCache) -> Location:
         if self.location is None:  # once: Dr.Jit would look it up anew after a call
