@@ -5,8 +5,7 @@
     {"type": "metapp_guided_path", "max_depth": 8}
 
 All that extensions offer are registered. The last of these is an integrator: Mitsuba's `path` with path guiding that it
-learns while it renders; see `metapp.extensions.guided.integrator`. It is `guided_path`, too, unless a scene means that
-of Mueller et al. 2017.
+learns while it renders; see `metapp.extensions.guided.integrator`.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of any of its networks, or a folder with an

@@ -2,9 +2,6 @@
 
     {"type": "metapp_guided_path", "max_depth": 8}
 
-It is `guided_path`, too. Public scenes call another integrator so, of Mueller et al. 2017 (Practical Path Guiding for
-Efficient Light-Transport Simulation): a scene that gives one of its properties is refused.
-
 Properties: `max_depth`, `rr_depth` and `hide_emitters`, as of `path`. The mean is that of `path`. Where a guide cannot
 help, `path` renders instead, and a warning says so once.
 """
@@ -19,23 +16,17 @@ from metapp.extensions.guided.picture import SEVERAL, GuidedPicture
 from metapp.extensions.guided.prior import read_prior
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
-from metapp.rendering.scenes.plugins import snake_case
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 SURVEYED = 2**21  # from which the survey and the prior are a small part of the time
-NAME, SHORT_NAME = "metapp_guided_path", "guided_path"
-# properties of the integrator of Mueller et al. that is called guided_path
-_OTHERS = {"budget", "budget_type", "bsdf_sampling_fraction", "bsdf_sampling_fraction_loss", "directional_filter",
-           "d_tree_threshold", "dump_sdtree", "nee", "s_tree_threshold", "sample_combination", "sd_tree_max_memory",
-           "spatial_filter", "spp_per_pass"}  # fmt: skip
+NAME = "metapp_guided_path"
 DEPTH, RR_DEPTH = -1, 5  # as of `path`
 
 
 @functools.cache  # once: Mitsuba keeps what is called when its variant changes
 def register_guided_path() -> None:
-    """Have Mitsuba know the plugin by both names, in the variant that is active and in all that will be."""
-    for name in (NAME, SHORT_NAME):
-        register_plugin("integrator", name, plugin)
+    """Have Mitsuba know the plugin in the variant that is active and in all that will be."""
+    register_plugin("integrator", NAME, plugin)
 
 
 def plugin() -> mt.PluginClass:
@@ -46,7 +37,6 @@ def plugin() -> mt.PluginClass:
 
         def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
-            _check_meant(props)
             self.path = _path(props)  # refuses what is out of range
             depth, rr_depth = int(props.get("max_depth", DEPTH)), int(props.get("rr_depth", RR_DEPTH))
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
@@ -89,16 +79,6 @@ def plugin() -> mt.PluginClass:
             return f"GuidedPath[max_depth = {self.tracer.max_depth}, rr_depth = {self.tracer.rr_depth}]"
 
     return GuidedPath
-
-
-def _check_meant(props: mt.Properties) -> None:
-    """Refuse the properties of another integrator that public scenes call guided_path."""
-    others = [name for name in props.keys() if snake_case(name) in _OTHERS]  # noqa: SIM118  (no dictionary)
-    if others:
-        raise ValueError(
-            f"{SHORT_NAME}: '{others[0]}' is a property of the integrator of Mueller et al. 2017, expected {NAME} with "
-            "max_depth, rr_depth or hide_emitters; change the scene to the one it means."
-        )
 
 
 def _path(props: mt.Properties) -> mt.Integrator:

@@ -128,7 +128,7 @@ def test_a_seed_says_what_a_picture_is(mi: Any) -> None:
 
 def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
     scene = mi.load_string("""<scene version="3.0.0">
-      <integrator type="guided_path"><integer name="max_depth" value="4"/></integrator>
+      <integrator type="metapp_guided_path"><integer name="max_depth" value="4"/></integrator>
       <sensor type="perspective"><float name="fov" value="40"/>
         <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
         <sampler type="multijitter"><integer name="sample_count" value="36"/></sampler>
@@ -168,18 +168,6 @@ def test_within_another_integrator_it_is_path(mi: Any) -> None:
     both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "metapp_guided_path", "max_depth": 4}})
     with pytest.warns(UserWarning, match="another integrator"):
         assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
-
-
-OTHERS = {"budgetType": "spp", "sppPerPass": 4, "sTreeThreshold": 12_000, "bsdf_sampling_fraction": 0.5, "nee": "never"}
-
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_scene_that_means_another_integrator_of_that_name_is_told(mi: Any, name: str) -> None:
-    """Public scenes call the one of Mueller et al. 2017 guided_path."""
-    line = rf"guided_path: '{name}' is a property of the integrator of Mueller et al. 2017.*expected metapp_guided_path"
-    with pytest.raises(Exception, match=line):
-        mi.load_dict({"type": "guided_path", "max_depth": 4, name: OTHERS[name]})
-    assert "max_depth = 4" in str(mi.load_dict({"type": "guided_path", "max_depth": 4}))
 
 
 def test_registering_again_adds_nothing(mi: Any, plugin: Any, monkeypatch: pytest.MonkeyPatch) -> None:
