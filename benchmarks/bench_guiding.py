@@ -26,7 +26,7 @@ import metapp.mitsuba  # noqa: F401  (registers guided_path)
 from benchmarks.guiding_scenes import kind_of, scenes
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
-from metapp.extensions.guided import equal_time
+from metapp.extensions.guided import rendering
 from metapp.extensions.guided.integrator import FEWEST
 from metapp.extensions.scene_files.reading import read_scene
 from metapp.rendering.paths.path_space import DEPTH
@@ -54,7 +54,7 @@ class Bench:
 
     def __init__(self, name: str, options: argparse.Namespace) -> None:
         self.mi, self.scene, _ = load_scene(options.known[name])
-        equal_time.resize(self.scene, options.size)
+        rendering.resize(self.scene, options.size)
         self.width, self.height = (int(n) for n in self.scene.sensors()[0].film().size())
         self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH})
         file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"

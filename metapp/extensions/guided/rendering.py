@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import time
+
+import torch
+from torch import Tensor
+
 from metapp.appearance.presentation import Picture, Rendered
-from metapp.extensions.guided import equal_time
 from metapp.extensions.guided.integrator import register_guided_path
 from metapp.learning.task import Params, Task
+from metapp.rendering import pictures
+from metapp.rendering.jit import mi
 from metapp.rendering.paths import path_space
 from metapp.rendering.scenes.rules import scene_of
+from metapp.rendering.types import Scene
 
 SPP = 64  # samples a pixel of the guided picture
+_WAVES = 16  # that a picture in a given time is made of, about
 
 
 def rendered(presentation: object, task: Task, theta: Params, side: int) -> Rendered:
@@ -28,14 +36,47 @@ def rendered(presentation: object, task: Task, theta: Params, side: int) -> Rend
         raise ValueError(f"{task.name}: no scene, expected one to render; leave --render out.")
     tracer = path_space.Tracer(scene_of(task.data["scene"].cpu()))
     register_guided_path()
-    equal_time.resize(tracer.scene, side)
-    guided = equal_time.guided_picture(tracer.scene, SPP, tracer.depth)
-    regular = equal_time.regular_picture(tracer.scene, guided.seconds, SPP, tracer.depth)
-    spent = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in guided.spent.items())
+    resize(tracer.scene, side)
+    guided, spent = guided_picture(tracer.scene, tracer.depth)
+    seconds = sum(spent.values())
+    regular, spp, regular_seconds = regular_picture(tracer.scene, seconds, tracer.depth)
+    parts = ", ".join(f"{name} {each:.2f} s" for name, each in spent.items())
     return Rendered(
-        {"guided_path": Picture(guided.picture, "radiance"), "regular_nee": Picture(regular.picture, "radiance")},
+        {"guided_path": Picture(guided, "radiance"), "regular_nee": Picture(regular, "radiance")},
         [
-            f"guided_path: {guided.spp} samples a pixel in {guided.seconds:.2f} s of CPU ({spent}), without the fit",
-            f"regular_nee: {regular.spp} samples a pixel in {regular.seconds:.2f} s of CPU",
+            f"guided_path: {SPP} samples a pixel in {seconds:.2f} s of CPU ({parts}), without the fit",
+            f"regular_nee: {spp} samples a pixel in {regular_seconds:.2f} s of CPU",
         ],
     )
+
+
+def resize(scene: Scene, side: int) -> None:
+    """Give the film of a scene's first sensor another size: so many pixels along its longer side, all of it."""
+    values = mi.traverse(scene.sensors()[0])
+    size = scene.sensors()[0].film().size()
+    longer = max(int(size[0]), int(size[1]))
+    values["film.size"] = values["film.crop_size"] = mi.ScalarVector2u([max(1, side * int(n) // longer) for n in size])
+    values["film.crop_offset"] = mi.ScalarPoint2u(0)
+    values.update()
+
+
+def guided_picture(scene: Scene, depth: int) -> tuple[Tensor, dict[str, float]]:
+    """The radiance [rows, columns, 3] by `metapp_guided_path`, and seconds of CPU by what they were spent on."""
+    begin = time.process_time()
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": depth})
+    picture = pictures.rendered(scene, integrator, SPP, 0)
+    spent, total = dict(integrator.spent), time.process_time() - begin
+    rest = "all else" if spent else "regular samples"  # where `path` rendered instead
+    return picture, spent | {rest: total - sum(spent.values())}
+
+
+def regular_picture(scene: Scene, seconds: float, depth: int) -> tuple[Tensor, int, float]:
+    """The radiance by `path` in about so many seconds of CPU, in one wave at least; samples a pixel, and seconds."""
+    integrator = mi.load_dict({"type": "path", "max_depth": depth})
+    per_wave = max(1, SPP // _WAVES)
+    begin, longest, total, waves = time.process_time(), 0.0, torch.zeros(()), 0
+    while not waves or time.process_time() - begin + longest / 2 <= seconds:
+        start = time.process_time()
+        total = total + pictures.rendered(scene, integrator, per_wave, waves)
+        waves, longest = waves + 1, time.process_time() - start
+    return total / waves, per_wave * waves, time.process_time() - begin
