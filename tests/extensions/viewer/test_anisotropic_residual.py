@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
+from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import above_horizon
 from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
@@ -124,8 +125,7 @@ def test_an_isotropic_material_has_a_reference_by_any_fit() -> None:
     """By a fit that reads phi_h too, whatever phi_h is."""
 
     def shine(angles: Tensor) -> Tensor:
-        return 0.1 + torch.exp(-((angles[:, :1] / 0.3) ** 2)).expand(-1, 3)
+        return 0.1 + torch.exp(-((angles[..., :1] / 0.3) ** 2)).expand(*angles.shape[:-1], 3)
 
-    angles = anisotropic.task(65_536).data["angles"]
-    lacks, left = errors_of(APP, fitted(), Task("still", {"angles": angles, "reflectance": shine(angles)}), shine, 11)
+    lacks, left = errors_of(APP, fitted(), brdf_task("still", shine, 65_536), shine, 11)
     assert left < 0.1 * lacks
