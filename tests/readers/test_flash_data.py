@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,9 +13,9 @@ import torch
 from data_tools.readers import flash, photos, svbrdf_inputs
 from data_tools.readers.flash import find_shown, shown, split_by_material
 from data_tools.readers.image_files import focal_length_of
-from data_tools.readers.photos import field_of_view, read_photo, seen_share
+from data_tools.readers.photos import field_of_view, seen_share
 from metapp.door import Label
-from tests.pictures import noise, write
+from tests.pictures import write
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -28,25 +27,6 @@ def touch(folder: Path, *names: str) -> None:
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
     return {label.name: label.split for label in split_by_material(find_shown([folder])).values()}
-
-
-@pytest.mark.parametrize(
-    ("reader", "file", "name"),
-    [(flash, "train_0231_IMG_0785.png", "0231_IMG_0785"), (photos, "old bark.v2.png", "old bark.v2")],
-)
-def test_a_task_is_named_by_its_file_and_holds_one_image(
-    reader: ModuleType, file: str, name: str, tmp_path: Path
-) -> None:
-    path = write(tmp_path / file, noise(40, 60))
-    task, large = reader.read_task(path, 40), reader.read_task(path).data["image"]
-    assert task.name == name
-    assert list(task.data) == list(reader.UNITS) == ["image"]
-    assert torch.equal(task.data["image"], read_photo(path, 40))
-    assert torch.equal(large, read_photo(path))
-    assert (large.shape, large.dtype) == ((3, 256, 256), torch.uint8)
-    assert reader.recognises(tmp_path)
-    assert reader.recognises(path)
-    assert reader.find([tmp_path]) == ([path], [])
 
 
 def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
@@ -72,15 +52,6 @@ def test_what_lies_above_the_named_folder_says_nothing(tmp_path: Path) -> None:
     assert shown(tmp_path / "test" / "gold" / "a.jpg", tmp_path / "test") == Label("gold_a", "gold", "test")
     assert shown(tmp_path / "test" / "gold" / "a.jpg") == Label("gold_a", "gold", "test")
     assert shown(tmp_path / "photographs" / "a.jpg") == Label("a", "a", "")
-
-
-def test_relative_paths_tell_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    touch(tmp_path, "train/gold/a.jpg", "wood/a.jpg")
-    monkeypatch.chdir(tmp_path)
-    for start in (Path(), Path("train/..")):
-        assert {each.name for each in find_shown([start]).values()} == {"gold_a", "wood_a"}
-    monkeypatch.chdir(tmp_path / "train")
-    assert [each.split for each in find_shown([Path()]).values()] == ["train"]
 
 
 @pytest.mark.parametrize(
@@ -115,12 +86,6 @@ def test_a_material_on_both_sides_and_bad_paths_are_refused(tmp_path: Path) -> N
     touch(tmp_path, "train_a_1.jpg", "test_a_2.jpg")
     with pytest.raises(ValueError, match=r"test_a_2.jpg and .*train_a_1.jpg: training and test .* material 'a'"):
         splits_of(tmp_path)
-
-
-def test_a_photograph_found_twice_shows_one_material(tmp_path: Path) -> None:
-    touch(tmp_path, "wood/a.jpg", "wood/b.jpg")
-    for paths in ([tmp_path, tmp_path / "wood", tmp_path / "wood/a.jpg"], [tmp_path / "wood/a.jpg", tmp_path]):
-        assert [each.group for each in find_shown(paths).values()] == ["wood", "wood"]
 
 
 def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Path:

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from data_tools.readers import image_files
-from data_tools.readers.photos import find_photos, is_photo, read_photo
-from data_tools.readers.svbrdf_inputs import read_task
+from data_tools.readers.photos import find_photos, read_photo
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from tests.pictures import P3_TO_SRGB, STORED, planes
 
@@ -40,17 +39,6 @@ def test_pictures_are_upright(tmp_path: Path, orientation: int) -> None:
     path = write(tmp_path / "a.heic", np.ascontiguousarray(STORED[orientation](upright)), orientation)
     found = read_photo(path, 48).float()
     assert (found - planes(upright[24:72])).abs().mean() < 2
-
-
-def test_they_are_found_and_fitted_as_photographs(tmp_path: Path) -> None:
-    path = write(tmp_path / "wall.heic", gradients())
-    write(tmp_path / "misnamed.jpg", gradients())  # as some programs save what phones send
-    assert is_photo(path)
-    files, skipped = find_photos([tmp_path])
-    assert sorted(file.name for file in files) == ["misnamed.jpg", "wall.heic"]
-    assert skipped == []
-    assert read_photo(tmp_path / "misnamed.jpg", 48).shape == (3, 48, 48)
-    assert read_task(path, 48).data["photo"].shape == (3, 48, 48)
 
 
 def test_a_display_p3_profile_is_heeded(tmp_path: Path) -> None:

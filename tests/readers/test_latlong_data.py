@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,13 +64,10 @@ def test_other_sizes_keep_their_light(tmp_path: Path, size: tuple[int, int]) -> 
 LAYOUTS: dict[str, tuple[tuple[str, ...], list[int]]] = {
     "alpha": (("R", "G", "B", "A"), [0, 1, 2]),
     "any order": (("B", "G", "R"), [2, 1, 0]),
-    "small letters": (("r", "g", "b"), [0, 1, 2]),
-    "a layer": (("rgb.R", "rgb.G", "rgb.B"), [0, 1, 2]),
     "layers": (("V.Combined.R", "V.Combined.G", "V.Combined.B", "V.Depth.Z"), [0, 1, 2]),
     "a layer besides": (("R", "G", "B", "glow.R", "glow.G", "glow.B"), [0, 1, 2]),
     "others besides": (("Z", "R", "id", "G", "B"), [1, 3, 4]),
     "gray": (("Y",), [0, 0, 0]),
-    "gray with alpha": (("Y", "A"), [0, 0, 0]),
 }
 
 
@@ -87,14 +82,6 @@ def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
 
 
 # Colours
-
-
-@pytest.mark.long
-def test_colour_leaves_no_mocks_behind() -> None:
-    # in a process of its own: once a library that looks for SciPy is imported, it looks no more
-    lines = "from metapp.appearance.colorimetry import colour_science as c\nc()\nimport torchmetrics.functional.image"
-    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")  # nor what colour-science says of what it lacks
 
 
 @pytest.mark.parametrize("attributes", [{"chromaticities": ACESCG}, {"oiio_ColorSpace": "ACEScg"}])
@@ -213,18 +200,12 @@ def stated(**attributes: Any) -> Callable[[Path], Path]:
 
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "square": (lambda folder: write(folder / "a.exr", radiance(64, 64)), "64x64 px, expected a lat-long map"),
-    "two rows off": (lambda folder: write(folder / "a.exr", radiance(64, 124)), "124x64 px, expected a lat-long map"),
     "tiny": (lambda folder: write(folder / "a.exr", radiance(4, 8)), "8x4 px, expected 32 rows or more"),
     "nan": (with_values(float("nan"), 3), "a.exr: 3 values are NaN or infinite"),
-    "inf": (with_values(float("inf")), "a.exr: 1 values are NaN or infinite"),
-    "infinite halves": (with_values(1e6, kind="half"), "a.exr: 1 values are NaN or infinite"),
     "negative": (with_values(-1, 200), "radiance down to -1 at a mean of 2"),
     "black": (lambda folder: write(folder / "a.exr", 0 * radiance()), "a.exr: black all over"),
-    "ldr map": (picture("a.png", 64, 128), "an LDR image (uint8), expected an HDR map"),
     "ldr": (picture("a.jpg", 64, 64), "--observe photo"),
     "no blue": (layout("R", "G"), "channels R, G, expected R, G, B, or Y alone"),
-    "luminance and chroma": (layout("Y", "RY", "BY"), "expected R, G, B, or Y alone"),
-    "depth": (layout("Z"), "channels Z, expected"),
     "encoded": (stated(oiio_ColorSpace="sRGB"), "colours in 'srgb_rec709_scene', expected a linear space"),
     "no primaries": (stated(chromaticities=(0.0,) * 8), "chromaticities 0, 0, 0, 0, 0, 0, expected three primaries"),
     "truncated exr": (lambda folder: truncated(write(folder / "a.exr", radiance())), "a.exr: damaged or incomplete ("),

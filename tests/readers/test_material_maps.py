@@ -15,7 +15,7 @@ from data_tools.readers.material_maps import find_materials, mixed_slopes, read_
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
-from tests.pictures import check_refused, text, write_planes
+from tests.pictures import check_refused, write_planes
 
 UP = torch.tensor([0.5, 0.5, 1.0])
 
@@ -226,37 +226,21 @@ def test_green_goes_by_option_then_name(tmp_path: Path) -> None:
 # What is refused
 
 
-def with_nan(path: Path) -> Path:
-    values = torch.full((3, 64, 64), 0.5)
-    values[0, 3, 3] = float("nan")
-    write(folder(path, diffuse=None) / "rock_diffuse.exr", values, "float")
-    return path
-
-
 BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "no normal": (
         lambda path: folder(path, normal=None),
         "rock: no normal map (rock_diffuse.png, rock_roughness.png), expected names such as",
     ),
-    "no base colour": (lambda path: folder(path, diffuse=None), "rock: no base colour map (rock_normal.png, "),
-    "no roughness": (lambda path: folder(path, roughness=None), "rock: no roughness or gloss map (rock_diffuse.png, "),
     "two colours": (
         lambda path: folder(path, albedo=0.5), "rock: rock_albedo.png and rock_diffuse.png for base colour, "
     ),
-    "two formats": (
-        lambda path: write(folder(path) / "rock_normal.tga", UP), "rock_normal.png and rock_normal.tga for normal"
-    ),
-    "text": (lambda path: text(folder(path) / "rock_normal.png"), "rock_normal.png: not an image ("),
-    "nan": (with_nan, "rock_diffuse.exr: holds NaN, expected finite values"),
     "other shape": (
         lambda path: write(folder(path) / "rock_normal.png", UP.reshape(3, 1, 1).expand(3, 64, 96)),
         "rock: rock_normal.png 96x64 px and rock_diffuse.png 64x64 px, expected maps of one shape",
     ),
     "no normals": (lambda path: folder(path, normal=0.5), "rock_normal.png: normals with a mean z of 0"),
     "black": (lambda path: folder(path, diffuse=0.0, specular=0.0), "rock: diffuse and specular are black"),
-    "tiny": (lambda path: write(folder(path) / "rock_normal.png", UP, size=8), "8x8 px, expected 32 px or more"),
     "no maps": (lambda path: write(path / "photo.png", 0.5), "no maps in this folder (photo.png), expected names such"),
-    "empty": (lambda path: path.mkdir(), "no image in this folder"),
 }  # fmt: skip
 
 
@@ -265,10 +249,3 @@ def test_what_is_no_material_is_refused_in_one_line(tmp_path: Path, kind: str) -
     make, message = BAD[kind]
     make(tmp_path / "in")
     check_refused(maps_of, tmp_path / "in", message)
-
-
-def test_a_file_that_is_no_map(tmp_path: Path) -> None:
-    path = write(tmp_path / "photo.png", 0.5)
-    for read in (lambda: find_materials([path]), lambda: read_task(path)):
-        with pytest.raises(ValueError, match=r"photo.png: no map under a usual name, expected"):
-            read()

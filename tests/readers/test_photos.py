@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import os
 import struct
-import subprocess
-import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -121,12 +119,6 @@ def test_inks_and_palettes_become_rgb(tmp_path: Path) -> None:
     assert torch.equal(image, planes(colours[indices[..., 0], 0]))
 
 
-def test_opaque_alpha_is_dropped(tmp_path: Path) -> None:
-    values = np.concatenate([noise(48, 48), np.full((48, 48, 1), 255, np.uint8)], axis=-1)
-    for name in ("a.png", "a.tif", "a.tga"):
-        assert torch.equal(read_photo(write(tmp_path / name, values), 48), planes(values[..., :3]))
-
-
 @pytest.mark.parametrize("name", ["straight.png", "straight.tif", "multiplied.exr"])
 def test_transparent_parts_get_the_mean_colour_of_the_rest(tmp_path: Path, name: str) -> None:
     values = np.concatenate([noise(48, 48), np.full((48, 48, 1), 255, np.uint8)], axis=-1)
@@ -220,28 +212,14 @@ WITH_NAN = np.where(np.arange(64 * 64 * 3).reshape(64, 64, 3) == 77, np.float32(
 Content = np.ndarray | str | Callable[[Path], object] | None
 BAD: dict[str, tuple[str, Content, str]] = {
     "missing": ("a.jpg", None, "a.jpg: no such file, expected an image file"),
-    "folder": ("", None, ": a folder, expected an image file"),
     "text": ("a.jpg", WORDS, "a.jpg: not an image (not a JPEG file, magic number"),
-    "text, remedy": ("a.jpg", WORDS, "or EXR; check the file or export it again."),
     "text without suffix": ("a", "in words", "a: not an image (OpenImageIO could not find a format reader), expected"),
-    "text as bmp": ("a.bmp", WORDS, "a.bmp: not an image (not a BMP file, magic"),
-    "text as webp": ("a.webp", WORDS, "a.webp: not an image (not a WebP image file), expected"),
-    "text as exr": ("a.exr", WORDS, "a.exr: not an image (EXR Error"),
     "empty": ("a.png", "", "a.png: not an image ("),
-    "empty jpg": ("a.jpg", "", "a.jpg: not an image (Empty file), expected"),
-    "empty exr": ("a.exr", "", "a.exr: not an image (EXR Error: "),
     "truncated jpg": ("a.jpg", halved, "a.jpg: damaged or incomplete"),
-    "truncated png": ("a.png", halved, "a.png: damaged or incomplete"),
-    "truncated tif": ("a.tif", halved, "a.tif: "),
-    "truncated exr": ("a.exr", halved, "a.exr: damaged or incomplete"),
     "1x1": ("a.png", noise(1, 1), "1x1 px, expected 32 px or more on the short side"),
-    "narrow": ("a.png", noise(31, 900), "900x31 px, expected 32 px or more"),
     "oversized": ("a.png", oversized, "16384x16385 px, expected 268,435,456 px or fewer"),
     "black": ("a.png", 0 * noise(64, 64), "one colour all over (standard deviation 0.0"),
-    "gray": ("a.png", 0 * noise(64, 64) + 119, "one colour all over"),
-    "nearly white": ("a.png", 254 + noise(64, 64) // 128, "one colour all over"),
     "glaring": ("a.exr", 2 + FLOATS, "values up to 257, most above 1, which is white, expected values in [0, 1];"),
-    "dark floats": ("a.exr", FLOATS / -255, "one colour all over"),
     "NaN": ("a.exr", WITH_NAN, "holds NaN, expected finite values"),
     "transparent": ("a.png", noise(64, 64, 4) * np.uint8([1, 1, 1, 0]), "transparent all"),
     "two channels": ("a.tif", two_channels, "channels "),
@@ -274,18 +252,6 @@ def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path, name: bytes) -> Non
     with pytest.raises(ValueError, match=r"^'[ -~]*': a name that is not UTF-8, expected one that is; rename it\.$"):
         read_photo(path, 48)
     assert is_photo(path) == (name != b"\xff")
-
-
-@pytest.mark.long
-def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
-    text(tmp_path / "bad.jpg")
-    text(tmp_path / "bad")
-    write(tmp_path / "good.png", noise(64, 64))
-    lines = "import sys\nfrom data_tools.readers.photos import find_photos, read_photo\n"
-    lines += "for file in find_photos([sys.argv[1]])[0]:\n    try:\n        kept = read_photo(file)\n"
-    lines += "    except ValueError as error:\n        last = error\n"
-    done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("", "")
 
 
 # What is found
@@ -334,16 +300,3 @@ def test_a_folder_without_images_a_missing_path_and_a_bomb_are_refused(tmp_path:
     (tmp_path / "bomb.ppm").write_bytes(b"P6\n16384 16384\n255\n" + bytes(1000))
     with pytest.raises(ValueError, match=r"bomb.ppm: 16384x16384 px of 3 channels in 1,\d+ bytes"):
         read_photo(tmp_path / "bomb.ppm")
-
-
-def test_text_that_is_not_utf8_is_a_line_that_names_the_file(tmp_path: Path) -> None:
-    whole = write(tmp_path / "a.exr", noise(40, 40), "half").read_bytes()
-    messages = []
-    for at in range(8, 200):
-        (tmp_path / "b.exr").write_bytes(whole[:at] + b"\xff\x80\x01" + whole[at + 3 :])
-        try:
-            read_photo(tmp_path / "b.exr", 32)
-        except ValueError as error:
-            messages.append(str(error))
-    assert len(messages) > 20
-    assert all(message.startswith(f"{tmp_path / 'b.exr'}: ") and message.isprintable() for message in messages)

@@ -114,14 +114,6 @@ def test_predicted_maps_that_are_not_whole_are_refused(tmp_path: Path) -> None:
         check_refused(lambda place: strips.read_task(path, predicted=str(place)), folder, said)
 
 
-def test_normals_that_point_inwards_are_lifted(tmp_path: Path) -> None:
-    values = example()
-    values[:, 0, 64:74] = torch.tensor([1.0, 0.5, 0.0])[:, None]
-    normal = strips.read_task(write(tmp_path / "a.png", values), 64).data["maps"][:3].float()
-    assert normal[2].min() > 0.01
-    torch.testing.assert_close(normal[0, 0, :10], torch.ones(10), atol=1e-3, rtol=0)
-
-
 @pytest.mark.parametrize(("side", "size", "wanted"), [(270, 2048, 270), (270, 264, 264), (64, 2048, 256), (64, 32, 32)])
 def test_fits_read_strips_and_maps_as_fine_as_they_are(tmp_path: Path, side: int, size: int, wanted: int) -> None:
     maps = material(side)
@@ -234,20 +226,11 @@ def set_to(value: float, tiles: tuple[int, ...]) -> Callable[[Tensor], Tensor]:
     return change
 
 
-def with_nan(values: Tensor) -> Tensor:
-    values[0, 3, :2] = float("nan")
-    return values
-
-
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "four tiles": (changed(lambda values: values[..., :256]), "256x64 px, 4 tiles, expected 5 squares"),
-    "six tiles": (changed(lambda values: torch.cat([values, values[..., :64]], -1)), "384x64 px, 6 tiles"),
     "not square": (changed(lambda values: values[:, :45]), "320x45 px, tiles of 64x45 px, expected 5 squares"),
-    "nan": (changed(with_nan), "2 values are NaN or infinite, expected finite ones"),
     "black": (changed(set_to(0, (2, 4)), "a.png"), "diffuse and specular are black"),
     "flat gray": (changed(set_to(0.5, (1,))), "normals with a mean z of 0.00, expected 0.3 or more"),
-    "black normals": (changed(set_to(0, (1,)), "a.png"), "normals with a mean z of -1.00"),
-    "tiny": (changed(lambda values: values[:, ::4, ::4]), "80x16 px, expected 32 px or more"),
 }
 
 
