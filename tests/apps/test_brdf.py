@@ -63,19 +63,6 @@ def distance_by_hand(theta: Params, batch: Batch, task: int, clamp: bool) -> np.
     return np.abs(np.log1p((np.maximum(value, 0) if clamp else value) * where[6]) - target)
 
 
-def test_the_data(materials: list[Task], tasks: Tasks) -> None:
-    angles, reflectance = materials[1].data["angles"], materials[1].data["reflectance"]
-    torch.testing.assert_close(tasks.data["where"][1, :, 6], cosines(angles).incident)
-    torch.testing.assert_close(tasks.data["where"][1, :, 2], angles[:, 0].cos())
-    torch.testing.assert_close(tasks.data["where"][1, :, 5], angles[:, 1].cos())
-    weighted = torch.expm1(tasks.data["target"][1]) / cosines(angles).incident[:, None]
-    torch.testing.assert_close(weighted, reflectance, rtol=1e-3, atol=1e-4)
-    assert (tasks.data["where"][..., 6] > 0).all()
-    # one copy for all materials, on every device ("meta" stands for one here): mixing asks for it
-    for there in (tasks, stack(APP, materials, "meta")):
-        assert there.data["where"].stride(0) == 0
-
-
 def test_init() -> None:
     theta = APP.init(Generator().manual_seed(0), 2000)
     assert sum(value[0].numel() for value in theta.values()) == 675
@@ -105,14 +92,6 @@ def test_loss_by_hand(theta: Params, batch: Batch) -> None:
     assert loss.shape == (4,)
     expected = [distance_by_hand(theta, batch, task, clamp=False).mean() for task in range(4)]
     np.testing.assert_allclose(loss.numpy(), expected, rtol=1e-5)
-
-
-def test_errors_by_hand(theta: Params, tasks: Tasks) -> None:
-    """On the half that fits never see, with the clamp at 0 that makes the network a reflectance."""
-    errors = APP.errors(theta, tasks)["error"]
-    held_out = {key: value[:, SAMPLES // 2 :].transpose(1, 2) for key, value in tasks.data.items()}
-    expected = [distance_by_hand(theta, held_out, task, clamp=True).mean() for task in range(4)]
-    np.testing.assert_allclose(errors.numpy(), expected, rtol=1e-5)
 
 
 def test_smoothing_by_hand(theta: Params, batch: Batch) -> None:
@@ -164,16 +143,6 @@ def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generat
     assert torch.isfinite(APP.condition(hidden, rng)["target"]).all()
     assert torch.isfinite(APP.errors(theta, seen)["error"]).all()
     assert len(drawn[0].T.unique(dim=0)) > 0.95 * len(tasks.data["target"][0, : SAMPLES // 2].unique(dim=0))
-
-
-def test_samples_are_of_their_task(tasks: Tasks, rng: Generator) -> None:
-    drawn = APP.sample(tasks.select([2, 0]), rng, 7)
-    assert drawn["where"].shape == (2, 7, 7)
-    assert drawn["target"].shape == (2, 3, 7)
-    for position, task in enumerate((2, 0)):
-        rows = torch.cat([tasks.data["where"][task], tasks.data["target"][task]], 1).tolist()
-        for sample in torch.cat([drawn["where"][position], drawn["target"][position]]).T.tolist():
-            assert sample in rows
 
 
 # Encoder

@@ -87,16 +87,6 @@ def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tens
     torch.testing.assert_close(2 * logs[0], logs[1], rtol=1e-4, atol=1e-5)
 
 
-def test_the_encoder_predicts_what_a_task_has_of_its_own(theta: Params) -> None:
-    tasks = tasks_of(theta)
-    encoder = APP.init_encoder(Generator().manual_seed(3))
-    both = Tasks(tasks.names * 2, tasks.data, torch.zeros(2, dtype=torch.long))
-    encoded = APP.encode(encoder, APP.condition(both, Generator().manual_seed(4)))
-    assert {key: value.shape[1:] for key, value in encoded.items()} == {k: v.shape[1:] for k, v in theta.items()}
-    for key, value in encoded.items():
-        assert torch.equal(value[0], value[1]) == (key not in SIZE.own), key
-
-
 def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None:
     """From a last layer of zeros, in five steps of 512 samples."""
     start = MetaParameters(

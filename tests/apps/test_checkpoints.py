@@ -180,13 +180,6 @@ def test_few_steps_beat_none_on_unseen_pictures(
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("vgg")
-def test_few_steps_beat_none_on_each_of_two_stationary_materials() -> None:
-    general, fits = errors_of_pictures("svbrdf_stationary", 2, "meta")
-    assert (fits < general).all()
-
-
-@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 @pytest.mark.parametrize("protocol", ["reference", long("photo")])
 @pytest.mark.parametrize("name", ["illumination", long("svbrdf_nonstationary")])
@@ -234,10 +227,3 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     again = ("meta", "brdf", "--data", data, "--out", tmp_path, "--recipe", "quick")
     assert "the checkpoint that ships" in metapp(*again).err
     assert f"from {trained}" in metapp(*again, "--checkpoint", trained).err
-
-
-@pytest.mark.parametrize("name", app_names())
-def test_every_recipe_of_an_application_is_offered(name: str) -> None:
-    table = importlib.import_module(f"metapp.apps.{name}.recipes").RECIPES
-    for protocol, recipes in (table if "reference" in table else {"": table}).items():
-        assert recipes.keys() <= recipes_of(name, protocol).keys()

@@ -11,15 +11,13 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.detail import FAINTEST, detail
-from metapp.appearance.features import RANDOM, gram, load_features
 from metapp.apps import app_of, recipes_of
-from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import Doubtful, stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Task, Tasks
 from metapp.networks.exemplar import SOFTNESS, ExemplarApp, ExemplarSetup, softness_of
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
@@ -66,18 +64,6 @@ def test_the_papers_recipes(name: str, steps: int, tasks: int, size: tuple[int, 
     photos = torch.rand(1, 3, 256, 256, generator=rng)
     rows = (256 - size[0]) // 2
     assert torch.equal(app.exemplar(photos), photos[:, :, rows : 256 - rows])
-
-
-@TEXTURE
-def test_what_is_compared(app: ExemplarApp, tasks: Tasks) -> None:
-    """Three layers of the picture of half the size, then two of the whole."""
-    image = app.exemplar(tasks.data["image"][:1].float() / 255)
-    features = load_features(TAPS, image)
-    maps = features(avg_pool2d(image, 2)) + features(image)[:2]
-    assert len(maps) == 5
-    for i, each in enumerate(maps):
-        torch.testing.assert_close(tasks.data[f"gram{i}"][:1], gram(each))
-    assert tasks.data["summary"].shape == (3, 2 * 5 * RANDOM) == (3, app.summary_size())
 
 
 def test_an_exemplar_is_at_no_distance_from_itself(app: ExemplarApp, tasks: Tasks) -> None:
@@ -173,17 +159,6 @@ def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None
     assert seen == [16, 32]
 
 
-@TEXTURE
-def test_summaries_of_coarse_exemplars_are_as_long(app: ExemplarApp, tasks: Tasks) -> None:
-    """The finest octave that is seen stands for those that are not."""
-    images = avg_pool2d(app.exemplar(tasks.data["image"].float() / 255), 2)
-    described = app.describe(images, octave=1)
-    coarse, finer = described["summary"].split([2 * 3 * RANDOM, 2 * 2 * RANDOM], 1)
-    assert torch.equal(finer, coarse[:, : 2 * 2 * RANDOM])
-    torch.testing.assert_close(coarse, tasks.data["summary"][:, : 2 * 3 * RANDOM])
-    assert app.octave(described) == 1
-
-
 @MATERIAL
 def test_relief_keeps_its_slopes(app: Any) -> None:
     """Half as many texels a side, half as many texels of height."""
@@ -194,25 +169,6 @@ def test_relief_keeps_its_slopes(app: Any) -> None:
     small = avg_pool2d(noise[0], 2)[None] * 2
     height, low = app.maps(silent, noise)[1], app.maps(silent, small, 1)[1]
     torch.testing.assert_close(height[0], 2 * enlarged(low[0]))
-
-
-@MATERIAL
-def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    make, sizes, task = app.maps, [], Task("noise", {})
-
-    def maps(theta: Params, noise: Tensor) -> Any:
-        sizes.append(tuple(noise.shape[-2:]))
-        return make(theta, noise)
-
-    monkeypatch.setattr(app, "maps", maps)
-    shown = SvbrdfStationaryPresentation(app, (32, 48))
-    files, surface = shown.files(theta, task), shown.surface(theta, task)
-    assert sizes == [(32, 48)]
-    assert torch.equal(files["roughness"].pixels.permute(2, 0, 1), surface.maps.roughness)
-    other = shown.surface({**theta, "z": -theta["z"]}, task)
-    assert len(sizes) == 2
-    assert not torch.equal(other.base, surface.base)
 
 
 # Layouts: a coarse picture of what to make
@@ -274,11 +230,3 @@ def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None
     exact = coarse.repeat_interleave(2, -1).repeat_interleave(2, -2)
     assert astray(theta, noise, exact, 2).abs().max() < 1e-6
     assert astray(theta, noise, torch.full_like(exact, 0.5), 2)[0] > 0.05
-
-
-@TEXTURE
-def test_augmented_exemplars_have_layouts_of_their_own(app: ExemplarApp, paved: Tasks) -> None:
-    changed = app.augment(paved.select([0]), Generator().manual_seed(3))
-    assert changed.data["layout"].shape == (1, 3, *app.setup.laid_out)
-    assert not torch.equal(changed.data["layout"][0], paved.data["layout"][0])
-    assert changed.data["layout"].aminmax() == pytest.approx((60 / 255, 200 / 255), abs=0.02)

@@ -14,7 +14,7 @@ from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination,
 from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import LOST
 from metapp.apps.illumination.presentation import IlluminationPresentation
-from metapp.apps.illumination.recipes import QUICK, RECIPES
+from metapp.apps.illumination.recipes import QUICK
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -131,20 +131,6 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
     assert not torch.allclose(reference.loss(brighter, batch, {}), reference.loss(small, batch, {}))
 
 
-def test_photographs_alone_have_no_error(rng: Generator) -> None:
-    app = Illumination(RECIPE.setup, "photo")
-    task = task_of(lamps(0))
-    alone = task._replace(data={"photos": task.data["photos"][:1]})
-    tasks = stack(app, [alone])
-    theta = app.init(rng, 1)
-    assert app.errors(theta, tasks) == {}
-    assert torch.isfinite(app.loss(theta, app.sample(tasks, rng, 1), {})).all()
-    with pytest.raises(
-        ValueError, match=r"lamps: a photo, expected an HDR map, .* --observe photo, of a surface take texture"
-    ):
-        stack(Illumination(RECIPE.setup, "reference"), [alone])
-
-
 # Mirrors
 
 
@@ -190,11 +176,6 @@ def test_what_clips_in_a_mirror_is_as_bright_or_brighter(monkeypatch: pytest.Mon
     assert app.loss(theta, batch, {}).min() > 0.01
     made = app.answer(theta, tasks.data)[0, 0]
     torch.testing.assert_close(made[4, 8] / made[4, 6], LOST * 2 / light[0, 0, 0])  # what is lost usually
-
-
-def test_a_mirror_counts_only_where_fits_see_a_photo(rng: Generator) -> None:
-    app = Illumination(RECIPE.setup, "reference")
-    assert "seen" not in stack(app, [mirrored(lamps(1))]).data
 
 
 # Made-up tasks
@@ -272,12 +253,3 @@ def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     assert relit.shape == (64, 96, 3)
     assert 0 <= relit.min() < relit.max() <= 1
     assert {name: picture.kind for name, picture in files.items()} == {"map": "radiance", "relit": "srgb"}
-
-
-def test_sizes_of_the_paper_recipe(rng: Generator) -> None:
-    app = Illumination(RECIPES["reference"]["paper"].setup, "reference")
-    theta = app.init(rng, 1)
-    assert app.radiance_of(theta).shape == (1, 3, 64, 128)
-    tasks = stack(app, [task_of(lamps(1))])
-    encoded = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
-    assert {key: value.shape for key, value in encoded.items()} == {key: value.shape for key, value in theta.items()}

@@ -16,7 +16,6 @@ from metapp.appearance.photograph import photograph
 from metapp.apps.illumination.app import Illumination, IlluminationSetup
 from metapp.apps.illumination.confidence import (
     COLUMNS,
-    FEATURES,
     ROWS,
     STRIPE,
     SURE,
@@ -27,7 +26,6 @@ from metapp.apps.illumination.confidence import (
     _logs,
     deviations,
     hatched,
-    spread_of,
 )
 from metapp.apps.illumination.mirror import photographed
 from metapp.apps.illumination.presentation import IlluminationPresentation
@@ -91,14 +89,6 @@ def test_a_factor_of_a_map_does_not_count() -> None:
     torch.testing.assert_close(off_by(400 * maps, 50 * maps), torch.zeros(2, ROWS, COLUMNS), atol=1e-3, rtol=0)
     above = (directions(ROWS, COLUMNS)[1] > 0.5).float()  # a quarter of the sphere
     torch.testing.assert_close(off_by(maps * (1 + above), maps)[0], above * math.log(2), atol=0.01, rtol=0)
-
-
-def test_the_network_makes_distributions_of_any_features() -> None:
-    read = 1e6 * torch.randn(3, ROWS, COLUMNS, len(FEATURES), generator=Generator().manual_seed(0))
-    spread = spread_of(read)
-    assert spread.scale.shape == spread.shape.shape == (3, ROWS, COLUMNS)
-    assert spread.scale.min() > 0
-    assert torch.isfinite(spread.quantile(0.9)).all()
 
 
 # What is told and drawn

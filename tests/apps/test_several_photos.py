@@ -160,21 +160,6 @@ def test_tasks_of_different_numbers_are_not_fitted_together(app: SvbrdfNonstatio
             app.prepare(Task("leaf", broken))
 
 
-def test_references_need_no_photos(app: SvbrdfNonstationary) -> None:
-    reference = SvbrdfNonstationary(app.setup, "reference")
-    tasks = stack(reference, [several(0)])
-    assert not {"others", "places"} & tasks.data.keys()
-    assert started(reference, tasks)["flash"].shape == (1, FLASH)
-
-
-def test_augmented_tasks_have_as_many_photos(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
-    data = app.augment(tasks, rng).data
-    assert data["photo"].shape == (2, 3, SIDE, SIDE)
-    assert data["others"].shape == (2, COUNT - 1, 3, SIDE, SIDE)
-    assert data["places"].shape == (2, COUNT, 2, 3)
-    assert not torch.equal(data["places"], tasks.data["places"])
-
-
 def test_places_are_as_people_hold_a_phone(rng: Generator) -> None:
     places, off = held_places(300, 9, rng)
     height = camera_distance()

@@ -12,9 +12,8 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, no
 
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, render, unpack
+from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, unpack
 from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import presentation
 from metapp.apps.svbrdf_nonstationary.app import HIDDEN, INPUTS, STEEP, MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -25,9 +24,8 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     mirroring_pairs,
     oblique_pairs,
     photographed,
-    pooled,
 )
-from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation, fine_maps, relit
+from metapp.apps.svbrdf_nonstationary.presentation import fine_maps, relit
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROPPED,
@@ -40,7 +38,7 @@ from metapp.apps.svbrdf_nonstationary.variants import (
     varied,
 )
 from metapp.learning.app import stack
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Tasks
 from metapp.networks import field as fields
 
 SIDE = 16
@@ -100,17 +98,6 @@ def test_a_finer_photo_says_the_same() -> None:
     difference = (found - inputs_of(plain))[..., 4:-4, 4:-4]
     assert difference.abs().max() < 0.05
     assert (difference.abs().mean((0, 2, 3)) / inputs_of(plain).std((0, 2, 3)).clamp_min(1e-3)).max() < 0.05
-
-
-def test_the_encoder_knows_the_whole_picture(rng: Generator) -> None:
-    encoder = Encoder(INPUTS, 4, code=3, flash=FLASH)
-    weights = encoder.init(rng)
-    photo = torch.rand(1, 3, 32, 32, generator=rng)
-    other = photo.clone()
-    other[..., -1, -1] += 5
-    code, changed = encoder(weights, photo)["z"], encoder(weights, other)["z"]
-    assert code.shape == (1, 3, 32, 32)
-    assert (code - changed)[..., 0, 0].abs().max() > 0
 
 
 def test_finer_levels_add_to_what_the_coarse_ones_read(rng: Generator) -> None:
@@ -216,14 +203,6 @@ def test_the_normals_of_a_crop_are_those_of_its_relief(rng: Generator) -> None:
         assert float(torch.rad2deg(cosine.acos()).mean()) < 1.0
 
 
-def test_large_maps_are_cropped_and_small_ones_turned(tasks: Tasks, rng: Generator) -> None:
-    maps = tasks.data["maps"]
-    for side in (SIDE, SIDE // 2):
-        found = varied(maps, side, rng)
-        assert found.shape == (4, 10, side, side)
-        assert photographs(found, rng).shape == (4, 3, side, side)
-
-
 def test_variants_are_photographed_anew(tasks: Tasks, rng: Generator) -> None:
     maps = varied(tasks.data["maps"].repeat(8, 1, 1, 1), SIDE, rng)
     photos = photographs(maps, rng)
@@ -294,30 +273,6 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
         assert torch.equal(photo.loss(theta, other, {}), photo.loss(theta, batch, {}))
 
 
-def test_a_photo_alone_is_no_reference(app: SvbrdfNonstationary) -> None:
-    task = Task("wall", {"photo": flash_photo(material(0))})
-    with pytest.raises(ValueError, match=r"wall: a flash photo, expected .* --observe photo"):
-        app.prepare(task)
-    photo = SvbrdfNonstationary(RECIPE.setup, "photo")
-    alone = stack(photo, [task])
-    assert photo.errors(photo.init(Generator(), 1), alone) == {}
-
-
-def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary, monkeypatch: pytest.MonkeyPatch) -> None:
-    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    monkeypatch.setattr(presentation, "FINEST", 300)
-    for size, written in ((48, 48), (300, 300), (320, 300)):
-        files = SvbrdfNonstationaryPresentation(app).files(theta, svbrdf_task("wall", material(0, size)))
-        assert list(files) == [
-            "normal", "diffuse", "roughness", "specular", "lit_from_left", "lit_from_above", "lit_from_aside",
-        ]  # fmt: skip
-        for name, (picture, kind) in files.items():
-            assert kind == ("data" if name in ("normal", "roughness") else "srgb")
-            assert picture.shape == (written, written, 1 if name == "roughness" else 3)
-            assert float(picture.min()) >= 0
-            assert float(picture.max()) <= 1
-
-
 def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is seen of a row depends on others, and the last rows are fewer: the same to rounding, at any size."""
     theta = {key: value.double() for key, value in app.init(Generator().manual_seed(0), 1).items()}
@@ -329,19 +284,6 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     for found, wanted in zip(fine_maps(app, theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
-
-
-def test_pooled_normals_have_unit_length() -> None:
-    maps = pooled(material(0), (8, 8))
-    torch.testing.assert_close(maps[:3].norm(dim=0), torch.ones(8, 8))
-    torch.testing.assert_close(maps[3:].mean((1, 2)), material(0)[3:].mean((1, 2)))
-
-
-def test_a_lit_patch_is_what_flash_renders(app: SvbrdfNonstationary, tasks: Tasks) -> None:
-    light, view = tasks.data["rig"][0, 3]
-    maps = Maps(*(part[2] for part in unpack(tasks.data["maps"])))
-    wanted = (render(maps, positions(SIDE, SIDE), light, view) + 0.1).log()
-    torch.testing.assert_close(tasks.data["lit"][2, 3], wanted)
 
 
 def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -> None:

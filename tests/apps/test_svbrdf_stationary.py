@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.features import RANDOM
+from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import (
     GAMMA,
     Maps,
@@ -23,13 +22,10 @@ from metapp.appearance.flash import (
 )
 from metapp.apps.svbrdf_stationary import app as svbrdf_stationary
 from metapp.apps.svbrdf_stationary.app import (
-    DRAWN,
     FALLOFF,
     GLOSS,
     GRID,
     OF_ROUGHNESS,
-    POOLED,
-    RELIEF,
     TRUTH,
     SvbrdfStationary,
     _grams,
@@ -41,7 +37,7 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarSetup
+from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 
@@ -120,49 +116,6 @@ def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
 # What is compared
 
 
-def test_what_is_prepared(sources: list[Task], tasks: Tasks) -> None:
-    data = tiny().prepare(sources[0])
-    assert {key: tuple(value.shape) for key, value in data.items()} == {
-        "image": (3, SIZE, SIZE),
-        "light": (3,),
-        "pooled": (3, POOLED, POOLED),
-        "chroma": (2,),
-        "shine": (3,),
-        "gram0": (9, RANDOM, RANDOM),
-        "spectrum0": (SIZE, SIZE // 2 + 1),
-        "summary": (6 * RANDOM,),
-    }
-    assert tiny().summary_size() == 6 * RANDOM
-    assert data["summary"].isfinite().all()
-    shown = sources[0].data["image"].float() / 255
-    torch.testing.assert_close(data["pooled"][:, 0, 0], shown[:, :4, :4].mean((1, 2)))
-
-
-def test_samples_and_losses(tasks: Tasks) -> None:
-    app, few = tiny(), tasks.select([2, 0])
-    rng, seen = seeded(), set()
-    for _ in range(20):
-        batch = app.sample(few, rng, 2)
-        seen |= set(batch["windows"][0].tolist())
-        assert torch.equal(batch["windows"][0], batch["windows"][1])
-        assert len(batch["windows"][0].unique()) == DRAWN
-        for i, task in enumerate((2, 0)):
-            assert torch.equal(batch["gram0"][i], tasks.data["gram0"][task, batch["windows"][i]])
-    assert seen == set(WINDOWS)
-    assert {key: tuple(value.shape) for key, value in batch.items()} == {
-        "noise": (2, 2, 4, SIZE, SIZE),
-        "windows": (2, DRAWN),
-        "light": (2, 3),
-        "pooled": (2, 3, POOLED, POOLED),
-        "chroma": (2, 2),
-        "gram0": (2, DRAWN, RANDOM, RANDOM),
-        "spectrum0": (2, SIZE, SIZE // 2 + 1),
-    }
-    loss = app.loss(app.init(seeded(), 2), batch, {})
-    assert loss.shape == (2,)
-    assert (loss > 0).all()
-
-
 def test_a_photo_is_at_no_distance_from_itself(
     sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,18 +141,6 @@ def test_a_photo_is_at_no_distance_from_itself(
     show(photos.sqrt())
     brighter = app.errors(theta, tasks)["brightness"]
     torch.testing.assert_close(brighter, (photos.sqrt() - photos).mean((1, 2, 3, 4)), rtol=0.01, atol=0)
-
-
-def test_the_loss_is_the_sum_of_what_is_reported(tasks: Tasks) -> None:
-    """In all windows, and on the noise that errors are judged by."""
-    app, theta = tiny(), tiny().init(seeded(), 3)
-    one = tasks.select([1])
-    own = {key: value[1:2] for key, value in theta.items()}
-    every = torch.arange(9)[None]
-    batch = {"noise": app.noise(seeded(), 1, JUDGED), "windows": every} | app._targets(one, every)
-    found = app.errors(own, one)
-    expected = found["error"] + svbrdf_stationary.SPECTRUM * found["spectrum"] + found["brightness"]
-    torch.testing.assert_close(app.loss(own, batch, {}), expected)
 
 
 # The light
@@ -252,14 +193,6 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
     if scale == 0:
         assert maps.specular.unique().item() == pytest.approx(0.05, abs=0.01)  # of most things that are not metal
         assert maps.diffuse.unique().item() == pytest.approx(0.5**2.2)
-
-
-def test_normals_are_those_of_the_height() -> None:
-    app, theta = tiny(), tiny().init(seeded(), 1)
-    noise = app.noise(seeded(), 1, 1)
-    maps, height = app.maps(theta, noise)
-    assert torch.equal(height, RELIEF * TINY.setup.width * TINY.setup.network(theta, noise)[:, :, 5:])
-    assert torch.equal(maps.normal, normal_from_height(height))
 
 
 # What a fit makes
@@ -386,19 +319,6 @@ def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
     known = Task("known", {**sources[0].data, "truth": truth})
     for both in ([known, sources[1]], [sources[1], known]):
         assert "truth" not in stack(tiny(), both).data
-
-
-def test_outputs_show_photo_and_fit_under_its_light(sources: list[Task], tasks: Tasks) -> None:
-    app, theta = tiny(), tiny().init(seeded(), 1)
-    shown = SvbrdfStationaryPresentation(app)
-    outputs = shown.outputs({key: value[0] for key, value in theta.items()}, sources[1])
-    photo = sources[1].data["image"].float().permute(1, 2, 0) / 255
-    torch.testing.assert_close(outputs["reference"], srgb_to_linear(photo))
-    assert {tuple(picture.shape) for picture in outputs.values()} == {(SIZE, SIZE, 3)}
-    maps, _ = app.maps(theta, app.noise(seeded(1), 1, 1))
-    light = tasks.data["light"][1]
-    fit = app.photograph(maps, light, light)[0, 0].permute(1, 2, 0)
-    torch.testing.assert_close(linear_to_srgb(outputs["fit"]), fit, rtol=0, atol=1e-4)
 
 
 def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:

@@ -10,20 +10,14 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
 from metapp.appearance import precision
-from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
 from metapp.apps.texture.recipes import QUICK
 from metapp.learning.app import stack
-from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import Recipe
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarSetup
 from metapp.networks.generators import UNet
-from metapp.networks.presentation import TILED
-from metapp.paradigms import Job, paradigms
 
 SIZE, LEVELS = 32, 3
 TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), ("relu1_1", "relu2_1")))
@@ -69,47 +63,7 @@ def tasks(sources: list[Task]) -> Tasks:
     return stack(tiny(), sources)
 
 
-def overfit(app: Texture, tasks: Tasks, steps: int, recipe: Recipe = TINY) -> Params:
-    job = Job(app, recipe, recipe.rule, steps)
-    return paradigms()["overfit"].fit(job, MetaParameters(), tasks, seeded())
-
-
 # What is compared
-
-
-def test_what_is_prepared(sources: list[Task], tasks: Tasks) -> None:
-    data = tiny().prepare(sources[0])
-    assert {key: tuple(value.shape) for key, value in data.items()} == {
-        "image": (3, 64, 64),
-        "gram0": (RANDOM, RANDOM),
-        "gram1": (RANDOM, RANDOM),
-        "summary": (4 * RANDOM,),
-    }
-    assert data["image"].dtype == torch.uint8
-    assert tiny().summary_size() == 4 * RANDOM
-    exemplar = interpolate(sources[0].data["image"][None] / 255, size=(SIZE, SIZE), mode="area")
-    maps = load_features(TINY.setup.taps, exemplar)(exemplar)
-    torch.testing.assert_close(data["gram1"], gram(maps[1])[0])
-    torch.testing.assert_close(data["summary"], moments(maps)[0])
-
-
-def test_samples_and_losses(tasks: Tasks) -> None:
-    app, few = tiny(), tasks.select([2, 0, 3])
-    batch = app.sample(few, seeded(), 5)
-    assert {key: tuple(value.shape) for key, value in batch.items()} == {
-        "noise": (3, 5, 4, SIZE, SIZE),
-        "gram0": (3, RANDOM, RANDOM),
-        "gram1": (3, RANDOM, RANDOM),
-    }
-    assert torch.equal(batch["gram0"], tasks.data["gram0"][[2, 0, 3]])
-    assert batch["noise"].std() == pytest.approx(1, abs=0.02)
-    assert not torch.equal(batch["noise"][0, 0], batch["noise"][1, 0])
-    theta = app.init(seeded(), 3)
-    loss = app.loss(theta, batch, {})
-    assert loss.shape == (3,)
-    # the mean over what is generated
-    each = [app.loss(theta, batch | {"noise": batch["noise"][:, i : i + 1]}, {}) for i in range(5)]
-    torch.testing.assert_close(loss, torch.stack(each).mean(0))
 
 
 def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
@@ -184,23 +138,6 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 
 
 # Fitting, and what fits make
-
-
-def test_outputs_and_files(sources: list[Task], tasks: Tasks) -> None:
-    app = tiny()
-    theta = {key: value[0] for key, value in overfit(app, tasks, 3).items()}
-    shown = TexturePresentation(app)
-    outputs, files = shown.outputs(theta, sources[0]), shown.files(theta, sources[0])
-    exemplar = app.exemplar(sources[0].data["image"][None] / 255)[0]
-    torch.testing.assert_close(outputs["reference"], srgb_to_linear(exemplar).permute(1, 2, 0))
-    assert outputs["fit"].shape == (SIZE, SIZE, 3)
-    assert list(files) == ["texture"]
-    assert files["texture"].pixels.shape == (TILED * SIZE, TILED * SIZE, 3)
-    # and of another size
-    assert shown.refusal(24, 4096) == ""
-    for height, width in ((22, 24), (24, 22), (4, 24), (24, 5000)):
-        assert shown.refusal(height, width) == "expects multiples of 4 from 8 to 4096"
-    assert TexturePresentation(app, (24, 40)).files(theta, sources[0])["texture"].pixels.shape == (24, 40, 3)
 
 
 @pytest.mark.usefixtures("with_bfloat16")

@@ -12,13 +12,11 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
-from metapp.apps import presentation_of
 from metapp.apps.transport import spline
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
-from metapp.apps.transport.images import integrators
-from metapp.apps.transport.recipes import FULL, QUICK
+from metapp.apps.transport.recipes import QUICK
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.paths.path_space import Tracer
@@ -46,24 +44,6 @@ def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
         key: value.double() + scales[key] * torch.randn(value.shape, generator=generator)
         for key, value in start.items()
     }
-
-
-# Recipes
-
-
-def test_full_differs_in_the_pictures_alone() -> None:
-    assert (QUICK.setup.picture, FULL.setup.picture) == (64, 256)
-    # the same checkpoints, and a training that was cut off goes on
-    assert (FULL, repr(FULL)) == (QUICK, repr(QUICK))
-    quick = presentation_of(Transport(QUICK.setup))
-    notes = "".join(f"{plugin.note}; " for plugin in integrators())
-    assert quick.image_measure == (  # a part of the keys of records
-        "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
-        f"{notes}equal time is that of regular, in seconds of CPU, "
-        "and counts the samples that a fit sees, the fit, its table and the picture"
-    )
-    shown = presentation_of(Transport(FULL.setup))
-    assert shown.image_measure == quick.image_measure.replace("64 px", "256 px")
 
 
 # Splines
