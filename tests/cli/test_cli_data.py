@@ -106,19 +106,17 @@ def test_bad_inputs_are_one_line_and_write_nothing(metapp: Callable, gold: Path)
 
 BAD_USAGE = """
 merl in --out out --split valid    | 'valid' is not one of 'train', 'test', 'auto'
-merl in --out file                 | a file, expected a folder to write to
 nbrdf in --out file/below          | a file, expected a folder to write to
 merl in                            | Missing option '--out'
 nbrdf in --out out --samples 1     | '--samples':
-nbrdf in --out out --samples few   | '--samples':
 synth brdf --count 0               | '--count':
-synth brdf --seed -1               | '--seed':
 synth glass                        | 'glass' has no embedded data set, expected one of brdf
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
 synth brdf --as merl               | expected a folder for the merl files
-synth brdf --out file              | a file, expected a folder to write to
 cornell --out out --count 0        | '--count':
-cornell --out out --samples 0      | '--samples':
+images in --out out --size x        | valid integer
+strips in --out out --gamma 0       | '--gamma':
+maps in --out out --normals left    | '--normals':
 """
 
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
 
 from data_tools.formats import exports_of
-from metapp.storage.images import write_png
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -55,14 +52,6 @@ def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
         assert all((run / kind / file).is_file() for file in made), kind
         assert metapp("export", run / "record.jsonl", kind, "--out", f"else/{kind}", "--quiet") == (0, "", "")
         assert Path("else", kind, made[0]).read_bytes() == (run / kind / made[0]).read_bytes(), kind
-
-
-def test_a_fit_is_written_in_several_forms_at_once(metapp: Callable, neural_fits: Callable[[int], Path]) -> None:
-    words = ("meta", "brdf", neural_fits(1) / "m0", "--rule", "meta-curvature", "--json", "--quiet")
-    run = Path(metapp(*words, "--export", "nbrdf,bsdf", "--export", "bsdf").document["out"])
-    assert (run / "nbrdf" / "m0" / "fc1.npy").is_file()
-    assert (run / "bsdf" / "m0.bsdf").is_file()
-    assert "--export 'gltf': brdf expects one of" in metapp(*words, "--export", "bsdf,gltf").misuse
 
 
 @pytest.mark.long
@@ -116,25 +105,6 @@ def test_a_run_behind_a_link_is_not_the_newest(metapp: Callable, run: Path) -> N
     assert not (run / "nbrdf").exists()
 
 
-def test_of_a_single_fit_files_are_named(metapp: Callable, neural_fits: Callable[[int], Path]) -> None:
-    done = metapp(
-        "meta", "brdf", neural_fits(1), "--rule", "meta-curvature", "--export", "nbrdf,bsdf", "--out", "my runs"
-    )
-    assert done.code == 0
-    (record,) = Path("my runs").rglob("record.jsonl")
-    run = record.parent
-    said = done.err.splitlines()
-    assert f"written as bsdf: {run}/bsdf/m0.bsdf" in said
-    assert f"written as nbrdf: {run}/nbrdf/m0: b1.npy, b2.npy, b3.npy, fc1.npy, fc2.npy, fc3.npy" in said
-    assert f"fit: {run}/params/m0.safetensors" in said
-    for line, words in (
-        ("to look at: ", ["view"]),
-        (f"other forms ({FORMS.replace('bsdf, ', '').replace('nbrdf, ', '')}): ", ["export", "bsdf-spectral"]),
-    ):
-        (found,) = [each.removeprefix(line) for each in said if each.startswith(line)]
-        assert shlex.split(found) == ["metapp", words[0], str(run), *words[1:]]
-
-
 def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
     (run / "params" / "m0.safetensors").write_bytes(b"hello")
     assert "m0.safetensors: fitted parameters not readable" in metapp("export", run, "merl").refusal
@@ -142,12 +112,3 @@ def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, r
     lines[0]["settings"]["recipe"] = "other"
     (run / "record.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     assert "a fit of other settings than are known" in metapp("export", run, "merl").error
-
-
-def test_a_size_that_is_none_is_the_users_mistake(metapp: Callable, tmp_path: Path) -> None:
-    photo = tmp_path / "sand.png"
-    write_png(torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(1)), {"encoding": "sRGB"}, photo)
-    fit = ("overfit", "texture", photo, "--recipe", "quick", "--steps", 1)
-    run = metapp(*fit, "--json", "--quiet").document["out"]
-    refused = metapp("export", run, "exr", "--size", "300x200")
-    assert "--size 300x200: texture expects multiples of 8" in refused.misuse

@@ -16,7 +16,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from metapp import __version__
 from metapp.apps.brdf import app as brdf
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
@@ -254,6 +253,7 @@ meta --observe photo                   | --observe
 meta --export blend                    | blend ; nbrdf
 meta --steps -1                        | --steps ; 0
 meta --steps ten                       | --steps ; integer
+meta --batch 0                         | --batch
 meta --device tpu                      | tpu ; cuda
 overfit --train                        | needs no preparation
 meta --train-steps 5                   | --train
@@ -277,15 +277,6 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     assert "expected one of brdf" in misuse
     misuse = metapp("meta", "illumination", "--rule", "meta-basis").misuse
     assert "its part average does not apply to illumination" in misuse
-
-
-def test_general_takes_no_steps_whatever_a_script_says(fit: Callable) -> None:
-    asked, plain = fit("general", "--steps", "5", "--rule", "meta-sgd", "--json"), fit("general", "--json")
-    assert "--steps: general takes none; the option is ignored." in asked.err
-    assert "--rule: only meta has learned rules; the option is ignored." in asked.err
-    assert asked.document["steps"] == 0
-    assert asked.document["out"] == plain.document["out"]
-    assert [task["error"] for task in asked.document["tasks"]] == [task["error"] for task in plain.document["tasks"]]
 
 
 def refuse(result: Result, *parts: str) -> None:
@@ -343,6 +334,20 @@ def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch
     refuse(fit("overfit"), "m4", "not finite at step")
 
 
+def test_parameters_that_are_not_finite_are_an_error(
+    metapp: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    init = Brdf.init
+
+    def infinite(self: Brdf, rng: torch.Generator, count: int) -> dict[str, torch.Tensor]:
+        return {key: value / 0 for key, value in init(self, rng, count).items()}
+
+    monkeypatch.setattr(Brdf, "init", infinite)
+    error = metapp("overfit", "brdf", networks / "m1", "--steps", "0").error
+    assert "m1: the fit's parameters are not finite" in error
+    assert not list(Path("runs").rglob("*.jsonl"))
+
+
 # Rules that are composed
 
 
@@ -378,38 +383,18 @@ def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_qu
     assert (done.returncode, done.stdout, done.stderr) == (0, "True True\nset()\n", "")
 
 
-def test_the_version_is_said(metapp: Callable) -> None:
-    assert metapp("--version").out == f"metapp {__version__}\n"
-
-
 @pytest.mark.parametrize(
     ("words", "near"),
     [
         (("meta", "brfd"), "'brdf'"),
         (("mta",), "'meta'"),
-        (("data", "mrl"), "'merl'"),
-        (("meta", "brdf", "--rule", "ridg"), "'ridge'"),
         (("meta", "brdf", "--rule", "adam+curvatur"), "'curvature'"),
         (("meta", "texture", "--export", "png61"), "'png16'"),
-        (("baseline", "texture", "--method", "quiltin"), "'quilting'"),
     ],
 )
 def test_a_name_that_is_nearly_right_is_suggested(metapp: Callable, words: tuple[str, ...], near: str) -> None:
     assert f"Did you mean {near}?" in metapp(*words).misuse
     assert "Did you mean" not in metapp(*words[:-1], "zzzz").misuse
-
-
-def test_an_application_without_its_command_and_the_reverse_are_explained(metapp: Callable) -> None:
-    assert "brdf is an application: metapp meta brdf." in metapp("brdf", "gold.csv").misuse
-    assert "is an application" not in metapp("gold").misuse
-    assert "It is one of brdf, illumination, " in metapp("meta").misuse
-    assert "Did you mean 'svbrdf_nonstationary' or 'svbrdf_stationary'?" in metapp("meta", "svbrdf").misuse
-
-
-def test_a_fit_is_no_input_and_what_takes_it_is_said(metapp: Callable, tmp_path: Path) -> None:
-    file = tmp_path / "fit.safetensors"
-    file.write_bytes(b"")
-    assert metapp("meta", "brdf", file).error.endswith("; of a fit, metapp export takes the run's folder.")
 
 
 def test_records_say_what_brdfs_reflect(fit: Callable) -> None:

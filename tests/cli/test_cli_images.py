@@ -44,23 +44,6 @@ def shapes_of(split: str, app: str) -> dict[str, tuple[int, ...]]:
     return {key: tuple(value.shape) for key, value in task.data.items()}
 
 
-# Of all of them
-
-
-def test_options_out_of_range(metapp: Callable) -> None:
-    for command, made, refused in (
-        ("images", photograph(Path("a.png")), ("--size 31", "--size x")),
-        ("laval", environment(Path("a.exr")), ("--split some", "--size 8", "--rows 64")),
-        ("strips", strip(Path("b.png")), ("--split some", "--size 4", "--gamma 0", "--white 0")),
-        ("maps", material(IN), ("--normals left",)),
-    ):
-        for words in refused:
-            said = metapp("data", command, made, "--out", "new", *words.split()).misuse
-            expected = {"31": "greater than or equal to 32", "x": "valid integer"}.get(words.split()[1], "")
-            assert expected in said, (command, words)
-    assert not Path("new").exists()
-
-
 # Photographs and environment maps
 
 

@@ -62,11 +62,6 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[l
     assert (folder / "params" / "m3.safetensors").is_file()
 
 
-def test_a_run_of_several_folders_says_so_in_its_name(metapp: Callable, materials: Path) -> None:
-    words = ("quickft", "brdf", materials / "m0", materials / "m1", "--recipe", "quick", "--batch", "2", "--json")
-    assert Path(metapp(*words).done["out"]).name.startswith("m0-and-1-more-")
-
-
 def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[str]], materials: Path) -> None:
     first = fit("--batch", "2").document
     del fitted[:]
@@ -135,29 +130,12 @@ def test_tasks_of_batches_that_are_too_large_for_the_memory_are_fitted_one_by_on
     assert fitted == [["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
 
 
-def test_tasks_of_a_data_set_are_fitted_side_by_side(metapp: Callable, ten_materials: Path) -> None:
-    told = ("overfit", "brdf", "--steps", "2", "--data", ten_materials, "--json")
-    assert sorted(errors(metapp(*told, "--batch", "2").document)) == ["m4", "m9"]
-
-
-def test_names_that_repeat_in_other_folders_are_kept_apart(fit: Callable, materials: Path) -> None:
-    shutil.copytree(materials / "m0", materials / "below" / "m0")
-    names = sorted(errors(fit("--batch", "8").document))
-    assert len(names) == 6
-    assert names == sorted(["below-m0", f"{materials.name}-m0", *NAMES[1:]])
-
-
 def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     fit: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = Source.task
     monkeypatch.setattr(Source, "task", lambda self: task(self)._replace(name="one"))
     assert sorted(errors(fit("--batch", "8").document)) == ["one", *(f"one-{i}" for i in range(2, 6))]
-
-
-def test_numbers_of_inputs_are_1_or_more(fit: Callable) -> None:
-    for text in ("0", "-1", "many", "auto", "1.5"):
-        assert fit("--batch", text).misuse, text
 
 
 def test_one_at_a_time_is_the_run_of_no_batch(fit: Callable, fitted: list[list[str]]) -> None:

@@ -16,6 +16,7 @@ from torch.nn.functional import interpolate
 from data_tools.formats import exports_of
 from data_tools.readers.latlong import read_map
 from data_tools.readers.svbrdf_task import flash_photo
+from metapp.appearance.colour import tone_map
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
@@ -125,6 +126,9 @@ def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference
     assert {path.name for path in made.iterdir()} == APPS[app].files
     if app == "illumination":
         assert luminance_of(made / "map.exr") == pytest.approx(float(mean_luminance(read_map(reference, 8))), rel=0.5)
+        pixels = torch.from_numpy(oiio.ImageBuf(str(made / "map.exr")).get_pixels(oiio.FLOAT))
+        shown = oiio.ImageBuf(str(made / "map.png")).get_pixels(oiio.UINT8)
+        assert np.abs(shown - 255 * tone_map(pixels / pixels.mean()).numpy()).max() <= 1
     else:
         specs = [oiio.ImageBuf(str(path)).spec() for path in made.iterdir()]
         assert {(spec.width, spec.height) for spec in specs} == {(256, 256)}  # readers scale to it

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import time
 from collections.abc import Callable
@@ -12,14 +11,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from typer.testing import CliRunner
 
 from data_tools.readers.merl import read_merl
 from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
-from metapp.cli.commands import app as cli
 from metapp.rendering.scenes.rules import scene_of
-from metapp.runs.inputs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
+from metapp.runs.inputs.embedded import embedded_data, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
 from tests.needs_mitsuba import needs_mitsuba
@@ -73,25 +70,11 @@ def test_counts_keep_the_proportion() -> None:
         assert split_counts("brdf", count) == {"train": train, "test": test}, count
 
 
-def test_the_cache_is_the_users_unless_moved(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert cache_folder() == cache
-    monkeypatch.delenv("METAPP_CACHE")
-    assert cache_folder().name == "metapp"
-
-
 def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)._replace(free=10**8)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     result = metapp("data", "synth", "brdf", "--as", "merl", "--out", "out")
     assert "0.1 GB free, expected 3.5 GB for 100 merl files" in result.refusal
-
-
-def test_help_tells_how_many_tasks_a_set_has() -> None:
-    shown = " ".join(CliRunner().invoke(cli, ["data", "synth", "--help"], env={"COLUMNS": "200"}).stdout.split())
-    for app in embedded_apps():
-        counts = embedded_module(app).COUNTS
-        told = shown.partition(f" {app}: ")[2]
-        assert re.match(rf"[^:]*?; {counts['train']:,} \+ {counts['test']}\.", told), app
 
 
 @pytest.fixture(autouse=True)

@@ -1,14 +1,11 @@
 """Messages on a terminal, and help."""
 
 import os
-from collections.abc import Callable
-from types import SimpleNamespace
 
 import pytest
 
 from metapp.cli.console import run
 from metapp.cli.terminal import Terminal
-from tests.conftest import skip_reasons
 
 
 def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,15 +33,3 @@ def test_a_reader_that_goes_away_ends_a_command_quietly(
         monkeypatch.setattr("sys.stdout", pipe)
         assert run(lambda: print("a line")) == 141
     assert capsys.readouterr().err == ""
-
-
-@pytest.mark.parametrize("words", ["try", "data merl", "data synth", "evaluate", ""])
-def test_help_shows_no_type_of_flags(metapp: Callable, words: str) -> None:
-    shown = metapp(*words.split(), "--help").out
-    assert "--help " in shown
-    assert "<bool>" not in shown
-
-
-def test_skipped_tests_are_counted_by_reason() -> None:
-    reports = [SimpleNamespace(longrepr=("a.py", 3, f"Skipped: {why}")) for why in ("no GPU", "no VGG", "no GPU")]
-    assert skip_reasons(reports) == {"no GPU": 2, "no VGG": 1}

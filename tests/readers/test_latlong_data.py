@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from data_tools.draws import stream
 from data_tools.readers import latlong
 from data_tools.readers.latlong import find, map_task, read_map, read_task
 from metapp.appearance.latlong import mean_luminance, resample, solid_angles
+from metapp.storage.images import write_exr
 from tests.pictures import check_refused, planes, truncated, write
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
@@ -79,6 +81,17 @@ def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
         values[..., index] *= 0.01 if name == "A" else 1 + index
     read = read_map(write(tmp_path / "a.exr", values, names=names))
     assert torch.equal(read, planes(values[..., order]))
+
+
+@pytest.mark.parametrize(("brightest", "form"), [(1e-7, "float"), (3.0, "half"), (65504.0, "half"), (1e6, "float")])
+def test_written_radiance_is_read_back_from_the_smallest_form_that_holds_it(
+    tmp_path: Path, brightest: float, form: str
+) -> None:
+    light = torch.linspace(0.1, brightest, 64 * 128 * 3).reshape(64, 128, 3)
+    write_exr(light, tmp_path / "a.exr")
+    assert str(oiio.ImageBuf(str(tmp_path / "a.exr")).spec().format) == form
+    stored = light.half().float() if form == "half" else light
+    torch.testing.assert_close(read_map(tmp_path / "a.exr"), stored.permute(2, 0, 1), rtol=1e-5, atol=1e-6 * brightest)
 
 
 # Colours
