@@ -6,6 +6,7 @@ Components are of log-relative BRDFs (Nielsen et al. 2015, "On Optimal, Minimal 
 from __future__ import annotations
 
 import functools
+import itertools
 from typing import NamedTuple
 
 import torch
@@ -30,6 +31,8 @@ from metapp.learning.task import Tasks
 
 COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
+SOLVES = (1, 2)
+DELTA = 0.3  # of the mean error: smaller ones weigh no more
 
 
 class Samples(NamedTuple):
@@ -78,7 +81,9 @@ class Space(NamedTuple):
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
     cannot = "say anything between the angles of its table, which all training materials must share"
-    published = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015)"
+    published = (
+        "ridge on components of log-relative training BRDFs (Nielsen et al. 2015), weighted for the table's error"
+    )
     lobes_title = "a Lambertian body and two GGX lobes, by least squares on the table's error"
     title = "the training material with the least error on the samples"
     return (
@@ -137,25 +142,26 @@ def _space(training: Training, *, whole: bool) -> Space:
 
 
 def _components(kept: int, training: Training, allowed: Allowed) -> PreparedBaseline:
-    """So many components: the penalty is chosen on validation materials, then all are taken."""
+    """So many components: penalty and solves are chosen on validation materials, then all are taken."""
 
-    def error(penalty: float) -> float:
-        fit = ridge_in(_space(training, whole=False), kept, penalty)
+    def error(setting: tuple[float, int]) -> float:
+        fit = ridge_in(_space(training, whole=False), kept, *setting)
         return mean_error(training.app, fit, training.split[1], allowed)
 
-    penalty, space = min(PENALTIES, key=error), _space(training, whole=True)
+    penalty, solves = min(itertools.product(PENALTIES, SOLVES), key=error)
+    space = _space(training, whole=True)
     used = space.components.first(kept)
     shared = bytes_of(used.mean, used.axes, space.relative.reference)
-    return PreparedBaseline(ridge_in(space, kept, penalty), shared, {"penalty": penalty})
+    return PreparedBaseline(ridge_in(space, kept, penalty, solves), shared, {"penalty": penalty, "solves": solves})
 
 
-def ridge_in(space: Space, kept: int, penalty: float) -> FitTask:
+def ridge_in(space: Space, kept: int, penalty: float, solves: int) -> FitTask:
     """Fits of coefficients to a material's samples."""
     space = space._replace(components=space.components.first(kept))
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
-        found = coefficients(space.at(samples.rows), samples, penalty)
+        found = coefficients(space.at(samples.rows), samples, penalty, solves)
         held = torch.arange(len(space.where) // 2, len(space.where))
         return BaselineFit(lambda: space.at(held).reflectance(found).T[None], found.numel(), bytes_of(found))
 
@@ -179,11 +185,22 @@ def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     return samples._replace(rows=torch.tensor(rows))
 
 
-def coefficients(space: Space, samples: Samples, penalty: float) -> Tensor:
-    """The coefficients [K, 3] of components, of a space at samples."""
-    used = space.components
-    mapped = space.relative.mapped(samples.target.expm1() / samples.cos) - used.mean
-    return ridge(used.axes, mapped, used.deviation, penalty * len(mapped))
+def coefficients(space: Space, samples: Samples, penalty: float, solves: int) -> Tensor:
+    """The coefficients [K, 3] of components, of a space at samples, for absolute errors of the table's measure.
+
+    Iteratively reweighted least squares: weights, of mean 1, are slope^2 / |error|, the slope that of the error over
+    the residual; at first just the slope, as if residuals were all alike.
+    """
+    reflectance, used = samples.target.expm1() / samples.cos, space.components
+    mapped = space.relative.mapped(reflectance) - used.mean
+    slope = samples.cos * (reflectance + EPSILON / space.relative.weight) / samples.target.exp()
+    weights, found = slope, mapped
+    for solve in range(solves):
+        if solve:
+            error = (torch.log1p(space.reflectance(found) * samples.cos) - samples.target).abs()
+            weights = slope * slope / (error + DELTA * error.mean(0)).clamp_min(1e-12)
+        found = ridge(used.axes, mapped, weights / weights.mean(0), used.deviation, penalty * len(mapped))
+    return found
 
 
 def _two_lobes(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:

@@ -72,7 +72,7 @@ def components(columns: Tensor, count: int) -> Components:
     return Components(mean, axes, (1 / scale * math.sqrt(1 / columns.shape[1])).to(columns))
 
 
-def ridge(axes: Tensor, targets: Tensor, deviation: Tensor, penalty: float) -> Tensor:
+def ridge(axes: Tensor, targets: Tensor, weights: Tensor, deviation: Tensor, penalty: float) -> Tensor:
     """Coefficients [K, C] that fit targets [n, C], drawn towards 0 by how little training tasks vary.
 
     By normal equations; by QR in double precision where rounding would hide that these are positive definite: of fewer
@@ -81,16 +81,22 @@ def ridge(axes: Tensor, targets: Tensor, deviation: Tensor, penalty: float) -> T
     Args:
         axes: [n, K].
         targets: [n, C].
+        weights: of the squared residuals, [n, C].
         deviation: of training tasks along the axes, [K].
         penalty: of a coefficient at its deviation.
     """
-    left = (axes.T @ axes).double() + torch.diag(penalty / deviation.double().square())
-    factor, failed = torch.linalg.cholesky_ex(left)
-    # rounding changes pivots by about this much: smaller ones are made of it, even where the factorisation succeeds
-    rounding = torch.finfo(axes.dtype).eps * left.diagonal().sum()
-    if failed or factor.diagonal().square().amin() < rounding:
-        rows = torch.cat([axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
-        q, r = torch.linalg.qr(rows)
-        exact: Tensor = torch.linalg.solve_triangular(r, q[: len(axes)].T @ targets.double(), upper=True)
-        return exact.to(targets)
-    return torch.cholesky_solve((axes.T @ targets).double(), factor).to(targets)
+    drawn, solved = penalty / deviation.double().square(), []
+    for target, weight in zip(targets.T, weights.T, strict=True):
+        weighted = axes * weight[:, None]
+        left = (axes.T @ weighted).double() + torch.diag(drawn)
+        factor, failed = torch.linalg.cholesky_ex(left)
+        # rounding changes pivots by about this much: smaller ones are made of it, even where the factorisation succeeds
+        rounding = torch.finfo(axes.dtype).eps * left.diagonal().sum()
+        if failed or factor.diagonal().square().amin() < rounding:
+            root = weight.double().sqrt()[:, None]
+            q, r = torch.linalg.qr(torch.cat([root * axes, torch.diag(drawn.sqrt())]))
+            solution = torch.linalg.solve_triangular(r, q[: len(axes)].T @ (root * target[:, None]), upper=True)
+        else:
+            solution = torch.cholesky_solve((weighted.T @ target).double()[:, None], factor)
+        solved.append(solution[:, 0])
+    return torch.stack(solved, 1).to(targets)

@@ -86,15 +86,18 @@ def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: G
     assert space.relative.weight.min() >= EPSILON
 
 
-def test_ridge_of_fewer_samples_than_axes(rng: Generator) -> None:
+@pytest.mark.parametrize("weighted", [False, True])
+def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> None:
     """Rounding in single precision hides that the system is definite; the answer is that of least squares."""
     rows = torch.randint(8, (800,), generator=rng)
     axes, targets = torch.randn(8, 30, generator=rng)[rows], torch.randn(8, 3, generator=rng)[rows]
+    weights = 0.5 + torch.rand(800, 3, generator=rng) if weighted else torch.ones(800, 3)
     deviation, penalty = torch.linspace(2, 0.5, 30), 1e-7
-    found = ridge(axes, targets, deviation, penalty)
+    found = ridge(axes, targets, weights, deviation, penalty)
     for channel in range(3):
-        a = torch.cat([axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
-        b = torch.cat([targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
+        root = weights[:, channel : channel + 1].double().sqrt()
+        a = torch.cat([root * axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
+        b = torch.cat([root * targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
         wanted = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
         torch.testing.assert_close(found[:, channel].double(), wanted, atol=1e-5, rtol=1e-4)
 
@@ -103,7 +106,7 @@ def test_the_penalty_is_chosen_on_validation_materials_and_bytes_are_counted(rng
     training = Training(APP, random_materials(12, rng))
     allowed = Allowed(400, 2700)
     prepared = _components(8, training, allowed)
-    assert set(prepared.chosen) == {"penalty"}
+    assert set(prepared.chosen) == {"penalty", "solves"}
     assert prepared.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
     one = training.stacked.select([2])
     fitted = prepared.fit(one, Generator().manual_seed(0), allowed)
@@ -123,7 +126,7 @@ def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
         prepared.fit(other, rng, allowed).answer()
     materials, half = random_materials(12, rng), SAMPLES // 2
     known = stack(APP, materials).data
-    fit = ridge_in(space_of(known["where"][0], known["target"]), 8, 1e-9)
+    fit = ridge_in(space_of(known["where"][0], known["target"]), 8, 1e-9, 1)
     order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack(APP, [moved])

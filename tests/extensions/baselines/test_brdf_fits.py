@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -12,7 +13,16 @@ from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training, mean_error
-from metapp.extensions.baselines.brdf import PENALTIES, _components, coefficients, drawn, ridge_in, space_of
+from metapp.extensions.baselines.brdf import (
+    DELTA,
+    PENALTIES,
+    SOLVES,
+    _components,
+    coefficients,
+    drawn,
+    ridge_in,
+    space_of,
+)
 from metapp.extensions.baselines.components import EPSILON, Relative
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
@@ -46,19 +56,28 @@ def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
     torch.testing.assert_close(space.relative.weight[:, 0].double(), expected, atol=1e-6, rtol=1e-4)
 
 
-def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Generator) -> None:
-    """Squares of log-relative residuals, and of coefficients over their deviation."""
+@pytest.mark.parametrize("solves", [1, 2, 3])
+def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Generator, solves: int) -> None:
+    """Squares of log-relative residuals, weighted by the slope of the table's error and by its size before."""
     where, target = materials.data["where"][0], materials.data["target"]
     whole, penalty = space_of(where, target[:8]), 1e-3
     whole = whole._replace(components=whole.components.first(5))
     seen = drawn(materials.select([10]), rng, 300)  # which is not in the span
     space = whole.at(seen.rows)
-    mapped = space.relative.mapped(seen.target.expm1() / seen.cos)
-    found = coefficients(space, seen, penalty).requires_grad_()
+    reflectance = (seen.target.expm1() / seen.cos).requires_grad_()
+    mapped = space.relative.mapped(reflectance)
+    (by_reflectance,) = torch.autograd.grad(torch.log1p(reflectance * seen.cos).sum(), reflectance)
+    (mapped_by,) = torch.autograd.grad(mapped.sum(), reflectance)
+    weights = slope = by_reflectance / mapped_by
+    if solves > 1:
+        before = space.reflectance(coefficients(space, seen, penalty, solves - 1))
+        error = (torch.log1p(before * seen.cos) - seen.target).abs()
+        weights = slope**2 / (error + DELTA * error.mean(0))
+    found = coefficients(space, seen, penalty, solves).requires_grad_()
     used = space.components
-    residual = used.axes @ found + used.mean - mapped
+    residual = used.axes @ found + used.mean - mapped.detach()
     drawn_to = (found / used.deviation[:, None]) ** 2
-    cost = (residual**2).sum() + penalty * len(residual) * drawn_to.sum()
+    cost = (weights / weights.mean(0) * residual**2).sum() + penalty * len(residual) * drawn_to.sum()
     (gradient,) = torch.autograd.grad(cost, found)
     assert gradient.abs().max() < 1e-8 * cost.item() + 1e-8
 
@@ -67,8 +86,10 @@ def test_a_penalty_is_judged_on_materials_that_components_do_not_know(rng: Gener
     training, allowed = Training(APP, random_materials(12, rng)), Allowed(200, 2700)
     known, validation = training.split
     space = space_of(known.data["where"][0], known.data["target"][known.rows])
-    errors = {penalty: mean_error(APP, ridge_in(space, 4, penalty), validation, allowed) for penalty in PENALTIES}
-    assert _components(4, training, allowed).chosen == {"penalty": min(errors, key=errors.__getitem__)}
+    settings = itertools.product(PENALTIES, SOLVES)
+    errors = {each: mean_error(APP, ridge_in(space, 4, *each), validation, allowed) for each in settings}
+    penalty, solves = min(errors, key=errors.__getitem__)
+    assert _components(4, training, allowed).chosen == {"penalty": penalty, "solves": solves}
 
 
 def near_mirror(rng: Generator, count: int = 3000) -> lobes.Cosines:
