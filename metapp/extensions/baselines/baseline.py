@@ -7,15 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.presentation import Picture
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms.validation import split_validation
 
-FEWEST = 4  # groups of training tasks: of fewer none is kept for validation
 INDEX = 4  # bytes of the number of a training task
 
 
@@ -35,13 +32,6 @@ class Training:
     def stacked(self) -> Tasks:
         """All of them, prepared by the application."""
         return stack(self.app, self.tasks)
-
-    @functools.cached_property
-    def split(self) -> tuple[Tasks, Tasks]:
-        """To learn from and to choose on, as paradigms part them; of fewer than FEWEST groups all are both."""
-        if len({task.group or task.name for task in self.tasks}) < FEWEST:
-            return self.stacked, self.stacked
-        return split_validation(self.stacked)
 
 
 class Allowed(NamedTuple):
@@ -140,14 +130,3 @@ def nearest(
 def bytes_of(*tensors: Tensor) -> int:
     """Bytes of tensors."""
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
-
-
-@torch.no_grad()
-def mean_error(app: App, fit: FitTask, tasks: Tasks, allowed: Allowed) -> float:
-    """Mean error of fits of all tasks with fixed seeds, as the application has it, unscaled."""
-    total = 0.0
-    for row in range(len(tasks)):
-        one = tasks.select([row])
-        fitted = fit(one, Generator().manual_seed(row), allowed)
-        total += float(app.errors_of(fitted.answer(), one)["error"])
-    return total / len(tasks)

@@ -1,13 +1,9 @@
-"""Baselines of BRDF networks: components of training BRDFs, two GGX lobes, the nearest training material.
-
-Components are of log-relative BRDFs (Nielsen et al. 2015, "On Optimal, Minimal BRDF Sampling ...").
-"""
+"""Baselines of BRDF networks: components of training BRDFs, two GGX lobes, the nearest training material."""
 
 from __future__ import annotations
 
 import functools
 import itertools
-from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -22,190 +18,148 @@ from metapp.extensions.baselines.baseline import (
     PreparedBaseline,
     Training,
     bytes_of,
-    mean_error,
     nearest,
 )
-from metapp.extensions.baselines.components import EPSILON, Components, Relative, components, ridge
+from metapp.extensions.baselines.components import EPSILON, Components, principal
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
+from metapp.paradigms.validation import split_validation
 
 COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
 SOLVES = (1, 2)
-DELTA = 0.3  # of the mean error: smaller ones weigh no more
-
-
-class Samples(NamedTuple):
-    """The samples of a fit.
-
-    Attributes:
-        rows: which of the samples, [n], with repetition.
-        where: half vector, difference vector, cos theta_i, [n, 7].
-        target: log(1 + f cos theta_i), [n, 3].
-    """
-
-    rows: Tensor
-    where: Tensor
-    target: Tensor
-
-    @property
-    def cos(self) -> Tensor:
-        """Of theta_i, [n, 1]."""
-        return self.where[:, 6:]
-
-
-class Space(NamedTuple):
-    """The places and the mapping of components.
-
-    Attributes:
-        where: the samples' places that all training materials share, [N, 7].
-        relative: the mapping at each.
-        components: of all channels of the training materials.
-    """
-
-    where: Tensor
-    relative: Relative
-    components: Components
-
-    def at(self, rows: Tensor) -> Space:
-        """At some of the places."""
-        relative = Relative(self.relative.weight[rows], self.relative.reference[rows])
-        components = self.components._replace(mean=self.components.mean[rows], axes=self.components.axes[rows])
-        return Space(self.where[rows], relative, components)
-
-    def reflectance(self, coefficients: Tensor) -> Tensor:
-        """Of coefficients [K, C], [N, C] in 1/sr."""
-        return self.relative.reflectance(self.components.axes @ coefficients + self.components.mean)
+FEWEST = 4  # groups of training materials: of fewer none is kept for validation
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
     cannot = "say anything between the angles of its table, which all training materials must share"
-    published = (
-        "ridge on components of log-relative training BRDFs (Nielsen et al. 2015), weighted for the table's error"
-    )
-    lobes_title = "a Lambertian body and two GGX lobes, by least squares on the table's error"
-    title = "the training material with the least error on the samples"
+    title = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015), weighted for the table's error"
     return (
-        *(Baseline(f"pca_{count}", published, cannot, functools.partial(_components, count)) for count in COUNTS),
+        *(Baseline(f"pca_{count}", title, cannot, functools.partial(_components, count)) for count in COUNTS),
         Baseline(
             "ggx_2",
-            lobes_title,
+            "a Lambertian body and two GGX lobes, by least squares on the table's error",
             "be more than a sum of such lobes",
             lambda *_: PreparedBaseline(_two_lobes),
             learns=False,
         ),
-        Baseline("nearest", title, "be a material that is not in its set", _nearest),
+        Baseline(
+            "nearest",
+            "the training material with the least error on the samples",
+            "be a material that is not in its set",
+            _nearest,
+        ),
     )
 
 
-def drawn(tasks: Tasks, rng: Generator, count: int) -> Samples:
-    """Random samples of one task's first half, as `Brdf.sample` draws them."""
-    where, target = _of_one(tasks)
-    rows = torch.randint(len(where) // 2, (1, count), generator=rng)[0]
-    return Samples(rows, where[rows], target[rows])
+def places_of(tasks: Tasks) -> Tensor:
+    """Places [N, 7] of the one task: half vector, difference vector, cos theta_i."""
+    return tasks.data["where"][tasks.rows][0]
 
 
-def _of_one(tasks: Tasks) -> tuple[Tensor, Tensor]:
-    """Places [N, 7] and targets [N, 3] of the one task."""
-    (row,) = tasks.rows.tolist()
-    return tasks.data["where"][row], tasks.data["target"][row]
+def drawn(tasks: Tasks, rng: Generator, count: int) -> tuple[Tensor, Tensor]:
+    """Rows [n] of random samples of one task's first half, as `Brdf.sample` draws them, and targets [n, 3]."""
+    target = tasks.data["target"][tasks.rows][0]
+    rows = torch.randint(len(target) // 2, (1, count), generator=rng)[0]
+    return rows, target[rows]
 
 
-def cosines_of(where: Tensor) -> Cosines:
-    """Of places [n, 7], in double precision: half vector, difference vector, cos theta_i."""
-    half, difference, incident = (where[:, i].double() for i in (2, 5, 6))
-    return Cosines(incident, 2 * half * difference - incident, half, difference)
-
-
-def space_of(where: Tensor, target: Tensor) -> Space:
-    """The components of training materials: places [N, 7] and targets [M, N, 3]."""
-    columns = (target.expm1() / where[:, 6:].clamp_min(1e-9)).movedim(0, 1).flatten(1)
-    cosines = cosines_of(where)
-    weight = (cosines.incident * cosines.outgoing).clamp_min(EPSILON)[:, None].to(columns)
-    relative = Relative(weight, columns.median(1, keepdim=True).values)
-    return Space(where, relative, components(relative.mapped(columns), max(COUNTS)))
-
-
-@functools.lru_cache(maxsize=2)
-def _space(training: Training, *, whole: bool) -> Space:
-    """The components of all training materials, or of those that do not validate.
-
-    Raises:
-        ValueError: they are not at the same angles.
-    """
-    tasks = training.stacked if whole else training.split[0]
-    where = tasks.data["where"]
-    if where.stride(0):
-        raise ValueError("training materials at angles of their own, expected the same for all; use analytic ones.")
-    return space_of(where[0], tasks.data["target"][tasks.rows])
-
-
-def _components(kept: int, training: Training, allowed: Allowed) -> PreparedBaseline:
-    """So many components: penalty and solves are chosen on validation materials, then all are taken."""
-
-    def error(setting: tuple[float, int]) -> float:
-        fit = ridge_in(_space(training, whole=False), kept, *setting)
-        return mean_error(training.app, fit, training.split[1], allowed)
-
-    penalty, solves = min(itertools.product(PENALTIES, SOLVES), key=error)
-    space = _space(training, whole=True)
-    used = space.components.first(kept)
-    shared = bytes_of(used.mean, used.axes, space.relative.reference)
-    return PreparedBaseline(ridge_in(space, kept, penalty, solves), shared, {"penalty": penalty, "solves": solves})
-
-
-def ridge_in(space: Space, kept: int, penalty: float, solves: int) -> FitTask:
-    """Fits of coefficients to a material's samples."""
-    space = space._replace(components=space.components.first(kept))
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
-        found = coefficients(space.at(samples.rows), samples, penalty, solves)
-        held = torch.arange(len(space.where) // 2, len(space.where))
-        return BaselineFit(lambda: space.at(held).reflectance(found).T[None], found.numel(), bytes_of(found))
-
-    return fit
-
-
-def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
-    """The samples with their rows among places [N, 7], of which the held-out ones are the same.
+def rows_in(where: Tensor, tasks: Tasks, rows: Tensor) -> Tensor:
+    """Rows of a task's places among places [N, 7], of which the held-out ones are the same.
 
     Raises:
         ValueError: they are at others.
     """
-    places, half = _of_one(tasks)[0], len(where) // 2
+    places, half = places_of(tasks), len(where) // 2
     if torch.equal(places, where):
-        return samples
+        return rows
     index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
-    rows = [index.get(place.tobytes(), -1) for place in samples.where.numpy()]
-    if min(rows) < 0 or not torch.equal(places[half:], where[half:]):
+    found = [index.get(place.tobytes(), -1) for place in places[rows].numpy()]
+    if min(found) < 0 or not torch.equal(places[half:], where[half:]):
         name = tasks.picked_names[0]
         raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
-    return samples._replace(rows=torch.tensor(rows))
+    return torch.tensor(found)
 
 
-def coefficients(space: Space, samples: Samples, penalty: float, solves: int) -> Tensor:
-    """The coefficients [K, 3] of components, of a space at samples, for absolute errors of the table's measure.
+def cosines_of(where: Tensor) -> Cosines:
+    """Of places [n, 7], in double precision."""
+    half, difference, incident = (where[:, i].double() for i in (2, 5, 6))
+    return Cosines(incident, 2 * half * difference - incident, half, difference)
 
-    Iteratively reweighted least squares: weights, of mean 1, are slope^2 / |error|, the slope that of the error over
-    the residual; at first just the slope, as if residuals were all alike.
+
+def reflectance_of(where: Tensor, target: Tensor) -> Tensor:
+    """Reflectance [..., n, 3] in 1/sr of targets [..., n, 3] at places [n, 7]."""
+    return target.expm1() / where[:, 6:].clamp_min(1e-9)
+
+
+def components_of(where: Tensor, target: Tensor) -> Components:
+    """The components of training materials: places [N, 7] and targets [M, N, 3]."""
+    columns = reflectance_of(where, target).movedim(0, 1).flatten(1)
+    cosines = cosines_of(where)
+    weight = (cosines.incident * cosines.outgoing).clamp_min(EPSILON)[:, None].to(columns)
+    none = columns[:, :1]
+    of = Components(where[:, 6:], weight, columns.median(1, keepdim=True).values, none, none, none)
+    return Components(*of[:3], *principal(of.mapped(columns), max(COUNTS)))
+
+
+@functools.lru_cache(maxsize=1)
+def _learned(training: Training) -> tuple[Tensor, Components, Components, Tasks]:
+    """The common places, the components of all training materials and of those to learn from, those to choose on.
+
+    Raises:
+        ValueError: they are not at the same angles.
     """
-    reflectance, used = samples.target.expm1() / samples.cos, space.components
-    mapped = space.relative.mapped(reflectance) - used.mean
-    slope = samples.cos * (reflectance + EPSILON / space.relative.weight) / samples.target.exp()
-    weights, found = slope, mapped
-    for solve in range(solves):
-        if solve:
-            error = (torch.log1p(space.reflectance(found) * samples.cos) - samples.target).abs()
-            weights = slope * slope / (error + DELTA * error.mean(0)).clamp_min(1e-12)
-        found = ridge(used.axes, mapped, weights / weights.mean(0), used.deviation, penalty * len(mapped))
-    return found
+    known = chosen_on = tasks = training.stacked
+    if len({task.group or task.name for task in training.tasks}) >= FEWEST:
+        known, chosen_on = split_validation(tasks)
+    where = tasks.data["where"]
+    if where.stride(0):
+        raise ValueError("training materials at angles of their own, expected the same for all; use analytic ones.")
+    whole, part = (components_of(where[0], each.data["target"][each.rows]) for each in (tasks, known))
+    return where[0], whole, part, chosen_on
+
+
+def _components(count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
+    """So many components: penalty and solves are chosen on validation materials, then all are taken."""
+    where, whole, part, chosen_on = _learned(training)
+
+    def error(setting: tuple[float, int]) -> float:
+        fit = ridge_in(where, part.first(count), *setting)
+        return mean_error(training.app, fit, chosen_on, allowed)
+
+    penalty, solves = min(itertools.product(PENALTIES, SOLVES), key=error)
+    used = whole.first(count)
+    shared = bytes_of(used.mean, used.axes, used.reference)
+    return PreparedBaseline(ridge_in(where, used, penalty, solves), shared, {"penalty": penalty, "solves": solves})
+
+
+@torch.no_grad()
+def mean_error(app: App, fit: FitTask, tasks: Tasks, allowed: Allowed) -> float:
+    """Mean error of fits of all tasks with fixed seeds, as the application has it, unscaled."""
+    total = 0.0
+    for row in range(len(tasks)):
+        one = tasks.select([row])
+        fitted = fit(one, Generator().manual_seed(row), allowed)
+        total += float(app.errors_of(fitted.answer(), one)["error"])
+    return total / len(tasks)
+
+
+def ridge_in(where: Tensor, components: Components, penalty: float, solves: int) -> FitTask:
+    """Fits of coefficients, of components at places [N, 7], to a material's samples."""
+
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        rows, target = drawn(tasks, rng, allowed.samples)
+        found = components.at(rows_in(where, tasks, rows)).coefficients(target, penalty, solves)
+        held = slice(len(where) // 2, None)
+        return BaselineFit(lambda: components.at(held).reflectance(found).T[None], found.numel(), bytes_of(found))
+
+    return fit
 
 
 def _two_lobes(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-    samples, (where, _) = drawn(tasks, rng, allowed.samples), _of_one(tasks)
-    numbers = lobes.fit(cosines_of(samples.where), samples.target.double(), 2).float()
+    where, (rows, target) = places_of(tasks), drawn(tasks, rng, allowed.samples)
+    numbers = lobes.fit(cosines_of(where[rows]), target.double()).float()
 
     def answer() -> Tensor:
         return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
@@ -215,15 +169,14 @@ def _two_lobes(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
 
 def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     """The set itself is shared."""
-    materials = training.stacked
-    targets, where = materials.data["target"], materials.data["where"]
+    targets, where = training.stacked.data["target"], training.stacked.data["where"]
+    half = where.shape[1] // 2
 
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
-        samples = _at(where[0], tasks, drawn(tasks, rng, allowed.samples))
-        return (targets[:, samples.rows] - samples.target).abs().mean((1, 2))
+        rows, target = drawn(tasks, rng, allowed.samples)
+        return (targets[:, rows_in(where[0], tasks, rows)] - target).abs().mean((1, 2))
 
     def answer(index: int) -> Tensor:
-        half = where.shape[1] // 2
-        return (targets[index, half:].expm1() / where[index, half:, 6:].clamp_min(1e-9)).T[None]
+        return reflectance_of(where[index, half:], targets[index, half:]).T[None]
 
     return PreparedBaseline(nearest(distances, answer), bytes_of(where[0], targets))

@@ -16,7 +16,7 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 Floats = NDArray[np.float64]
 
 LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
-ALPHAS = {1: ((0.03,), (0.12,), (0.4,)), 2: ((0.03, 0.3), (0.1, 0.5))}  # at which fits begin, by lobes
+ALPHAS = ((0.03, 0.3), (0.1, 0.5))  # of two lobes, at which fits begin
 FEW = 1024  # samples of the fits that choose where to begin
 NARROWEST, WIDEST = 0.005, 1.5
 SMALL = 0.003  # errors below it count as squares, those above as they are
@@ -54,16 +54,16 @@ def _shape(log_alpha: Tensor, cosines: Cosines) -> Tensor:
     return microfacet_lobe(cosines, log_alpha.exp(), torch.ones_like)[..., 0]
 
 
-def fit(cosines: Cosines, target: Tensor, lobes: int) -> Tensor:
+def fit(cosines: Cosines, target: Tensor, begin: tuple[tuple[float, ...], ...] = ALPHAS) -> Tensor:
     """The numbers of a fit, float64; absolute errors count.
 
     Args:
         cosines: of the samples, [n], float64.
         target: log(1 + f cos theta_i), [n, 3], float64.
-        lobes: how many.
+        begin: alphas of the lobes, at each of which a descent begins; the best goes on.
     """
     few = Cosines(*(cosine[:FEW] for cosine in cosines)), target[:FEW]
-    fits = [_descend(*few, _first(*few, alphas)) for alphas in ALPHAS[lobes]]
+    fits = [_descend(*few, _first(*few, alphas)) for alphas in begin]
     best = min(fits, key=lambda fit: fit[1])[0]
     return torch.from_numpy(_descend(cosines, target, best)[0])
 

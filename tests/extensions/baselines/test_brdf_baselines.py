@@ -14,14 +14,23 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training
-from metapp.extensions.baselines.brdf import _components, baselines, cosines_of, drawn, ridge_in, space_of
-from metapp.extensions.baselines.components import EPSILON, Relative, components, ridge
+from metapp.extensions.baselines.brdf import (
+    _components,
+    baselines,
+    components_of,
+    cosines_of,
+    drawn,
+    places_of,
+    ridge_in,
+)
+from metapp.extensions.baselines.components import EPSILON, Components, principal, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
 
 APP = Brdf()
 
 SAMPLES = 600
+ONE = ((0.03,), (0.12,), (0.4,))  # alphas at which fits of one lobe begin
 
 
 def random_materials(count: int, rng: Generator, apart: bool = False) -> list[Task]:
@@ -48,25 +57,23 @@ def stacked(rng: Generator) -> Tasks:
 def test_the_mapping_has_an_inverse(rng: Generator) -> None:
     reflectance = torch.rand(50, 4, generator=rng) * 10
     reflectance[0] = 0
-    relative = Relative(torch.rand(50, 1, generator=rng) + 0.01, torch.rand(50, 1, generator=rng))
-    mapped = relative.mapped(reflectance)
-    torch.testing.assert_close(relative.reflectance(mapped), reflectance, atol=1e-5, rtol=1e-4)
-    assert torch.equal(relative.mapped(relative.reference.expand(-1, 4)), torch.zeros(50, 4))
+    cos, weight, reference = (torch.rand(50, 1, generator=rng) + 0.01 for _ in range(3))
+    of = Components(cos, weight, reference, torch.zeros(50, 1), torch.eye(50), torch.ones(50))
+    torch.testing.assert_close(of.reflectance(of.mapped(reflectance)), reflectance, atol=1e-5, rtol=1e-4)
+    assert torch.equal(of.mapped(reference.expand(-1, 4)), torch.zeros(50, 4))
 
 
 def test_components_are_those_of_the_singular_value_decomposition(rng: Generator) -> None:
     columns = torch.randn(300, 9, generator=rng, dtype=torch.float64) * torch.linspace(1, 4, 9)
-    found = components(columns, 5)
+    _, axes, deviation = principal(columns, 5)
     centred = columns - columns.mean(1, keepdim=True)
     left, values, _ = torch.linalg.svd(centred, full_matrices=False)
-    assert torch.allclose(found.axes.T @ found.axes / 300, torch.eye(5, dtype=torch.float64), atol=1e-9)
-    torch.testing.assert_close(found.deviation, values[:5] / math.sqrt(300 * 9))
-    assert torch.allclose(
-        (left[:, :5].T @ found.axes).abs() / math.sqrt(300), torch.eye(5, dtype=torch.float64), atol=1e-9
-    )
+    assert torch.allclose(axes.T @ axes / 300, torch.eye(5, dtype=torch.float64), atol=1e-9)
+    torch.testing.assert_close(deviation, values[:5] / math.sqrt(300 * 9))
+    assert torch.allclose((left[:, :5].T @ axes).abs() / math.sqrt(300), torch.eye(5, dtype=torch.float64), atol=1e-9)
     few = torch.randn(40, 4, generator=rng, dtype=torch.float64)
     for unit in (1e-4, 1, 1e4):
-        assert components(unit * few, 20).axes.shape == (40, 3)  # and a mean
+        assert principal(unit * few, 20)[1].shape == (40, 3)  # and a mean
 
 
 def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: Generator) -> None:
@@ -74,16 +81,15 @@ def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: G
     one = stacked.select([3])
     rng = Generator().manual_seed(5)
     steps = [APP.sample(one, rng, 64) for _ in range(10)]
-    seen = drawn(one, Generator().manual_seed(5), 640)
-    assert torch.equal(torch.cat([each["where"][0] for each in steps], 1).T, seen.where)
-    assert torch.equal(torch.cat([each["target"][0] for each in steps], 1).T, seen.target)
-    assert seen.rows.max() < SAMPLES // 2
+    rows, target = drawn(one, Generator().manual_seed(5), 640)
+    assert torch.equal(torch.cat([each["where"][0] for each in steps], 1).T, places_of(one)[rows])
+    assert torch.equal(torch.cat([each["target"][0] for each in steps], 1).T, target)
+    assert rows.max() < SAMPLES // 2
     task = random_materials(1, Generator().manual_seed(3))[0]
     prepared = APP.prepare(task)
     for found, expected in zip(cosines_of(prepared["where"]), cosines(task.data["angles"].double()), strict=True):
         torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-5)
-    space = space_of(stacked.data["where"][0], stacked.data["target"])
-    assert space.relative.weight.min() >= EPSILON
+    assert components_of(stacked.data["where"][0], stacked.data["target"]).weight.min() >= EPSILON
 
 
 @pytest.mark.parametrize("weighted", [False, True])
@@ -93,13 +99,13 @@ def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> Non
     axes, targets = torch.randn(8, 30, generator=rng)[rows], torch.randn(8, 3, generator=rng)[rows]
     weights = 0.5 + torch.rand(800, 3, generator=rng) if weighted else torch.ones(800, 3)
     deviation, penalty = torch.linspace(2, 0.5, 30), 1e-7
-    found = ridge(axes, targets, weights, deviation, penalty)
     for channel in range(3):
         root = weights[:, channel : channel + 1].double().sqrt()
         a = torch.cat([root * axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
         b = torch.cat([root * targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
+        found = ridge(axes, targets[:, channel], weights[:, channel], penalty / deviation.double().square())
         wanted = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
-        torch.testing.assert_close(found[:, channel].double(), wanted, atol=1e-5, rtol=1e-4)
+        torch.testing.assert_close(found.double(), wanted, atol=1e-5, rtol=1e-4)
 
 
 def test_the_penalty_is_chosen_on_validation_materials_and_bytes_are_counted(rng: Generator) -> None:
@@ -126,7 +132,8 @@ def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
         prepared.fit(other, rng, allowed).answer()
     materials, half = random_materials(12, rng), SAMPLES // 2
     known = stack(APP, materials).data
-    fit = ridge_in(space_of(known["where"][0], known["target"]), 8, 1e-9, 1)
+    where = known["where"][0]
+    fit = ridge_in(where, components_of(where, known["target"]).first(8), 1e-9, 1)
     order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack(APP, [moved])
@@ -160,10 +167,10 @@ def test_slopes_are_those_of_finite_differences(at: lobes.Cosines) -> None:
 def test_lobes_fit_their_own_materials(at: lobes.Cosines) -> None:
     for alpha in (0.05, 0.3):
         numbers = torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.1, 0.5, 0.8, 0.2], dtype=torch.float64)
-        torch.testing.assert_close(lobes.fit(*seen(numbers, at), 1), numbers, atol=0.01, rtol=0.01)
+        torch.testing.assert_close(lobes.fit(*seen(numbers, at), ONE), numbers, atol=0.01, rtol=0.01)
     wide, narrow = [math.log(0.4), 0.05, 0.9, 0.5, 0.4], [math.log(0.06), 0.04, 0.3, 0.3, 0.3]
     numbers = torch.tensor([0.1, 0.2, 0.05, *wide, *narrow], dtype=torch.float64)
     target = seen(numbers, at)
-    errors = [(seen(lobes.fit(*target, count), at)[1] - target[1]).abs().mean().item() for count in (1, 2)]
+    errors = [(seen(lobes.fit(*target, each), at)[1] - target[1]).abs().mean().item() for each in (ONE, lobes.ALPHAS)]
     assert errors[1] < 2e-4
     assert errors[1] < 0.1 * errors[0]

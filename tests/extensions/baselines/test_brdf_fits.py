@@ -12,21 +12,13 @@ from torch import Generator, Tensor
 from metapp.appearance.geometry import cosines
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
-from metapp.extensions.baselines.baseline import Allowed, Training, mean_error
-from metapp.extensions.baselines.brdf import (
-    DELTA,
-    PENALTIES,
-    SOLVES,
-    _components,
-    coefficients,
-    drawn,
-    ridge_in,
-    space_of,
-)
-from metapp.extensions.baselines.components import EPSILON, Relative
+from metapp.extensions.baselines.baseline import Allowed, Training
+from metapp.extensions.baselines.brdf import PENALTIES, SOLVES, _components, components_of, drawn, mean_error, ridge_in
+from metapp.extensions.baselines.components import DELTA, EPSILON, Components
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
-from tests.extensions.baselines.test_brdf_baselines import random_materials
+from metapp.paradigms.validation import split_validation
+from tests.extensions.baselines.test_brdf_baselines import ONE, random_materials
 
 APP = Brdf()
 
@@ -41,8 +33,9 @@ def materials(rng: Generator) -> Tasks:
 
 def test_the_mapping_is_the_published_one() -> None:
     """Nielsen et al. 2015: the log of (rho w + 0.001) / (rho_0 w + 0.001)."""
-    relative = Relative(torch.tensor([[0.5]]), torch.tensor([[0.2]]))
-    assert relative.mapped(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(
+    one = torch.ones(1, 1)
+    of = Components(one, torch.tensor([[0.5]]), torch.tensor([[0.2]]), one, one, one)
+    assert of.mapped(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(
         [math.log(0.001 / 0.101), math.log(1.001 / 0.101)]
     )
 
@@ -50,31 +43,28 @@ def test_the_mapping_is_the_published_one() -> None:
 def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
     task = random_materials(1, rng)[0]
     prepared = APP.prepare(task)
-    space = space_of(prepared["where"], prepared["target"].expand(4, -1, -1))
+    found = components_of(prepared["where"], prepared["target"].expand(4, -1, -1))
     of = cosines(task.data["angles"].double())
     expected = (of.incident * of.outgoing).clamp_min(EPSILON)
-    torch.testing.assert_close(space.relative.weight[:, 0].double(), expected, atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(found.weight[:, 0].double(), expected, atol=1e-6, rtol=1e-4)
 
 
 @pytest.mark.parametrize("solves", [1, 2, 3])
 def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Generator, solves: int) -> None:
     """Squares of log-relative residuals, weighted by the slope of the table's error and by its size before."""
     where, target = materials.data["where"][0], materials.data["target"]
-    whole, penalty = space_of(where, target[:8]), 1e-3
-    whole = whole._replace(components=whole.components.first(5))
-    seen = drawn(materials.select([10]), rng, 300)  # which is not in the span
-    space = whole.at(seen.rows)
-    reflectance = (seen.target.expm1() / seen.cos).requires_grad_()
-    mapped = space.relative.mapped(reflectance)
-    (by_reflectance,) = torch.autograd.grad(torch.log1p(reflectance * seen.cos).sum(), reflectance)
+    rows, seen = drawn(materials.select([10]), rng, 300)  # which is not in the span
+    used, penalty = components_of(where, target[:8]).first(5).at(rows), 1e-3
+    reflectance = (seen.expm1() / used.cos).requires_grad_()
+    mapped = used.mapped(reflectance)
+    (by_reflectance,) = torch.autograd.grad(torch.log1p(reflectance * used.cos).sum(), reflectance)
     (mapped_by,) = torch.autograd.grad(mapped.sum(), reflectance)
     weights = slope = by_reflectance / mapped_by
     if solves > 1:
-        before = space.reflectance(coefficients(space, seen, penalty, solves - 1))
-        error = (torch.log1p(before * seen.cos) - seen.target).abs()
+        before = used.reflectance(used.coefficients(seen, penalty, solves - 1))
+        error = (torch.log1p(before * used.cos) - seen).abs()
         weights = slope**2 / (error + DELTA * error.mean(0))
-    found = coefficients(space, seen, penalty, solves).requires_grad_()
-    used = space.components
+    found = used.coefficients(seen, penalty, solves).requires_grad_()
     residual = used.axes @ found + used.mean - mapped.detach()
     drawn_to = (found / used.deviation[:, None]) ** 2
     cost = (weights / weights.mean(0) * residual**2).sum() + penalty * len(residual) * drawn_to.sum()
@@ -84,10 +74,11 @@ def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Ge
 
 def test_a_penalty_is_judged_on_materials_that_components_do_not_know(rng: Generator) -> None:
     training, allowed = Training(APP, random_materials(12, rng)), Allowed(200, 2700)
-    known, validation = training.split
-    space = space_of(known.data["where"][0], known.data["target"][known.rows])
+    known, validation = split_validation(training.stacked)
+    where = known.data["where"][0]
+    components = components_of(where, known.data["target"][known.rows]).first(4)
     settings = itertools.product(PENALTIES, SOLVES)
-    errors = {each: mean_error(APP, ridge_in(space, 4, *each), validation, allowed) for each in settings}
+    errors = {each: mean_error(APP, ridge_in(where, components, *each), validation, allowed) for each in settings}
     penalty, solves = min(errors, key=errors.__getitem__)
     assert _components(4, training, allowed).chosen == {"penalty": penalty, "solves": solves}
 
@@ -119,14 +110,14 @@ def test_a_descent_begins_at_the_colours_of_a_material_of_its_alphas(rng: Genera
 
 @pytest.mark.parametrize("alpha", [0.006, 0.02, 1.2])
 def test_lobes_from_nearly_a_mirror_to_nearly_none_are_recovered(rng: Generator, alpha: float) -> None:
-    found = lobes.fit(*samples_of(lobe(alpha), near_mirror(rng)), 1)
+    found = lobes.fit(*samples_of(lobe(alpha), near_mirror(rng)), ONE)
     assert found[3].exp().item() == pytest.approx(alpha, rel=0.05)
 
 
 def test_alphas_stay_in_their_bounds(rng: Generator) -> None:
     at = near_mirror(rng)
     for alpha in (0.001, 4.0):
-        found = lobes.fit(*samples_of(lobe(alpha), at), 1)
+        found = lobes.fit(*samples_of(lobe(alpha), at), ONE)
         assert 0.005 * (1 - 1e-9) <= found[3].exp().item() <= 1.5 * (1 + 1e-9)
         assert 0 <= found[4] <= 1
         assert found[[0, 1, 2, 5, 6, 7]].min() >= 0
