@@ -13,7 +13,7 @@ from metapp.appearance.presentation import Picture
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 
-INDEX = 4  # bytes of the number of a training task
+INDEX = 1, 4  # the number of a training task, and its bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,26 +105,6 @@ class DrawsAnswers(Protocol):
 
     def files_of(self, answer: object, task: Task) -> dict[str, Picture]:
         """The files of an answer, as of `App.errors_of` for this one task, as `Presentation.files`."""
-
-
-def nearest(
-    of: Callable[[Tasks, Generator, Allowed], Tensor],
-    answer: Callable[[int], object],
-    picture: Callable[[int], Tensor] | None = None,
-) -> FitTask:
-    """The training task that is least far from a task.
-
-    Args:
-        of: distances [M] of a task to all training tasks.
-        answer: what the training task of that number would be judged as.
-        picture: what it looks like, as of `BaselineFit`.
-    """
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        index = int(of(tasks, rng, allowed).argmin())
-        return BaselineFit(functools.partial(answer, index), 1, INDEX, picture=picture and picture(index))
-
-    return fit
 
 
 def bytes_of(*tensors: Tensor) -> int:

@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from metapp.appearance.geometry import Cosines
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import (
+    INDEX,
     Allowed,
     Baseline,
     BaselineFit,
@@ -18,7 +19,6 @@ from metapp.extensions.baselines.baseline import (
     PreparedBaseline,
     Training,
     bytes_of,
-    nearest,
 )
 from metapp.extensions.baselines.components import EPSILON, Components, principal
 from metapp.learning.app import App
@@ -172,11 +172,9 @@ def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     targets, where = training.stacked.data["target"], training.stacked.data["where"]
     half = where.shape[1] // 2
 
-    def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         rows, target = drawn(tasks, rng, allowed.samples)
-        return (targets[:, rows_in(where[0], tasks, rows)] - target).abs().mean((1, 2))
+        index = (targets[:, rows_in(where[0], tasks, rows)] - target).abs().mean((1, 2)).argmin()
+        return BaselineFit(lambda: reflectance_of(where[index, half:], targets[index, half:]).T[None], *INDEX)
 
-    def answer(index: int) -> Tensor:
-        return reflectance_of(where[index, half:], targets[index, half:]).T[None]
-
-    return PreparedBaseline(nearest(distances, answer), bytes_of(where[0], targets))
+    return PreparedBaseline(fit, bytes_of(where[0], targets))

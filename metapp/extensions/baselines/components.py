@@ -41,7 +41,8 @@ class Components(NamedTuple):
 
     def at(self, rows: Tensor | slice) -> Components:
         """At some of the places."""
-        return Components(*(each[rows] for each in self[:-1]), self.deviation)
+        cos, weight, reference, mean, axes = (each[rows] for each in self[:5])
+        return Components(cos, weight, reference, mean, axes, self.deviation)
 
     def mapped(self, reflectance: Tensor) -> Tensor:
         """Log-relative reflectance of reflectance [N, C] in 1/sr."""
@@ -104,7 +105,7 @@ def ridge(axes: Tensor, target: Tensor, weight: Tensor, penalty: Tensor) -> Tens
     if failed or factor.diagonal().square().amin() < rounding:
         root = weight.double().sqrt()[:, None]
         q, r = torch.linalg.qr(torch.cat([root * axes, torch.diag(penalty.sqrt())]))
-        solved = torch.linalg.solve_triangular(r, q[: len(axes)].T @ (root * target[:, None]), upper=True)
+        solved: Tensor = torch.linalg.solve_triangular(r, q[: len(axes)].T @ (root * target[:, None]), upper=True)
     else:
         solved = torch.cholesky_solve((weighted.T @ target).double()[:, None], factor)
     return solved[:, 0].to(target)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import GAMMA, Maps, normal_from_height
 from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.appearance.order import high_passed
-from metapp.appearance.quilting import Picture, block_of, quilted
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
-from metapp.extensions.baselines.texture import nearest_exemplar, picture_of
+from metapp.extensions.baselines.texture import nearest_exemplar, picture_of, quilts
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.exemplar import JUDGED
 from metapp.networks.layout import as_tile
 
 # Of relief: the side of a texel's surroundings and, where a texel is twice as bright as these, its height, both in
@@ -26,8 +23,8 @@ SURROUNDINGS, DEPTH, CLEAR = 33, 1.0, 0.8
 NUMBERS = 5  # beside the photo: diffuse red, green and blue, F0, roughness
 
 
-def quilted_maps(photo: Tensor, light: Tensor, rng: np.random.Generator, count: int) -> Maps:
-    """Maps [1, count, ...] of the material of a flash photo, of its size, which tile: pieces of it.
+def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
+    """Maps [1, JUDGED, ...] of the material of a flash photo, of its size, which tile: pieces of it.
 
     The photo without its light is quilted. Its mean becomes the diffuse albedo that the highlight's profile says; F0
     varies as brightness does about what the profile says, roughness not at all. What is darker than its surroundings
@@ -37,14 +34,10 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: np.random.Generator, count: 
         photo: one, [1, 3, H, W], display values in [0, 1].
         light: where its flash is, [1, 3].
         rng: chooses among pieces that fit about as well.
-        count: of materials.
     """
     highlight, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
     size = (even.shape[1], even.shape[2])
-    exemplar: Picture = as_tile(even, size).permute(1, 2, 0).numpy()
-    block, overlap = block_of(exemplar)
-    made = [quilted(exemplar, size, rng, block=block, overlap=overlap, tiles=True) for _ in range(count)]
-    pictures = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
+    pictures = quilts(as_tile(even, size), size, rng, tiles=True)
     colours, mean = pictures**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
     brightness = colours.mean(-3, keepdim=True) / mean.mean()
     one, gray = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
@@ -86,8 +79,7 @@ def _quilting(training: Training, allowed: Allowed) -> PreparedBaseline:
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         photos = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)
         light = tasks.data["light"][tasks.rows]
-        numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
-        maps = quilted_maps(photos, light, numbers, JUDGED)
+        maps = quilted_maps(photos, light, rng)
         kept = photos.numel()
         picture = picture_of(app.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
         return BaselineFit(lambda: maps, kept + NUMBERS, kept + 4 * NUMBERS, picture=picture)

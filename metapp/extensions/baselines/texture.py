@@ -8,15 +8,15 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
-from metapp.appearance.quilting import Picture, block_of, quilted
+from metapp.appearance.quilting import block_of, quilted
 from metapp.extensions.baselines.baseline import (
+    INDEX,
     Allowed,
     Baseline,
     BaselineFit,
     PreparedBaseline,
     Training,
     bytes_of,
-    nearest,
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
@@ -51,14 +51,14 @@ def nearest_exemplar(training: Training, allowed: Allowed) -> PreparedBaseline:
     names = sorted(name for name in exemplars.data if name.startswith("gram"))
     pictures = training.app.exemplar(exemplars.data["image"].float() / 255)
 
-    def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         targets = [tasks.data[name][tasks.rows] for name in names]
         parts = torch.arange(len(exemplars)).split(AT_ONCE)
         errors = [distance([exemplars.data[name][rows] for name in names], targets) for rows in parts]
-        return torch.cat(errors).reshape(len(exemplars), -1).mean(1)
+        nearest = pictures[int(torch.cat(errors).reshape(len(exemplars), -1).mean(1).argmin())]
+        return BaselineFit(lambda: nearest[None, None], *INDEX, picture=picture_of(nearest))
 
     shared = bytes_of(exemplars.data["image"], *(exemplars.data[name] for name in names))
-    fit = nearest(distances, lambda index: pictures[index][None, None], lambda index: picture_of(pictures[index]))
     return PreparedBaseline(fit, shared)
 
 
@@ -67,22 +67,25 @@ def picture_of(srgb: Tensor) -> Tensor:
     return srgb_to_linear(srgb).permute(1, 2, 0)
 
 
-def quilt(exemplar: Picture, rng: np.random.Generator) -> Picture:
-    """A picture of the exemplar's size [H, W, C]: blocks that agree where they overlap, cut where they agree most."""
-    block, overlap = block_of(exemplar)
-    return quilted(exemplar, (exemplar.shape[0], exemplar.shape[1]), rng, block=block, overlap=overlap)
+def quilts(exemplar: Tensor, size: tuple[int, int], rng: Generator, *, tiles: bool = False) -> Tensor:
+    """As many pictures [1, JUDGED, C, *size] as are judged, of blocks of an exemplar [C, H, W].
+
+    Blocks agree where they overlap and are cut where they agree most.
+    """
+    numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
+    picture = exemplar.permute(1, 2, 0).numpy()
+    block, overlap = block_of(picture)
+    made = [quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles) for _ in range(JUDGED)]
+    return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
 
 
 def _quilting(training: Training, allowed: Allowed) -> PreparedBaseline:
-    """Seconds are of as many pictures as are judged."""
     app = training.app
     assert isinstance(app, ExemplarApp)
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         exemplar = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
-        numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
-        made = [quilt(exemplar.permute(1, 2, 0).numpy(), numbers) for _ in range(JUDGED)]
-        pictures = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
+        pictures = quilts(exemplar, (exemplar.shape[1], exemplar.shape[2]), rng)
         kept = exemplar.numel()  # numbers, and as many bytes
         return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]))
 

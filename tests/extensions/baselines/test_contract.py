@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -20,7 +19,7 @@ from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Allowed, BaselineFit, DrawsAnswers, Training, nearest
+from metapp.extensions.baselines.baseline import Allowed, DrawsAnswers, Training
 from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -278,6 +277,3 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
         with torch.no_grad():
             assert app.errors_of(fitted.answer(), stack(app, tasks[3:4]))["error"].item() < 1e-5
         assert (fitted.numbers, fitted.size) == (1, 4)
-    fit = nearest(lambda *_: torch.tensor([3.0, 1.0, 2.0]), lambda index: index)
-    found: BaselineFit = fit(Any, rng, Allowed(1, 1))  # type: ignore[arg-type]
-    assert found.answer() == 1

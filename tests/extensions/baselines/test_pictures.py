@@ -12,7 +12,8 @@ from metapp.appearance.flash import Maps
 from metapp.appearance.quilting import beyond_cut
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
-from metapp.extensions.baselines.texture import quilt
+from metapp.extensions.baselines.texture import quilts
+from metapp.networks.exemplar import JUDGED
 
 
 @pytest.fixture
@@ -25,18 +26,17 @@ def smooth_maps(rng: Generator) -> Maps:
 
 
 @pytest.fixture
-def exemplar() -> np.ndarray:
-    return np.random.default_rng(1).random((32, 32, 3)).astype(np.float32)
+def exemplar() -> Tensor:
+    return torch.rand(3, 32, 32, generator=Generator().manual_seed(1))
 
 
-def test_pictures_are_made_of_the_exemplars_pixels(exemplar: np.ndarray) -> None:
-    found = quilt(exemplar, np.random.default_rng(0))
-    assert found.shape == exemplar.shape
-    known = {tuple(each) for each in exemplar.reshape(-1, 3)}
-    assert {tuple(each) for each in found.reshape(-1, 3)} <= known
-    assert not np.array_equal(found, exemplar)
-    other = quilt(exemplar, np.random.default_rng(1))
-    assert not np.array_equal(found, other)
+def test_pictures_are_made_of_the_exemplars_pixels(exemplar: Tensor) -> None:
+    found, other = (quilts(exemplar, (32, 32), Generator().manual_seed(seed)) for seed in (0, 1))
+    assert found.shape == (1, JUDGED, 3, 32, 32)
+    known = {tuple(each) for each in exemplar.flatten(1).T.tolist()}
+    assert {tuple(each) for each in found[0].movedim(1, -1).reshape(-1, 3).tolist()} <= known
+    for different in (exemplar, found[0, 1], other[0, 0]):
+        assert not torch.equal(found[0, 0], different)
 
 
 def test_a_cut_is_the_path_of_least_cost() -> None:
