@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.blocks import MARK, ROOT, RUN, SHOWN, Block, blocks_of
+from tests.blocks import MARK, ROOT, RUN, SHOWN, blocks_of
 from tests.conftest import USER_MATRIX, USER_WEIGHTS, lend
 from tests.needs_mitsuba import skip_without_mitsuba
 from tests.shell import bash, forked_commands
@@ -39,10 +39,6 @@ def test_blocks_have_a_language_and_those_that_do_not_run_a_reason() -> None:
         for block in blocks:
             assert block.kind in (*RUN, *SHOWN), block
             assert not block.reason or (block.kind in RUN and block.reason in REASONS), block
-
-
-def test_most_blocks_run() -> None:
-    assert len(LEFT_OUT) <= 22 < sum(block.kind in RUN for page in PAGES for block in blocks_of(page)) / 3
 
 
 def test_what_another_page_runs_is_there() -> None:
@@ -81,9 +77,3 @@ def test_the_blocks_of_a_page_run(page: Path, cache: Path, tmp_path: Path) -> No
             assert code == 0, f"{block}: exit code {code}\n{block.code}\n{said}"
     called = tmp_path / "bin" / "seconds.txt"  # pages that have left out all blocks call nothing
     print(called.read_text(encoding="utf-8") if called.exists() else "")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("block", LEFT_OUT, ids=str)
-def test_what_does_not_run_is_listed(block: Block) -> None:
-    pytest.skip(f"{block.reason}: {block.code.splitlines()[0]}")

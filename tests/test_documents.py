@@ -19,7 +19,6 @@ from metapp.learning.names import rule_names
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PICTURE = re.compile(r"^!\[[^]]*\]\(\S+\)\n(?:\n(\*[^*].*?\*)\n\n)?", re.DOTALL | re.MULTILINE)  # and its caption
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`]+)`")
 COMMAND = typer.main.get_command(cli)  # it takes 40 ms to make
@@ -96,13 +95,6 @@ def test_commands_exist() -> None:
             assert unknown_in(STANDS_FOR.sub("x", line), declared) == "", (page, line)
 
 
-def test_a_command_that_does_not_exist_is_found() -> None:
-    assert unknown_in("metapp fit brdf") == "fit"
-    assert unknown_in("metapp data merl x --colour") == "--colour"
-    assert unknown_in("metapp meta brdf --rule meta-best --train") == "meta-best"
-    assert unknown_in("metapp meta brdf a.binary --rule meta-sgd --json") == ""
-
-
 def test_targets_exist() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for page, line in lines_of_code():
@@ -126,18 +118,6 @@ def test_python_in_pages_imports_what_exists() -> None:
                         assert hasattr(module, alias.name), (page, node.module, alias.name)
 
 
-def test_every_guide_has_a_picture() -> None:
-    for page in (ROOT / "docs" / "guides").glob("*.md"):
-        assert PICTURE.search(page.read_text(encoding="utf-8")), page
-
-
-def test_pictures_of_guides_and_results_have_captions() -> None:
-    for page in PAGES:
-        if page.parent.name in ("guides", "results") or page.stem.startswith("formats"):
-            for below in PICTURE.findall(page.read_text(encoding="utf-8")):
-                assert below, page
-
-
 def test_every_picture_is_shown() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     for picture in (ROOT / "docs").rglob("*.*"):
@@ -149,13 +129,6 @@ def test_every_page_is_in_the_navigation() -> None:
     listed = set(re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE))
     pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")}
     assert listed == pages
-
-
-def test_what_searches_without_a_server_is_kept_with_its_licence() -> None:
-    (shim,) = re.findall(r"polyfills: \[(\S+)\]", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    file = ROOT / "docs" / shim
-    assert "IFrameWorker" in file.read_text(encoding="utf-8")
-    assert "granted" in (file.parent / "iframe-worker-LICENSE.txt").read_text(encoding="utf-8")
 
 
 def test_reference_pages_name_packages_that_exist() -> None:
@@ -177,13 +150,6 @@ def test_readme_is_one_screen_and_has_a_command_of_every_application() -> None:
     for application in (ROOT / "metapp" / "apps").iterdir():
         if (application / "__init__.py").is_file():
             assert f"metapp meta {application.name} " in readme
-
-
-def test_examples_are_described_and_parse() -> None:
-    described = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
-    for example in (ROOT / "examples").glob("*.py"):
-        assert f"`{example.name} " in described
-        assert f"{example.name} " in (ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or "")
 
 
 def test_what_is_pinned_takes_the_python_of_debian_12() -> None:

@@ -51,10 +51,6 @@ def command(neural_fits: Callable[[int], Path], tmp_path: Path) -> Callable[...,
     return run
 
 
-def test_the_page_has_a_rule_a_baseline_and_an_export() -> None:
-    assert len(blocks()) == 6
-
-
 def test_a_rule_is_trained_and_fits(command: Callable[..., str], tmp_path: Path) -> None:
     words = ("--recipe", "quick", "--rule", "meta-damped", "--train", "--train-steps", 1, "--json", "--quiet")
     data = ("synth", "brdf", "--count", 5, "--out", tmp_path / "set", "--quiet")

@@ -100,6 +100,8 @@ def test_it_is_converted_trained_and_fitted(commands: Callable, curves: Path, tm
         ["data", "check", data],
         ["general", "curve", "--data", data, *shared, "--train", "--train-steps", "5", "--export", "csv"],
         ["baseline", "curve", curves / "c00.curve", "--method", "line", *shared],
+        ["meta", "curve", "--data", data, *shared, "--train", "--train-steps", "2"],
+        ["quickft", "curve", "--data", data, *shared, "--train", "--train-steps", "2"],
     )
     assert "What to fit: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
     assert json.loads(said[1])["app"] == "curve"
@@ -108,6 +110,10 @@ def test_it_is_converted_trained_and_fitted(commands: Callable, curves: Path, tm
     assert list(runs.rglob("outputs/*/curve.png"))
     assert len(list(runs.rglob("csv/*.csv"))) == 4
     assert json.loads(said[4])["tasks"][0]["error"] < 1
+    (start,) = (runs / "curve" / "checkpoints").iterdir()
+    (table,) = commands(["evaluate", "curve", "--data", data, "--checkpoint", start, *shared])[:1]
+    rows = {row["paradigm"]: row["error"] for row in json.loads(table)["rows"]}
+    assert (rows["meta"], rows["quickft"]) == tuple(json.loads(said[i])["error"] for i in (5, 6))
 
 
 def test_help_completion_and_the_python_api_have_it(installed: Environment, curves: Path) -> None:
@@ -168,9 +174,3 @@ def test_every_command_takes_it(commands: Callable, curves: Path, tmp_path: Path
     assert list((tmp_path / "figures").glob("*.png"))
     assert "Curve" in (tmp_path / "report" / "index.md").read_text()
     assert len(list(runs.rglob("outputs/*/curve.png"))) >= 4 * 5
-
-
-def test_its_cost_is_as_documented() -> None:
-    files = {path: len(path.read_text().splitlines()) for path in EXAMPLE.rglob("*.py")}
-    assert len(files) == 6
-    assert sum(files.values()) < 250
