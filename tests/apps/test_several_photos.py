@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash import Maps, camera, camera_distance, unpack
-from metapp.appearance.several import ASIDE, ERROR, FARTHEST, NEAREST, held_places
+from metapp.appearance.several import held_places
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
 from metapp.learning.app import stack
@@ -158,16 +158,6 @@ def test_tasks_of_different_numbers_are_not_fitted_together(app: SvbrdfNonstatio
     for broken in (data | {"places": data["places"][:2]}, {key: data[key] for key in ("photo", "others")}):
         with pytest.raises(ValueError, match=r"leaf: 3 photos and [02] places, expected as many"):
             app.prepare(Task("leaf", broken))
-
-
-def test_places_are_as_people_hold_a_phone(rng: Generator) -> None:
-    places, off = held_places(300, 9, rng)
-    height = camera_distance()
-    assert torch.equal(places[:, 0], camera().expand(300, 3))
-    assert places[:, 1:, :2].norm(dim=-1).max() <= ASIDE
-    assert places[:, 1:, 2].min() >= NEAREST * height
-    assert places[:, 1:, 2].max() <= FARTHEST * height
-    torch.testing.assert_close((off / places[..., 2:]).std(), torch.tensor(ERROR), rtol=0.05, atol=0)
 
 
 def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:

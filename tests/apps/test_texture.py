@@ -9,7 +9,6 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
-from metapp.appearance import precision
 from metapp.appearance.presentation import Fitted
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
@@ -138,23 +137,6 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 
 
 # Fitting, and what fits make
-
-
-@pytest.mark.usefixtures("with_bfloat16")
-def test_only_what_is_descended_is_seen_in_bfloat16(sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Targets and errors are the same, bit by bit, wherever a fit ran."""
-    app, found = tiny(), []
-    theta = {key: value.requires_grad_() for key, value in app.init(seeded(), len(sources)).items()}
-    for setting in ("0", "1"):
-        monkeypatch.setenv(precision.FLOAT32, setting)
-        tasks = stack(app, sources)
-        loss = app.loss(theta, app.sample(tasks, seeded(), 1), {})
-        found.append((tasks.data, app.errors(theta, tasks)["error"], loss.detach()))
-    (data, error, short), (same, again, long) = found
-    assert all(torch.equal(data[key], same[key]) for key in data)
-    assert torch.equal(error, again)
-    assert not torch.equal(short, long)
-    torch.testing.assert_close(short, long, rtol=2**-8, atol=0)
 
 
 def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
