@@ -29,7 +29,6 @@ from metapp.appearance.features import (
     gram,
     load_features,
     moments,
-    weights_path,
 )
 
 DOUBLE = torch.zeros((), dtype=torch.float64)
@@ -156,14 +155,6 @@ def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> 
     # checkpoints were trained with these: another value makes old ones worthless
     found = load_features(("relu1_1",), image)(torch.full((1, 3, 16, 16), 0.5))[0][0, :, 8, 8]
     torch.testing.assert_close(found.mean(), torch.tensor(ANSWER), rtol=1e-3, atol=0)
-
-
-def test_without_weights_everything_says_so(cache: Path) -> None:
-    assert weights_path() == cache / "vgg16.safetensors"
-    assert "random filters" in describe_features()
-    assert "weights of VGG-16 are missing (metapp data vgg fetches them)" in describe_features()
-    assert channels_of(TAPS) == [RANDOM] * 4
-    assert "random" in load_features(TAPS, DOUBLE).name
 
 
 # VGG

@@ -284,16 +284,6 @@ def test_single_precision_is_enough(rng: torch.Generator, roughness: float) -> N
     torch.testing.assert_close(single.double(), double, rtol=0.1 if roughness == 0 else 1e-3, atol=1e-6)
 
 
-def test_nothing_is_left_on_another_device() -> None:
-    place = positions(16, 24, device="meta")  # "meta" refuses to mix with tensors of the CPU, as a GPU would
-    maps = Maps(*(torch.rand(2, channels, 16, 24, device="meta") for channels in (3, 1, 1, 3)))
-    maps = maps._replace(normal=normal_from_height(maps.roughness, 0.5))
-    power = torch.ones(2, device="meta")
-    image = expose(render(maps, place, camera(device="meta"), camera(device="meta"), falloff=power))
-    assert (image.shape, image.device.type) == ((2, 3, 16, 24), "meta")
-    assert flash_position(image).shape == (2, 2)
-
-
 # Exposure
 
 

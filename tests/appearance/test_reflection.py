@@ -40,14 +40,6 @@ def lobe(wi: Tensor, wo: Tensor, alpha: Tensor | float, fresnel: Fresnel, kind: 
     return microfacet_lobe(direction_cosines(wi, wo, wi.new_tensor([0.0, 0.0, 1.0])), alpha, fresnel, kind)
 
 
-def test_leading_axes_and_dtypes_pass_through(random_angles: RandomAngles) -> None:
-    wi, wo = rusinkiewicz_to_directions(random_angles()[:24].float().reshape(2, 3, 4, 3))
-    alpha, f0 = torch.full((2, 3, 4), 0.3), torch.full((2, 3, 4, 3), 0.04)
-    value = lobe(wi, wo, alpha, lambda cos: fresnel_schlick(cos, f0))
-    assert value.shape == (2, 3, 4, 3)
-    assert value.dtype == torch.float32
-
-
 # Fresnel
 
 

@@ -26,24 +26,6 @@ def scene() -> SphereScene:
     return sphere_scene(48, dtype=torch.float64)
 
 
-def white(angles: Tensor) -> Tensor:
-    return torch.full_like(angles, 0.8 / math.pi)
-
-
-def test_the_sphere_fills_its_picture_and_is_well_exposed(scene: SphereScene) -> None:
-    assert scene.coverage.mean().item() == pytest.approx(math.pi / 4 * 0.96**2, rel=5e-3)
-    assert scene.mask.sum() == len(scene.angles) == len(scene.weights)
-    image = shade_sphere(scene, white)
-    assert image.shape == (48, 48, 4)
-    torch.testing.assert_close(image[..., 3], scene.coverage)
-    inside = image[scene.coverage == 1][:, :3]
-    assert inside.mean(-1).max().item() == pytest.approx(0.85, abs=1e-6)
-    assert 0.4 < inside.mean() < 0.7
-    assert (image[~scene.mask] == 0).all()
-    with pytest.raises(ValueError, match="4 pixels, expected at least 8"):
-        sphere_scene(4)
-
-
 def test_only_light_above_the_horizon_counts(scene: SphereScene) -> None:
     lit = scene.weights.amax(-1) > 0
     assert (scene.weights >= 0).all()
@@ -143,14 +125,3 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(tmp_path: Path, monke
     (tmp_path / "file").touch()
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file" / "below"))
     assert same(sphere._kept("small", small), small())
-
-
-@pytest.mark.parametrize("scene", [sphere.reference_scene, sphere.environment_scene])
-def test_scenes_that_are_kept_are_those_of_every_picture(scene: object, cache: Path) -> None:
-    """However a process came by them."""
-    scene.cache_clear()  # type: ignore[attr-defined]
-    made = scene()  # type: ignore[operator]
-    scene.cache_clear()  # type: ignore[attr-defined]
-    read = scene()  # type: ignore[operator]
-    assert len(list(cache.glob("sphere-*"))) == 1
-    assert same(made, read)
