@@ -16,7 +16,6 @@ from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.surface import from_metallic
 from metapp.extensions.assets import pictures
 from metapp.extensions.assets.occlusion import occlusion_from_height
-from metapp.extensions.assets.planes import all_planes
 from tests.surfaces import PROVENANCE, linear, rock, stored, texture
 
 STEP = 1 / 65535
@@ -62,13 +61,6 @@ def test_what_was_fitted_comes_back_to_a_step_and_the_height_in_texture_widths(a
     assert told["unit"] == "texture widths"
     assert (height * 32 - expected).abs().max() < 5 * 32 * STEP
     assert stored(file(asset, "height")).max() == 1
-
-
-def test_a_fit_without_heights_gets_those_of_its_normals(tmp_path: Path) -> None:
-    surface = rock()._replace(height=None)
-    found = all_planes(surface)["height"].values * 32
-    expected = rock().height - rock().height.mean()
-    assert (found - expected).abs().mean() < 0.06 * expected.std()  # its normals are of differences
 
 
 def test_maps_that_are_made_of_others_are_the_same_values(asset: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +9,7 @@ import pytest
 import torch
 
 from data_tools.readers.photos import read_photo
-from data_tools.readers.picture_objects import light as light_of
-from metapp import door
-from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import directions, sphere_normals
-from metapp.extensions.capture.ball import reading
 from metapp.extensions.capture.ball.mirror import features, is_mirror
 from metapp.extensions.capture.ball.reading import read_task
 from metapp.extensions.capture.ball.shots import Shot
@@ -38,11 +33,6 @@ def matte() -> np.ndarray:
 def noise(size: int = 64) -> np.ndarray:
     """A picture that is bright all over, uint8 [size, size, 3]."""
     return np.random.default_rng(0).integers(60, 256, (size, size, 3), dtype=np.uint8)
-
-
-def eight() -> np.ndarray:
-    """The matte ball as sRGB, uint8 [160, 160, 3]."""
-    return (linear_to_srgb(torch.from_numpy(matte())) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
 
 
 def square(path: Path) -> torch.Tensor:
@@ -94,19 +84,6 @@ def test_a_small_ball_is_not_told() -> None:
     assert np.isfinite(features(np.zeros((3, 128, 128)))).all()
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.bmp"])
-def test_an_ldr_picture_is_a_photograph_of_a_ball(tmp_path: Path, name: str) -> None:
-    task = read_task(write(tmp_path / name, eight(), "uint8"))
-    assert task.name == "a"
-    assert list(task.data) == ["photos"]
-    photos = task.data["photos"]
-    assert photos.shape == (1, 3, 64, 64)
-    assert photos.dtype == torch.uint8
-    mask = sphere_normals(64)[1]
-    assert (photos[..., ~mask] == 0).all()
-    assert (photos[..., mask] > 0).float().mean() > 0.99
-
-
 def test_what_is_no_ball_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"a.png: 128x64 px of uint8, expected an HDR map .* or a photograph"):
         read_task(write(tmp_path / "a.png", noise(128)[:64], "uint8"))
@@ -114,27 +91,3 @@ def test_what_is_no_ball_is_refused(tmp_path: Path) -> None:
     values[sphere_normals(64)[1].numpy()] = 0
     with pytest.raises(ValueError, match=r"a.png: black inside the disc"):
         read_task(write(tmp_path / "a.png", values, "uint8"))
-
-
-def test_ldr_images_are_recognised_and_found(tmp_path: Path) -> None:
-    write(tmp_path / "sub" / "a.png", noise(), "uint8")
-    write(tmp_path / "sky.exr", np.ones((32, 64, 3), np.float32))
-    write(tmp_path / "sky.tif", np.ones((32, 64, 3), np.float32))
-    for name in ("", "sub", "sub/a.png"):
-        assert reading.recognises(tmp_path / name)
-    for name in ("sky.exr", "sky.tif"):
-        assert not reading.recognises(tmp_path / name)
-    assert reading.find([tmp_path])[0] == [tmp_path / "sub" / "a.png"]
-
-
-def test_without_the_extension_photos_are_refused_by_its_name(
-    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    photo = write(tmp_path / "a.png", noise(), "uint8")
-    monkeypatch.setenv(door.WITHOUT, "capture")
-    assert (
-        "a.png: not an input of illumination, expected HDR maps (.exr, .hdr), or a folder of these; the extension "
-        "capture reads it"
-    ) in metapp("meta", "illumination", photo, "--observe", "photo").refusal
-    with pytest.raises(ValueError, match=r"object: a picture, expected HDR maps"):
-        light_of(noise(), "object", observe="photo")

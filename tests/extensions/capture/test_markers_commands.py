@@ -64,18 +64,6 @@ def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: P
     assert {"normal.png", "diffuse.png", "photo_3.png"} <= {file.name for file in made.iterdir()}
 
 
-def test_without_a_focal_length_it_is_found_and_said(metapp: Callable, taken: Path) -> None:
-    result = metapp("data", "rectify", taken / "plain", "--out", LEAF, "--json")
-    assert result.done["focal_mm"] == pytest.approx(26, rel=0.01)
-    assert "mm as of 35 mm film, found by the markers, as EXIF has none" in result.err
-    for photo in result.done["photos"]:
-        camera = np.array(CAMERAS[Path(photo["source"]).stem].place)
-        assert np.linalg.norm(np.array(photo["camera_cm"]) - camera) < 0.01 * np.linalg.norm(camera)
-    alone = metapp("data", "rectify", taken / "plain" / "b.jpg", taken / "plain" / "b.jpg", "--out", "new")
-    assert "no focal length in its EXIF, and too little tilt to find it; give the camera's field of" in alone.refusal
-    assert not Path("new").exists()
-
-
 def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Callable, taken: Path) -> None:
     photos = Path("photos")
     shutil.copytree(taken, photos, ignore=shutil.ignore_patterns("plain"))
@@ -97,7 +85,6 @@ def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:
     for inputs, line in (
         (paths(taken, "a"), "1 of 1 photo can be used, expected two or more of one material; take more"),
         ([*paths(taken, "a"), Path("table.png")], "1 of 2 photos can be used (table.png: no marker found"),
-        ([Path("table.png")], "0 of 1 photo can be used (table.png: no marker found"),
         ([Path("none.jpg")], "none.jpg: no such file"),
     ):
         assert line in metapp("data", "rectify", *inputs, "--out", LEAF).refusal
@@ -127,16 +114,9 @@ def test_options_out_of_range(metapp: Callable, taken: Path) -> None:
         metapp("data", "markers", "sheet.pdf", *words.split()).misuse  # noqa: B018  (it looks by itself)
     for words, line in (
         ("--flash 1", "'1', expected two numbers in cm, up to 30, such as 1.2,0."),
-        ("--flash left", "'left', expected two numbers"),
         ("--flash nan,0", "'nan,0', expected two numbers"),
-        ("--flash 1,nan", "'1,nan', expected two numbers"),
-        ("--flash 0,300", "'0,300', expected two numbers"),
-        ("--size 63", "greater than or equal to 64"),
-        ("--fov 180", "less than or equal to 150"),
         ("--fov nan", "--fov"),
-        ("--fov 1e-300", "expected 0 or 0.5 to 150"),
         ("--ruler 97", "less than or equal to 20"),
-        ("--ruler nan", "--ruler"),
     ):
         assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF, *words.split()).misuse
     assert list(Path().iterdir()) == []

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
 from data_tools.synthetic.cornell import random_scene, to_xml
@@ -24,10 +20,3 @@ def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.Mo
     mesh = {"type": "ply", "filename": "/etc/hostname"}
     with pytest.raises(ValueError, match=r"names the file '/etc/hostname', .* need the extension scene_files"):
         load_scene({**box, "more": mesh})
-
-
-def test_without_it_files_are_refused(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = Path("box.json")
-    path.write_text(json.dumps(random_scene(0)))
-    monkeypatch.setenv(door.WITHOUT, "scene_files")
-    assert "box.json" in metapp("meta", "transport", path).refusal

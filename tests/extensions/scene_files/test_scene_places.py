@@ -10,7 +10,6 @@ import pytest
 
 from metapp.extensions.scene_files import places as module
 from metapp.extensions.scene_files.places import Places, read_text
-from metapp.rendering.scenes.rules import checked_string
 
 
 def refused(message: str, call: Callable[..., Any], *words: Any) -> None:
@@ -57,9 +56,3 @@ def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypat
     refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
     refused("No such file", read_text, tmp_path / "none")
     refused("no regular file", read_text, tmp_path)
-
-
-def test_file_names_of_parameters_come_out_absolute(tmp_path: Path) -> None:
-    (tmp_path / "x.png").write_bytes(b"x")
-    for name in ("filename", "normal_filename"):
-        assert checked_string(name, "x.png", Places((tmp_path,), (tmp_path,))) == str(tmp_path / "x.png")
