@@ -18,7 +18,7 @@ from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Tasks
 from metapp.paradigms import Job, paradigms
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
@@ -118,15 +118,6 @@ def test_weights_follow_the_loss(theta: Params) -> None:
     near = APP.linear(changed, batch, learned)
     found = -(near.residual * near.weights[:, None]) @ near.features.mT / near.weights.shape[1]
     torch.testing.assert_close(found / 3, wanted, rtol=2e-2, atol=2e-2 * float(wanted.abs().max()))
-
-
-def test_a_fit_is_a_task_that_it_solves(theta: Params) -> None:
-    """What another network is distilled from."""
-    one = {key: value[0] for key, value in theta.items()}
-    other: Task = brdf_task("other", lambda angles: torch.ones(*angles.shape[:-1], 3), samples=256)
-    evaluated = APP.evaluated(one, other)
-    assert float(APP.errors(theta, stack(APP, [evaluated]))["error"]) < 1e-6
-    assert float(APP.errors(theta, stack(APP, [other]))["error"]) > 1e-2
 
 
 # Which samples are there to be seen, and which judge

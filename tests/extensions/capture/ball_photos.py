@@ -8,7 +8,6 @@ import numpy as np
 import torch
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.ball.shots import disc
 from metapp.extensions.capture.ball.view import Ball, Floats, mirrored
 from metapp.storage.images import write_png
 
@@ -61,6 +60,3 @@ def written(path: Path, linear: np.ndarray) -> Path:
     display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
     write_png(display, {"encoding": "sRGB"}, path)
     return path
-
-
-__all__ = ["busy", "detailed", "disc", "light", "photograph", "places_of", "written"]

@@ -24,7 +24,6 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("taken")
     for name, camera in CAMERAS.items():
         take(folder / f"{name}.jpg", camera)
-        take(folder / "plain" / f"{name}.jpg", camera, focal=False)
     return folder
 
 
@@ -66,7 +65,7 @@ def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: P
 
 def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Callable, taken: Path) -> None:
     photos = Path("photos")
-    shutil.copytree(taken, photos, ignore=shutil.ignore_patterns("plain"))
+    shutil.copytree(taken, photos)
     write(photos / "table.png", noise(300, 400))
     text(photos / "damaged.jpg")
     text(photos / "notes.txt")
