@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import os
 import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -252,6 +254,18 @@ def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path, name: bytes) -> Non
     with pytest.raises(ValueError, match=r"^'[ -~]*': a name that is not UTF-8, expected one that is; rename it\.$"):
         read_photo(path, 48)
     assert is_photo(path) == (name != b"\xff")
+
+
+@pytest.mark.long
+def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
+    text(tmp_path / "bad.jpg")
+    text(tmp_path / "bad")
+    write(tmp_path / "good.png", noise(64, 64))
+    lines = "import sys\nfrom data_tools.readers.photos import find_photos, read_photo\n"
+    lines += "for file in find_photos([sys.argv[1]])[0]:\n    try:\n        kept = read_photo(file)\n"
+    lines += "    except ValueError as error:\n        last = error\n"
+    done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
 
 
 # What is found
