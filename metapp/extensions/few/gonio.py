@@ -8,12 +8,12 @@ Columns stand in any order; others are passed over.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import io
 import itertools
 import math
 import re
-from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -85,17 +85,11 @@ def is_anisotropic(path: Path) -> bool:
 
 
 class _Rows(NamedTuple):
-    """The numbers of a file.
-
-    Attributes:
-        names: of the columns.
-        numbers: [N, C].
-        lines: in the file, [N].
-    """
+    """The numbers of a file: names of the columns, numbers [N, C], and the line of each row in the file."""
 
     names: list[str]
     numbers: Array
-    lines: Array
+    lines: list[int]
 
     def column(self, name: str) -> Array:
         """The numbers of a column [N]."""
@@ -158,52 +152,23 @@ def _rows(path: Path) -> _Rows:
             f"{math.ceil(size / LONGEST)}."
         )
     try:
-        head = next(_lines(path), None)
-        if head is None:
-            raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
-        names = [name.strip().lower() for name in head[1].split(",")]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
-        return _Rows(names, *_numbers(path, len(names)))
+        with io.TextIOWrapper(open_regular(path), "utf-8-sig") as file:
+            rows = [(at, line) for at, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != "#"]
     except UnicodeDecodeError:
         raise ValueError(f"{path}: no text in UTF-8, expected a table of numbers as CSV; save it as CSV.") from None
-
-
-def _numbers(path: Path, columns: int) -> tuple[Array, Array]:
-    """The numbers [N, C] below the column names, and their lines [N]; of a row at a time no more is in memory."""
-    try:  # ten times as fast, but of what is wrong it does not say the line
-        lines = array("q")
-        numbers = np.loadtxt(_noted(path, lines), delimiter=",", ndmin=2)
-    except UnicodeDecodeError:
-        raise
-    except ValueError:
-        numbers = np.empty((0, 0))
-    if numbers.shape != (len(lines), columns):
-        lines, cells = array("q"), array("d")
-        for line in _noted(path, lines):
-            cells.extend(_cells(path, lines[-1], line, columns))
-        numbers = np.array(cells).reshape(-1, columns)
-    return numbers, np.array(lines)
-
-
-def _noted(path: Path, lines: array[int]) -> Iterator[str]:
-    """Yield the rows, and note the line of each."""
-    for at, line in itertools.islice(_lines(path), 1, None):
-        lines.append(at)
-        yield line
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """The lines of a file that are neither empty nor comments, with their numbers.
-
-    Raises:
-        UnicodeDecodeError: it is no text.
-    """
-    with io.TextIOWrapper(open_regular(path), "utf-8-sig") as file:
-        for at, line in enumerate(file, 1):
-            if line.strip() and line.lstrip()[0] != "#":
-                yield at, line
+    if not rows:
+        raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
+    names = [name.strip().lower() for name in rows.pop(0)[1].split(",")]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
+    numbers = np.empty((0, 0))
+    with contextlib.suppress(ValueError):  # ten times as fast, but of what is wrong it does not say the line
+        numbers = np.loadtxt((line for _, line in rows), delimiter=",", ndmin=2)
+    if numbers.shape != (len(rows), len(names)):
+        cells = [_cells(path, at, line, len(names)) for at, line in rows]
+        numbers = np.array(cells, np.float64).reshape(-1, len(names))
+    return _Rows(names, numbers, [at for at, _ in rows])
 
 
 def _cells(path: Path, at: int, line: str, count: int) -> list[float]:
