@@ -26,7 +26,11 @@ class Options:
     ] = Path("plan.csv")
     after: Annotated[
         Path | None,
-        typer.Option(metavar="CSV|RUN", help="Earlier measurements; their rows are written above the new ones."),
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="CSV file of earlier measurements; its rows are written above the new ones.",
+        ),
     ] = None
     grazing: Annotated[
         float, typer.Option(min=10, max=89, help="Maximum angle of light and detector from the normal, degrees.")
@@ -54,11 +58,13 @@ def plan(options: Options) -> None:
       metapp meta brdf paint.csv
       metapp plan brdf --samples 8 --after paint.csv --out more.csv
     """
-    from data_tools.readers.measured_pairs import LEAST
+    import torch
+
+    from data_tools.readers.measured_pairs import LEAST, Pairs
     from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
     from metapp.extensions.few.figure import directions
-    from metapp.extensions.few.gonio import write_pairs
+    from metapp.extensions.few.gonio import read_pairs, write_pairs
     from metapp.extensions.few.planning import plan_brdf
 
     out = options.out
@@ -69,14 +75,14 @@ def plan(options: Options) -> None:
         check_new(path, options.overwrite)
     detector = None if options.detector is None else math.radians(options.detector)
     limits = Limits(math.radians(options.grazing), math.radians(options.apart), detector)
-    planned = plan_brdf(options.samples, limits, options.after, options.seed)
-    write_pairs(out, planned.wi, planned.wo, planned.before)
-    before = (planned.before.wi, planned.before.wo)
-    picture = save(directions(planned.wi, planned.wo, before, planned.maps).figure, out.with_suffix(".png"))
-    first, then = planned.expected
+    nothing = torch.zeros(0, 3, dtype=torch.float64)
+    before = read_pairs(options.after) if options.after else Pairs(nothing, nothing, nothing)
+    wi, wo, (first, then) = plan_brdf(options.samples, limits, before, options.seed)
+    write_pairs(out, wi, wo, before)
+    picture = save(directions(wi, wo, before), out.with_suffix(".png"))
     if not options.quiet:
         say(f"{out}: {options.samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
-        pairs = options.samples + len(before[0])
+        pairs = options.samples + len(before.wi)
         fit = f"metapp meta brdf {out}" if pairs >= LEAST else f"plan more --after {out}; a fit takes {LEAST} pairs"
         say(f"picture: {picture}\nfill in r, g, b; then: {fit}")
     if options.json:

@@ -52,12 +52,11 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     assert fitted.document["error"] < 0.5
     (record,) = (json.loads(line) for line in (run / "record.jsonl").read_text().splitlines())
     assert 0 < record["expected"] < expected["before"]
-    for after in (file, run):  # the first rows are those that were measured
-        more = tmp_path / f"more-{after.name}.csv"
-        then = metapp("plan", "brdf", "--samples", 3, "--after", after, "--out", more, "--json", "-q").document
-        assert then["expected_error"]["after"] < then["expected_error"]["before"]
-        rows = list(csv.reader(more.read_text().splitlines()))[3:]
-        assert [row[4] != "" for row in rows] == [True] * 12 + [False] * 3
+    more = tmp_path / "more.csv"  # its first rows are those that were measured
+    then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").document
+    assert then["expected_error"]["after"] < then["expected_error"]["before"]
+    rows = list(csv.reader(more.read_text().splitlines()))[3:]
+    assert [row[4] != "" for row in rows] == [True] * 12 + [False] * 3
     fill_in(more)
     np.testing.assert_allclose(read_pairs(more).reflectance[:12], read_pairs(file).reflectance, rtol=1e-5)
 
