@@ -16,7 +16,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -49,8 +48,7 @@ recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 def has_few(path: Path) -> bool:
     """Test whether a file, or each in a folder, has FEW rows at most."""
-    files, _ = find([path])
-    return all(_few_lines(file) for file in files)
+    return all(_few_lines(file) for file in find([path])[0])
 
 
 def has_few_task(task: Task) -> bool:
@@ -84,19 +82,6 @@ def is_anisotropic(path: Path) -> bool:
     return any_passes(path, SUFFIX, turns)
 
 
-class _Rows(NamedTuple):
-    """The numbers of a file: names of the columns, numbers [N, C], and the line of each row in the file."""
-
-    names: list[str]
-    numbers: Array
-    lines: list[int]
-
-    def column(self, name: str) -> Array:
-        """The numbers of a column [N]."""
-        values: Array = self.numbers[:, self.names.index(name)]
-        return values
-
-
 def read_pairs(path: Path) -> Pairs:
     """Read a file; rows along or below the surface are left out.
 
@@ -110,15 +95,15 @@ def read_pairs(path: Path) -> Pairs:
 
 @functools.lru_cache(maxsize=2)  # what chooses a recipe has read the file that is then fitted
 def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
-    rows = _rows(path)
-    angles = np.stack([_angle(path, rows, name) for name in ANGLES], 1)
-    names, matrix = _colours(path, rows.names)
-    values = np.stack([rows.column(name) for name in names], 1)
+    columns, lines = _rows(path)
+    angles = np.stack([_angle(path, columns, lines, name) for name in ANGLES], 1)
+    names, matrix = _colours(path, list(columns))
+    values = np.stack([columns[name] for name in names], 1)
     bad = ~((values >= 0) & (values <= LARGEST))
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise ValueError(
-            f"{path}: line {rows.lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
+            f"{path}: line {lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
             f"{LARGEST:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not measured."
         )
     light, viewer = (torch.from_numpy(_direction(angles[:, i], angles[:, i + 1])) for i in (0, 2))
@@ -143,8 +128,8 @@ def _degrees(*vectors: Tensor) -> Iterator[str]:
         yield from (f"{math.degrees(angle):.2f}" for angle in (math.atan2(math.hypot(x, y), z), math.atan2(y, x)))
 
 
-def _rows(path: Path) -> _Rows:
-    """All rows of a file that are no comments."""
+def _rows(path: Path) -> tuple[dict[str, Array], list[int]]:
+    """The columns of a file by name, [N] each, and the line of each row; comments are left out."""
     size = path.stat().st_size
     if size > LONGEST:
         raise ValueError(
@@ -168,7 +153,7 @@ def _rows(path: Path) -> _Rows:
     if numbers.shape != (len(rows), len(names)):
         cells = [_cells(path, at, line, len(names)) for at, line in rows]
         numbers = np.array(cells, np.float64).reshape(-1, len(names))
-    return _Rows(names, numbers, [at for at, _ in rows])
+    return dict(zip(names, numbers.T, strict=True)), [at for at, _ in rows]
 
 
 def _cells(path: Path, at: int, line: str, count: int) -> list[float]:
@@ -189,19 +174,19 @@ def _shown(word: str) -> str:
     return repr(word.strip()[:30])
 
 
-def _angle(path: Path, rows: _Rows, name: str) -> Array:
+def _angle(path: Path, columns: dict[str, Array], lines: list[int], name: str) -> Array:
     """One of the angles in rad, [N], thetas in [0, pi/2]."""
-    there = [unit for unit in RADIANS if f"{name}_{unit}" in rows.names]
+    there = [unit for unit in RADIANS if f"{name}_{unit}" in columns]
     if len(there) != 1:
-        problem = "both units" if there else ("no unit" if name in rows.names else "no such column")
+        problem = "both units" if there else ("no unit" if name in columns else "no such column")
         raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad.")
-    values, unit = rows.column(f"{name}_{there[0]}"), RADIANS[there[0]]
+    values, unit = columns[f"{name}_{there[0]}"], RADIANS[there[0]]
     low, high = (0.0, math.pi / 2) if name.startswith("theta") else (-2 * math.tau, 2 * math.tau)
     bad = ~((values * unit >= low - 1e-6) & (values * unit <= high + 1e-6))
     if bad.any():
         row = int(bad.argmax())
         raise ValueError(
-            f"{path}: line {rows.lines[row]}: {name} {values[row]:.6g} {there[0]}, expected {low / unit:.6g} to "
+            f"{path}: line {lines[row]}: {name} {values[row]:.6g} {there[0]}, expected {low / unit:.6g} to "
             f"{high / unit:.6g}; reflection alone can be fitted."
         )
     result: Array = values * unit

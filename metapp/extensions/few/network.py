@@ -14,7 +14,7 @@ from metapp.apps.brdf.network import BrdfNetwork, Folded, samples_at
 from metapp.extensions.few import gaussian
 from metapp.extensions.few.design import Posterior, expected_errors
 from metapp.extensions.few.gaussian import DARKEST, opponent, slope_of
-from metapp.extensions.few.noise import factors
+from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Linear, Params, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
@@ -23,6 +23,7 @@ SHORT = 512  # samples of shorter batches
 TABLE = 32  # samples of a table, which has more, that a fit sees: the first ones
 FEWEST, SEEN = 4, 256  # samples in training, at least and at most
 NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy, and their most noise
+DECADES = (0.5, 1.0)  # by which outliers are off, up or down
 POLAR = 3  # the power that crowds theta_h around 0
 LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
 NOISE = (3.4, -3.0, 0.5)  # before training: see `gaussian.precision`
@@ -135,19 +136,20 @@ class Few(BrdfNetwork):
         where, target = data["where"].clone(), data["target"].clone()
         count, half = len(where), where.shape[1] // 2
 
-        def uniform() -> Tensor:
-            return torch.rand(count, 1, generator=rng, device=rng.device)
-
         seen = within_reach(where[:, :half], rng)
         # the density of theta_h where it is the power of what is uniform
         crowded = where[:, :half, 2].clamp(-1, 1).arccos().clamp_min(1e-2) ** (1 / POLAR - 1)
-        wanted = torch.where(uniform() < 0.5, crowded, 1.0) * seen + 1e-9
+        wanted = torch.where(uniform(rng, count, 1) < 0.5, crowded, 1.0) * seen + 1e-9
         chosen = torch.multinomial(wanted, SEEN, generator=rng)[..., None]
-        level = torch.where(uniform() < NOISY, uniform(), 0.0)[..., None]
+        level = torch.where(uniform(rng, count, 1) < NOISY, uniform(rng, count, 1), 0.0)[..., None]
         factor = factors(rng, (count, SEEN), MOST_NOISE * level, 0.0)
         where[:, :SEEN] = where.gather(1, chosen.expand(-1, -1, 7))
         target[:, :SEEN] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
-        return {"where": where, "target": target, "count": (FEWEST * (SEEN / FEWEST) ** uniform()[:, 0]).round()}
+        return {
+            "where": where,
+            "target": target,
+            "count": (FEWEST * (SEEN / FEWEST) ** uniform(rng, count, 1)[:, 0]).round(),
+        }
 
     def expected_errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """The error that samples leave: `expected` over all directions, in highlights, at grazing angles."""
@@ -162,3 +164,19 @@ class Few(BrdfNetwork):
 
 
 NETWORK = Few()
+
+
+def factors(rng: Generator, shape: tuple[int, ...], noise: Tensor | float, outliers: Tensor | float) -> Tensor:
+    """Factors [*shape, 3] by which measured reflectance is off.
+
+    Args:
+        rng: of all draws.
+        shape: of the samples.
+        noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %; broadcasts.
+        outliers: share of samples that are off by DECADES, all channels alike; broadcasts.
+    """
+    factor = torch.exp(noise * normal(rng, *shape, 3))
+    low, high = DECADES
+    decades = low + (high - low) * uniform(rng, *shape, 1)
+    decades = decades * (2 * torch.randint(2, (*shape, 1), generator=rng, device=rng.device) - 1)
+    return factor * torch.where(uniform(rng, *shape, 1) < outliers, 10**decades, 1.0)

@@ -151,18 +151,6 @@ def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
         before = after
 
 
-def test_a_fit_of_what_the_model_draws_finds_it(theta: Params, where: Tensor) -> None:
-    """With many samples and little noise, by the application's own loss."""
-    sure = theta | {"noise": torch.tensor([[12.0, -3.0, 0.0]]).double()}
-    many = places_of(angles_of(400).double())
-    batch = batch_of(sure, many)
-    at = linear(sure, batch)
-    posterior = Posterior.of(sure, many, slope_of(batch["target"].expm1() / many[:, 6:7], many))
-    moment = at.residual[0] * at.weights[0] / 400 @ at.features[0].T
-    found = sure | {"last": sure["last"] + torch.einsum("cfg,cg->cf", posterior.covariance, moment)[None]}
-    assert float(APP.loss(found, batch_of(sure, where), {})) < 0.05 * float(APP.loss(sure, batch_of(sure, where), {}))
-
-
 def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
     one = {key: value[0] for key, value in theta.items()}
     x = inputs_of(where)[0]
