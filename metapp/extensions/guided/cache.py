@@ -66,7 +66,7 @@ class GuideCache:
         prior: expected second moments in voxels of twice the side; by default those of the voxels around them.
     """
 
-    def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike | None = None) -> None:
+    def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike) -> None:
         self.voxels = Voxels(low, high, points)
         # in double precision the order in which threads add makes no difference that matters: pictures can be repeated
         self.sums = dr.zeros(mi.Float64, ENTRIES * BINS * 2)  # squares and counts in turn, which are read together
@@ -192,31 +192,13 @@ class GuideCache:
         dr.eval(self.words)
 
 
-class Bounce(NamedTuple):
-    """The record of a bounce, in this order.
-
-    Attributes:
-        index: entry * BINS + bin + 1.
-        density: of the sampled direction, over the cosine's.
-        throughput: luminance of the path's throughput before it.
-        radiance: luminance that the path had, with the emitter sampled here; `unlit`, without.
-        point, normal: of the surface.
-    """
-
-    index: mt.UInt32
-    density: mt.Float
-    throughput: mt.Float
-    radiance: mt.Float
-    unlit: mt.Float
-    point: mt.Point3
-    normal: mt.Vector3
-
-
 class Records:
     """The first RECORDED bounces of so many paths, kept until the radiance of these is known.
 
     Attributes:
-        stores: the first numbers of `Bounce`, each of all paths; 0 where there was no bounce.
+        stores: the first `numbers` of what is known of a bounce, each of all paths, 0 where there was none: entry *
+            BINS + bin + 1; the density of the sampled direction, over the cosine's; luminance of the path's throughput
+            before it; luminance that the path had, with the emitter sampled here, and without; point; normal.
     """
 
     numbers = 5
@@ -227,10 +209,9 @@ class Records:
         self.stores = [dr.zeros(kind, paths * RECORDED) for kind in kinds]
         dr.eval(self.lane, self.stores)
 
-    def add(self, depth: mt.UInt32, bounce: Bounce, active: mt.Mask) -> None:
-        """Record a bounce."""
+    def add(self, depth: mt.UInt32, values: tuple[mt.Float | mt.UInt32, ...], active: mt.Mask) -> None:
+        """Record a bounce, all that `stores` may hold of it."""
         slot, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
-        values = (*bounce[:5], *bounce.point, *bounce.normal)
         for store, value in zip(self.stores, values[: self.numbers], strict=True):
             dr.scatter(store, value, slot, active)
 

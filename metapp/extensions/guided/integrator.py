@@ -20,7 +20,6 @@ from metapp.rendering.jit import dr, mi, register_plugin
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 SURVEYED = 2**21  # from which the survey and the prior are a small part of the time
 NAME = "metapp_guided_path"
-DEPTH, RR_DEPTH = -1, 5  # as of `path`
 
 
 @functools.cache  # once: Mitsuba keeps what is called when its variant changes
@@ -37,8 +36,9 @@ def plugin() -> mt.PluginClass:
 
         def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
-            self.path = _path(props)  # refuses what is out of range
-            depth, rr_depth = int(props.get("max_depth", DEPTH)), int(props.get("rr_depth", RR_DEPTH))
+            given = {name: props[name] for name in ("max_depth", "rr_depth", "hide_emitters") if name in props}
+            self.path = mi.load_dict({"type": "path", **given})  # refuses what is out of range
+            depth, rr_depth = int(props.get("max_depth", -1)), int(props.get("rr_depth", 5))  # as of `path`
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
             self.tracer = PathTracer(depth if depth >= 0 else 2**32 - 1, rr_depth)
 
@@ -79,12 +79,6 @@ def plugin() -> mt.PluginClass:
             return f"GuidedPath[max_depth = {self.tracer.max_depth}, rr_depth = {self.tracer.rr_depth}]"
 
     return GuidedPath
-
-
-def _path(props: mt.Properties) -> mt.Integrator:
-    """Mitsuba's `path` of the same properties."""
-    names = ("max_depth", "rr_depth", "hide_emitters")
-    return mi.load_dict({"type": "path", **{name: props[name] for name in names if name in props}})
 
 
 def _useless(tracer: PathTracer, scene: mt.Scene, paths: int, fewest: int, *, hides_emitters: bool) -> str:

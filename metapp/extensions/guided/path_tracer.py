@@ -82,15 +82,17 @@ class PathTracer(NamedTuple):
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
             paths.radiance += paths.throughput * _emitted(scene, si, paths)
             active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
-            vertex = Vertex(scene, paths.sampler, paths.ray, si, active)
-            sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
+            vertex = Vertex(scene, cache, paths.sampler, paths.ray, si, active)
+            sample = vertex.by_cache() if guided else vertex.by_bsdf()
             unlit, remaining = mi.luminance(paths.radiance), mi.Float(0)
             if guided:
-                paths.expected, remaining = _expected(paths, *vertex.expected(cache, sample))
+                paths.expected, remaining = _expected(paths, *vertex.expected(sample))
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
+                index, density, counts = vertex.recorded(sample)
                 path = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit
-                records.add(paths.depth, *vertex.recorded(cache, sample, *path))
+                normal = vertex.location.frame.n
+                records.add(paths.depth, (index, density, *path, *si.p, *normal), counts)
             paths.throughput *= sample.weight
             paths.eta *= sample.eta
             paths.hits |= active & ~sample.is_null

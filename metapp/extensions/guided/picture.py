@@ -140,18 +140,14 @@ class GuidedPicture:
         dr.sync_thread()
         middle = time.process_time()
         if works[0] is not None:
-            self._judge(works[0], guided)
+            if guided and self.regular is not None:
+                self.pays = works[0].pays(self.regular)
+            else:
+                self.regular, self.first, self.block = works[0], self.block, None
             self.cache.learn()
         name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
         for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
             self.spent[work] = self.spent.get(work, 0.0) + seconds
-
-    def _judge(self, work: Work, guided: bool) -> None:
-        """Compare a part with the regular one, which comes first."""
-        if guided and self.regular is not None:
-            self.pays = work.pays(self.regular)
-        else:
-            self.regular, self.first, self.block = work, self.block, None
 
     def _wave(self, spp: int, guided: bool, learns: bool) -> Work | None:
         """Add samples to the picture; what they brought where the cache learns from them."""
@@ -183,10 +179,7 @@ class GuidedPicture:
         return work
 
 
-Extent = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]
-
-
-def _extent(scene: mt.Scene, sensor: mt.Sensor) -> Extent:
+def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
     """The box in which most of what the camera sees lies, and what is seen from there; and points of both, [3, N]."""
     index = dr.arange(mi.UInt32, _PROBES**2)
     sampler = mi.load_dict({"type": "independent"})

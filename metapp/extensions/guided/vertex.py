@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from metapp.extensions.guided.cache import Bounce, GuideCache, Location
+from metapp.extensions.guided.cache import GuideCache
 from metapp.extensions.guided.histogram import BINS
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
@@ -48,12 +48,13 @@ class Vertex:
     def __init__(
         self,
         scene: mt.Scene,
+        cache: GuideCache,
         sampler: mt.Sampler,
         ray: mt.Ray,
         si: mt.Interaction,
         active: mt.Mask,
     ) -> None:
-        self.si, self.bsdf, self.active = si, si.bsdf(ray), active
+        self.cache, self.si, self.bsdf, self.active = cache, si, si.bsdf(ray), active
         flags, kinds = self.bsdf.flags(), mi.BSDFFlags
         scatters = active & mi.has_flag(flags, kinds.Smooth)
         self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
@@ -65,7 +66,7 @@ class Vertex:
         only_diffuse = diffuse & (flags & mi.UInt32(others) == 0)
         mixed = dr.select(diffuse, MIXED, dr.select(glossy & ~transmits, GLOSSY, 0))
         self.share = dr.select(only_diffuse, 1, mixed)  # of directions that the cache samples
-        self.location: Location | None = None
+        self.location = cache.locate(si.p, dr.select(si.wi.z < 0, -si.sh_frame.n, si.sh_frame.n))
 
     def by_bsdf(self) -> Sampled:
         """Sample directions as the BSDF does."""
@@ -77,9 +78,9 @@ class Vertex:
         light = self._emitter_radiance(value, density)
         return Sampled(drawn.wo, drawn.pdf, weight, drawn.eta, is_delta, is_null, light, None)
 
-    def by_cache(self, cache: GuideCache) -> Sampled:
+    def by_cache(self) -> Sampled:
         """Sample a share of the directions from the cache."""
-        si, location = self.si, self._location(cache)
+        cache, si, location = self.cache, self.si, self.location
         of_cache = self.draws[0] < self.share
         rest = (self.draws[0] - self.share) / dr.maximum(1 - self.share, 1e-6)
         rest = dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
@@ -93,7 +94,7 @@ class Vertex:
         relative = cache.density(location.row, index, guided)
         cosine = dr.maximum(local.z, 0)
         mixture = dr.lerp(density, relative * cosine * dr.inv_pi, self.share)
-        light = self._emitter_radiance(to_emitter[0], self._mixture_to_emitter(cache, location, to_emitter[1]))
+        light = self._emitter_radiance(to_emitter[0], self._mixture_to_emitter(to_emitter[1]))
         is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return Sampled(
             wo,
@@ -106,20 +107,17 @@ class Vertex:
             (mixture * dr.pi / dr.maximum(cosine, 1e-6), index),
         )
 
-    def recorded(
-        self, cache: GuideCache, sample: Sampled, throughput: mt.Float, radiance: mt.Float, unlit: mt.Float
-    ) -> tuple[Bounce, mt.Mask]:
-        """The bounce as `Records` keep it, of a sample of this vertex, and where it counts."""
-        location = self._location(cache)
+    def recorded(self, sample: Sampled) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
+        """The first two numbers that `Records` keep of a sample of this vertex, and where it counts."""
+        cache, location = self.cache, self.location
         local = location.frame.to_local(self.si.to_world(sample.wo))
         density, index = sample.guide or (sample.density * dr.pi / dr.maximum(local.z, 1e-6), cache.bin(local))
-        index = location.entry * BINS + index + 1
-        bounce = Bounce(index, density, throughput, radiance, unlit, self.si.p, location.frame.n)
-        return bounce, self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
+        active = self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
+        return location.entry * BINS + index + 1, density, active
 
-    def expected(self, cache: GuideCache, sample: Sampled) -> mt.Vector2:
+    def expected(self, sample: Sampled) -> mt.Vector2:
         """The cache's expectations of paths that go on by a sample of this vertex, as of `expect`."""
-        return cache.expect(self._location(cache).row, self.active & (self.share > 0) & ~sample.is_delta)
+        return self.cache.expect(self.location.row, self.active & (self.share > 0) & ~sample.is_delta)
 
     def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
         """Of the cache's direction `guided`, or one of the BSDF."""
@@ -140,16 +138,10 @@ class Vertex:
         evaluated: Evaluated = dr.dispatch(self.bsdf, evaluate, *inputs)
         return evaluated
 
-    def _location(self, cache: GuideCache) -> Location:
-        if self.location is None:  # once: Dr.Jit would look it up anew after a call
-            normal = self.si.sh_frame.n
-            self.location = cache.locate(self.si.p, dr.select(self.si.wi.z < 0, -normal, normal))
-        return self.location
-
-    def _mixture_to_emitter(self, cache: GuideCache, location: Location, density: mt.Float) -> mt.Float:
+    def _mixture_to_emitter(self, density: mt.Float) -> mt.Float:
         """The density by which cache and BSDF together sample the emitter's direction."""
-        local = location.frame.to_local(self.emitter.d)
-        relative = cache.density(location.row, cache.bin(local), self.is_lit & (self.share > 0))
+        cache, local = self.cache, self.location.frame.to_local(self.emitter.d)
+        relative = cache.density(self.location.row, cache.bin(local), self.is_lit & (self.share > 0))
         return dr.lerp(density, relative * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
 
     def _emitter_radiance(self, value: mt.Color, density: mt.Float) -> mt.Color:

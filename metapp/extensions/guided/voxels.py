@@ -22,11 +22,11 @@ class Voxels:
         points: of surfaces, [3, N]; all voxels are alike without any.
     """
 
-    def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike | None = None) -> None:
+    def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike) -> None:
         low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
         extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
         self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(_STEPS / extent)
-        inside = np.zeros((3, 0)) if points is None else (np.asarray(points) - low[:, None]) / extent[:, None]
+        inside = (np.asarray(points) - low[:, None]) / extent[:, None]
         self.voxels = [mi.UInt32(_voxels(along)) for along in inside]
 
     def index(self, point: mt.Point3) -> mt.Vector3:

@@ -102,7 +102,7 @@ def test_voxels_without_paths_get_the_moments_of_those_around_them_of_their_axis
 def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
     from metapp.extensions.guided.cache import GuideCache
 
-    return GuideCache(list(low), list(high))
+    return GuideCache(list(low), list(high), np.zeros((3, 0)))
 
 
 @pytest.fixture(scope="module")
