@@ -79,14 +79,12 @@ def test_what_cannot_be_planned_is_refused(metapp: Callable, words: tuple[object
     assert not Path("a.csv").exists()
 
 
-@pytest.mark.parametrize("rows", [4, 5])
-def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: Path, rows: int) -> None:
+def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: Path) -> None:
     file = tmp_path / "paint.csv"
-    assert metapp("plan", "brdf", "--samples", rows, "--out", file).code == 0
+    assert metapp("plan", "brdf", "--samples", 4, "--out", file).code == 0
     fill_in(file)
     pairs = read_pairs(file)
     assert metapp("meta", "brdf", file, "--json").document["error"] < 1
     (fitted,) = metapp("baseline", "brdf", file, "--method", "ggx_2", "--json").document["tasks"]
     assert fitted["error"] < 1
-    task = task_of_pairs("arrays", pairs)
-    assert len(task.data["angles"].unique(dim=0)) == rows
+    assert len(task_of_pairs("arrays", pairs).data["angles"].unique(dim=0)) == 4
