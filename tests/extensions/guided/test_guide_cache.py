@@ -37,8 +37,7 @@ def test_voxels_are_alike_where_points_are(mi: Any, points: Any) -> None:
 
 
 def test_voxels_are_narrower_where_there_are_many_points(mi: Any) -> None:
-    from metapp.extensions.guided.cache import GuideCache
-    from metapp.extensions.guided.voxels import CROWDED
+    from metapp.extensions.guided.cache import CROWDED, GuideCache
 
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(0, 0.1, 20_000), *rng.uniform(0, 1, (2, 20_000))])
