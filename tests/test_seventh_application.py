@@ -98,7 +98,7 @@ def test_it_is_converted_trained_and_fitted(commands: Callable, curves: Path, tm
         ["meta", "curve", "--help"],
         ["data", "curve", curves, "--out", data, "--json", "--quiet"],
         ["data", "check", data],
-        ["general", "curve", "--data", data, *shared, "--train", "--train-steps", "5", "--export", "csv"],
+        ["general", "curve", "--data", data, *shared, "--train", "--train-steps", "2", "--export", "csv"],
         ["baseline", "curve", curves / "c00.curve", "--method", "line", *shared],
         ["meta", "curve", "--data", data, *shared, "--train", "--train-steps", "2"],
         ["quickft", "curve", "--data", data, *shared, "--train", "--train-steps", "2"],
