@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import Out, Quiet
-from metapp.cli.options import Json, Overwrite, check_new, takes
+from metapp.cli.options import Json, Overwrite, check_new
 from metapp.runs.reporter import progress, say
 
 
@@ -23,13 +22,10 @@ class Kind(enum.StrEnum):
     SPECTRAL = "bsdf-spectral"
 
 
-@dataclass(frozen=True)
-class Options:
-    """The arguments and options of `convert`."""
-
+def convert(
     paths: Annotated[
         list[Path], typer.Argument(metavar="FILES...", help="MERL tables, RGL files, NBRDF networks; folders of them.")
-    ]
+    ],
     kind: Annotated[
         Kind,
         typer.Option(
@@ -37,15 +33,12 @@ class Options:
             help="merl: NAME.binary; bsdf: NAME.bsdf for RGB variants of Mitsuba; bsdf-spectral: NAME_spec.bsdf for "
             "spectral ones.",
         ),
-    ]
-    folder: Out
-    overwrite: Overwrite = False
-    quiet: Quiet = False
-    as_json: Json = False
-
-
-@takes(Options)
-def convert(options: Options) -> None:
+    ],
+    folder: Out,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
     """Convert measured BRDFs to MERL tables or RGL files, without a fit.
 
     RGL files are evaluated by Mitsuba at the centres of MERL's bins; colours and spectra of RGL files become each
@@ -60,18 +53,18 @@ def convert(options: Options) -> None:
     """
     from metapp.extensions.rgl import convert as forms
 
-    sources, skipped = forms.find(options.paths)
-    targets = forms.targets(sources, options.kind.value, options.folder)
-    for target in targets.values():
-        check_new(target, options.overwrite)
+    sources, skipped = forms.find(paths)
+    targets = forms.targets(sources, kind.value, folder)
+    for target in targets:
+        check_new(target, overwrite)
     for line in skipped:
         say(f"warning: {line}")
-    with progress("convert", len(targets), quiet=options.quiet) as bar:
-        for done, (source, target) in enumerate(targets.items(), 1):
-            forms.convert(source, options.kind.value, target)
-            bar.at(done, len(targets), target.name)
-    if not options.quiet:
-        say(f"{options.kind.value}: {len(targets)} file{'' if len(targets) == 1 else 's'} in {options.folder}")
-    if options.as_json:
-        files = [{"source": str(source), "file": str(target)} for source, target in targets.items()]
-        print_json({"to": options.kind.value, "out": str(options.folder), "files": files})
+    with progress("convert", len(targets), quiet=quiet) as bar:
+        for target, source in targets.items():
+            forms.convert(source, kind.value, target)
+            bar.advance(target.name)
+    if not quiet:
+        say(f"{kind.value}: {len(targets)} file{'' if len(targets) == 1 else 's'} in {folder}")
+    if as_json:
+        files = [{"source": str(source), "file": str(target)} for target, source in targets.items()]
+        print_json({"to": kind.value, "out": str(folder), "files": files})

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from data_tools.readers import merl, nbrdf
@@ -31,37 +32,33 @@ def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
     sources: list[Path] = []
     skipped: list[str] = []
     for path in paths:
-        readers = [reader for reader in READERS if reader.recognises(path)]
-        if not readers:
-            found = "another kind" if path.exists() else "no such file"
+        found = [reader.find([path]) for reader in READERS if reader.recognises(path)]
+        if not found:
+            problem = "another kind" if path.exists() else "no such file"
             remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
-            raise ValueError(f"{path}: {found}, expected MERL tables, RGL files or NBRDF networks; {remedy}.")
-        for reader in readers:
-            files, lines = reader.find([path])
-            sources += files
-            skipped += lines if len(readers) == 1 else []  # else another reader's files
+            raise ValueError(f"{path}: {problem}, expected MERL tables, RGL files or NBRDF networks; {remedy}.")
+        sources += [file for files, _ in found for file in files]
+        skipped += found[0][1] if len(found) == 1 else []  # else another reader's files
     return list(dict.fromkeys(sources)), skipped
 
 
 def targets(sources: Iterable[Path], kind: str, folder: Path) -> dict[Path, Path]:
-    """The file that each source is written to, without the ends _rgb and _spec of RGL names.
+    """Sources by the files that they are written to, without the ends _rgb and _spec of RGL names.
 
     Raises:
         ValueError: one for two sources, or a source itself.
     """
     result: dict[Path, Path] = {}
-    before: dict[Path, Path] = {}
     for source in sources:
         name = source.stem if source.is_file() else source.resolve().name  # which may have dots
-        name = name.removesuffix(rgl.COLOURS).removesuffix(rgl.SPECTRAL)
-        result[source] = target = folder / f"{name}{ENDINGS[kind]}"
-        if target in before:
+        target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL)}{ENDINGS[kind]}"
+        if target in result:
             raise ValueError(
-                f"{target}: of both {before[target]} and {source}, expected names that differ; convert one at a time."
+                f"{target}: of both {result[target]} and {source}, expected names that differ; convert one at a time."
             )
         if target.resolve() == source.resolve():
             raise ValueError(f"{target}: is what is to be converted, expected another folder; choose another --out.")
-        before[target] = source
+        result[target] = source
     return result
 
 
@@ -73,7 +70,9 @@ def convert(source: Path, kind: str, target: Path) -> None:
     """
     try:
         if kind == "merl":
-            merl.write_merl(target, tabulate(partial(_both_ways, evaluator(source))))
+            evaluate, back = evaluator(source), torch.tensor([0, 0, math.pi])
+            # light and viewer exchanged are the same in a MERL table, and not quite in measurements
+            merl.write_merl(target, tabulate(lambda angles: (evaluate(angles) + evaluate(angles + back)) / 2))
         elif source.suffix == rgl.SUFFIX:
             fields = read_tensor_file(source)
             rgl.check(source, fields)
@@ -91,8 +90,3 @@ def evaluator(source: Path) -> Callable[[Tensor], Tensor]:
     if source.suffix == rgl.SUFFIX:
         return rgl.read_rgl(source)
     return partial(merl_evaluate, np.ascontiguousarray(merl.read_merl(source), np.float32))
-
-
-def _both_ways(evaluate: Callable[[Tensor], Tensor], angles: Tensor) -> Tensor:
-    """The mean with light and viewer exchanged, which a MERL table takes for the same; measurements differ in it."""
-    return (evaluate(angles) + evaluate(angles + angles.new_tensor([0, 0, math.pi]))) / 2

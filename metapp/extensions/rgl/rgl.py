@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,12 +29,9 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.brdf_objects import evaluated_by
 from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
-from metapp.appearance.geometry import (
-    directions_to_four_angles,
-    directions_to_full_circle,
-)
-from metapp.extensions.rgl.spectra import check_wavelengths, in_rgb, in_spectra, is_spectral
-from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
+from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle
+from metapp.extensions.rgl.spectra import in_rgb, in_spectra
+from metapp.extensions.rgl.tensor_file import Fields, read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import suffixed
@@ -48,7 +45,7 @@ TURNS, FEWER_NODES, FEWER = 17, 20, 96  # azimuths of the viewer, angles and hal
 LAST_DEGREES = 89.5
 LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
 SUFFIX = ".bsdf"
-COLOURS, SPECTRAL = "_rgb", "_spec"  # ends of the database's names, before the suffix
+SPECTRAL = "_spec"  # end of names of files of spectra, before the suffix
 BELOW_ZERO = 1e-6  # of the greatest value of a density: values that little below 0 are noise
 BELOW_BLACK = 0.1  # of the greatest reflectance: saturated colours of measurements, outside of Rec.709, have so much
 LARGEST = 1e9  # of any number; measurements are below 1e6
@@ -63,7 +60,7 @@ AXES = {
     "luminance": 4,
     "jacobian": 1,
 }
-RGB_AXES, SPECTRAL_AXES = {"rgb": 5}, {"wavelengths": 1, "spectra": 5}
+VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
 UNITS = brdf_task.UNITS
 find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
@@ -74,14 +71,6 @@ def viewer_angles(count: int = NODES) -> NDArray[np.float64]:
     rest = 1 - np.linspace(0, 1, count)
     angles: NDArray[np.float64] = math.radians(LAST_DEGREES) * (1 - rest * rest)
     return angles
-
-
-def half_vectors(side: int = GRID) -> Tensor:
-    """The grid's half vectors, [side (v), side (u), 3]."""
-    line = torch.linspace(0, 1, side, dtype=torch.float64)
-    v, u = torch.meshgrid(line, line, indexing="ij")
-    theta, phi = u * u * (math.pi / 2), (2 * v - 1) * math.pi
-    return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
 
 
 def write_rgl(
@@ -104,15 +93,30 @@ def write_rgl(
     Raises:
         ValueError: a value that is not finite.
     """
-    half, theta = (half_vectors(FEWER), viewer_angles(FEWER_NODES)) if azimuths else (half_vectors(), viewer_angles())
+    theta = viewer_angles(FEWER_NODES if azimuths else NODES)
     phi = np.linspace(-np.pi, np.pi, TURNS) if azimuths else np.zeros(1)
-    viewers = torch.from_numpy(_directions(theta[None], phi[:, None]))
+    viewers = _directions(torch.from_numpy(theta)[None], torch.from_numpy(phi)[:, None])
+    line = torch.linspace(0, 1, FEWER if azimuths else GRID, dtype=torch.float64)
+    v, u = torch.meshgrid(line, line, indexing="ij")
+    half = _directions(u * u * (math.pi / 2), (2 * v - 1) * math.pi)
     to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
-    tables = np.stack([[_table(evaluate, to_angles, half, viewer) for viewer in row] for row in viewers])
+
+    def table(viewer: Tensor) -> NDArray[np.float64]:
+        """f cos theta of the light, [3, side, side]; 0 where the light is below the surface."""
+        light = 2 * (half @ viewer)[..., None] * half - viewer
+        up = (light[..., 2] > 0) & (half @ viewer > 0)
+        values = torch.zeros_like(light)
+        with torch.no_grad():
+            pairs = to_angles(light[up], viewer.expand_as(light[up])).float()
+            values[up] = evaluate(pairs).double() * light[up][:, 2:]
+        return values.movedim(-1, 0).numpy()
+
+    tables = np.stack([[table(viewer) for viewer in row] for row in viewers])
     if not np.isfinite(tables).all():
         raise ValueError(f"{path}: values that are NaN or infinite, expected finite reflectance; fit again.")
-    # densities per area of the grid, so that what counts is the light a cell reflects
-    luminance = tables.mean(2) / np.maximum(np.cos(theta), 1e-3)[:, None, None] * _area(half, viewers)
+    # densities per area of the grid, so that what counts is the light a cell reflects: solid angle of lights over it
+    area = 4 * torch.einsum("vuc,ptc->ptvu", half, viewers).clamp_min(0) * (u * (1 - half[..., 2] ** 2).sqrt())
+    luminance = tables.mean(2) / np.maximum(np.cos(theta), 1e-3)[:, None, None] * area.numpy()
     luminance += LEAST_LUMINANCE * luminance.mean((2, 3), keepdims=True) + 1e-12
     fields: dict[str, NDArray[np.number]] = {
         "description": np.frombuffer(description.encode() or b" ", np.uint8),
@@ -128,34 +132,10 @@ def write_rgl(
     write_tensor_file(path, in_spectra(fields) if spectral else fields)
 
 
-def _directions(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors [..., 3] of angles that broadcast."""
-    parts = (np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
-    return np.stack(np.broadcast_arrays(*parts), -1)
-
-
-def _table(
-    evaluate: Callable[[Tensor], Tensor],
-    to_angles: Callable[[Tensor, Tensor], Tensor],
-    half: Tensor,
-    viewer: Tensor,
-) -> NDArray[np.float64]:
-    """f cos theta of the light, [3, side, side], of one viewer [3]; 0 where the light is below the surface."""
-    light = 2 * (half @ viewer)[..., None] * half - viewer
-    up = (light[..., 2] > 0) & (half @ viewer > 0)
-    pairs = to_angles(light[up], viewer.expand_as(light[up]))
-    values = torch.zeros_like(light)
-    with torch.no_grad():
-        values[up] = evaluate(pairs.float()).double() * light[up][:, 2:]
-    return values.movedim(-1, 0).numpy()
-
-
-def _area(half: Tensor, viewers: Tensor) -> NDArray[np.float64]:
-    """Solid angle of lights over area of the grid, but for factors that rows share, [P, T, side, side]."""
-    line = torch.linspace(0, 1, half.shape[1], dtype=torch.float64)
-    jacobian = line * (1 - half[..., 2] ** 2).sqrt()
-    cosine = torch.einsum("vuc,ptc->ptvu", half, viewers).clamp_min(0)
-    return (4 * cosine * jacobian).numpy()
+def _directions(theta: Tensor, phi: Tensor) -> Tensor:
+    """Unit vectors [..., 3] of angles in rad that broadcast."""
+    parts = (theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
+    return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
@@ -200,90 +180,75 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
     """
     fields = read_tensor_file(path)
     check(path, fields)
-    mitsuba = load_mitsuba()
-    if SPECTRAL_AXES.keys() & fields.keys():  # which an RGB variant of Mitsuba refuses, also beside `rgb`
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder, path.name)
-            write_tensor_file(file, in_rgb(fields))
-            bsdf = mitsuba.load_dict({"type": "measured", "filename": str(file)})
-    else:
-        bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
-    if fields["phi_i"].size <= 2:
-        return partial(evaluated_by, mitsuba, bsdf)
+    mitsuba, anisotropic = load_mitsuba(), fields["phi_i"].size > 2
+    with tempfile.TemporaryDirectory() as folder:  # an RGB variant of Mitsuba refuses spectra
+        write_tensor_file(Path(folder, path.name), in_rgb(fields))
+        bsdf = mitsuba.load_dict({"type": "measured", "filename": str(Path(folder, path.name))})
 
-    def of_four(angles: Tensor) -> Tensor:
-        if angles.shape[-1] != 4:
+    def evaluate(angles: Tensor) -> Tensor:
+        if anisotropic and angles.shape[-1] != 4:
             raise ValueError(
                 f"{path}: anisotropic, expected an isotropic measurement where there is no phi_h, as in MERL tables."
             )
         return evaluated_by(mitsuba, bsdf, angles)
 
-    return of_four
+    return evaluate
 
 
-def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
+def check(path: Path, fields: Fields) -> None:
     """Refuse what Mitsuba would refuse at length, or not at all.
 
     Raises:
         ValueError: one line.
     """
-    wanted = AXES | (SPECTRAL_AXES if is_spectral(fields) else RGB_AXES)
-    axes = {name: fields[name].ndim for name in wanted if name in fields}
-    if axes != wanted:
-        wrong = next(name for name in wanted if axes.get(name) != wanted[name])
-        raise ValueError(
-            f"{path}: field {wrong} of {axes.get(wrong, 'no')} axes, expected {wanted[wrong]}; not an RGL measurement."
-        )
-    for name in wanted:
+    for fault in _faults(fields):
+        raise ValueError(f"{path}: {fault}; download it again.")
+    for name in ("vndf", "luminance"):  # `measured` draws directions by them, and `eval` does not use them
+        if (least := float(fields[name].min())) < 0:
+            warnings.warn(f"{path}: {name} of down to {least:.1g}, taken for noise below 0.", stacklevel=2)
+
+
+def _faults(fields: Fields) -> Iterator[str]:
+    """What is wrong with a file, and what is expected; the next one is only to be asked for where there is none."""
+    colours = "spectra" if "spectra" in fields and "rgb" not in fields else "rgb"
+    axes = AXES | ({"spectra": 5, "wavelengths": 1} if colours == "spectra" else {"rgb": 5})
+    for name, count in axes.items():
+        if name not in fields or fields[name].ndim != count:
+            found = fields[name].ndim if name in fields else "no"
+            yield f"field {name} of {found} axes, expected {count} of an RGL measurement"
         kind = "u1" if name in ("description", "jacobian") else "f4"
         if fields[name].dtype != kind:
-            raise ValueError(f"{path}: {name} of type {fields[name].dtype}, expected {np.dtype(kind)}.")
-        if kind == "f4" and not (np.abs(fields[name]) < LARGEST).all():
-            raise ValueError(f"{path}: {name} has NaN, infinite or huge values, expected below {LARGEST:g}.")
-    _check_shapes(path, {name: fields[name].shape for name in wanted})
-    _check_values(path, fields)
-    if is_spectral(fields):
-        check_wavelengths(path, fields["wavelengths"])
-
-
-def _check_shapes(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    (phis,), (thetas,) = shapes["phi_i"], shapes["theta_i"]
-    colours, count = ("spectra", shapes["wavelengths"][0]) if "spectra" in shapes else ("rgb", 3)
-    side = shapes[colours][-1]
-    expected = {"vndf": (phis, thetas, *shapes["vndf"][2:]), "luminance": (phis, thetas, side, side),
-                colours: (phis, thetas, count, side, side), "jacobian": (1,)}  # fmt: skip
-    for name, shape in expected.items():
-        if shapes[name] != shape:
-            raise ValueError(f"{path}: {name} {shapes[name]}, expected {shape}; download it again.")
-    small = [name for name in ("sigma", "ndf", "vndf", colours) if min(shapes[name][-2:]) < 2]
-    if small or not phis or thetas < 2:
-        raise ValueError(f"{path}: a grid of one point or none, expected two or more; download it again.")
-
-
-def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
-    for name, low, high in (("theta_i", 0.0, math.pi / 2), ("phi_i", -math.pi, math.pi)):
-        angles = fields[name]
-        if angles.min() < low - 1e-3 or angles.max() > high + 1e-3:
-            raise ValueError(
-                f"{path}: {name} from {angles.min():.4g} to {angles.max():.4g}, expected {low:.4g} to {high:.4g} rad; "
-                "download it again."
-            )
-        if (np.diff(angles) <= 0).any():
-            raise ValueError(f"{path}: {name} not ascending, expected ascending angles in rad; download it again.")
-    colours = "spectra" if is_spectral(fields) else "rgb"
+            yield f"{name} of type {fields[name].dtype}, expected {np.dtype(kind)}"
+        if not (np.abs(fields[name]) < LARGEST).all():
+            yield f"{name} has NaN, infinite or huge values, expected below {LARGEST:g}"
+    phis, thetas, side = len(fields["phi_i"]), len(fields["theta_i"]), fields[colours].shape[-1]
+    channels = len(fields["wavelengths"]) if colours == "spectra" else 3
+    shapes = {"vndf": (phis, thetas, *fields["vndf"].shape[2:]), "luminance": (phis, thetas, side, side),
+              colours: (phis, thetas, channels, side, side), "jacobian": (1,)}  # fmt: skip
+    for name, shape in shapes.items():
+        if fields[name].shape != shape:
+            yield f"{name} {fields[name].shape}, expected {shape}"
+    if min(thetas, *(min(fields[name].shape[-2:]) for name in ("sigma", "ndf", "vndf", colours))) < 2:
+        yield "a grid of one point, expected two or more"
+    for name, (low, high) in {"theta_i": (0, math.pi / 2), "phi_i": (-math.pi, math.pi)}.items():
+        first, last = float(fields[name].min()), float(fields[name].max())
+        if first < low - 1e-3 or last > high + 1e-3:
+            yield f"{name} from {first:.4g} to {last:.4g}, expected {low:.4g} to {high:.4g} rad"
+    for name in {"theta_i", "phi_i", "wavelengths"} & axes.keys():
+        if (np.diff(fields[name]) <= 0).any():
+            yield f"{name} not ascending, expected ascending ones"
     least, most = float(fields[colours].min()), float(fields[colours].max())
     if least < -BELOW_BLACK * most or most <= 0:
-        raise ValueError(
-            f"{path}: {colours} from {least:.4g} to {most:.4g}, expected reflectance of 0 or more; download it again."
-        )
+        yield f"{colours} from {least:.4g} to {most:.4g}, expected reflectance of 0 or more"
     for name in ("vndf", "luminance"):
-        slices = fields[name].reshape(-1, *fields[name].shape[2:])
-        least, most = float(slices.min()), float(slices.max())
-        if least < -BELOW_ZERO * most or (slices.sum((1, 2), dtype=float) <= 0).any():
-            raise ValueError(f"{path}: {name} negative or 0 throughout, expected a density; download it again.")
-        if least < 0:  # noise of a genuine measurement; `measured` draws directions by it, and `eval` does not use it
-            warnings.warn(f"{path}: {name} of down to {least:.1g}, taken for noise below 0.", stacklevel=2)
+        if fields[name].min() < -BELOW_ZERO * fields[name].max() or (fields[name].sum((2, 3), dtype=float) <= 0).any():
+            yield f"{name} negative or 0 throughout, expected a density"
     if (fields["sigma"] <= 0).any():
-        raise ValueError(f"{path}: sigma with values of 0 or less, expected areas above 0; download it again.")
+        yield "sigma with values of 0 or less, expected areas above 0"
     if (fields["ndf"] < 0).any():
-        raise ValueError(f"{path}: ndf with values below 0, expected a distribution; download it again.")
+        yield "ndf with values below 0, expected a distribution"
+    if colours == "spectra":
+        first, last = fields["wavelengths"][[0, -1]]
+        if channels < 4 or first > VISIBLE[0] or last < VISIBLE[1]:
+            found = f"{channels} wavelengths from {first:g} to {last:g} nm"
+            yield f"{found}, expected 4 or more that cover {VISIBLE[0]:g} to {VISIBLE[1]:g} nm, or the _rgb.bsdf"

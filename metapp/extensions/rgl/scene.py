@@ -19,8 +19,17 @@ from metapp.storage.files import write_atomically, write_xml
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-VERSION = "3.0.0"
 FILES = {"neural_brdf": ("", ".safetensors"), "measured": ("_builtin", ".bsdf")}  # of the scene, of its file
+SCENE = """<scene version="3.0.0"><integrator type="path"/>
+<bsdf type="" id=""><string name="filename" value=""/></bsdf>
+<shape type="sphere"><ref id=""/></shape>
+<sensor type="perspective"><float name="fov" value="30"/>
+<transform name="to_world"><lookat origin="0, 0, 5" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="256"/><integer name="height" value="256"/></film>
+<sampler type="independent"><integer name="sample_count" value="64"/></sampler></sensor>
+<shape type="sphere"><point name="center" x="-4" y="5" z="5"/><float name="radius" value="1"/>
+<emitter type="area"><rgb name="radiance" value="40, 40, 40"/></emitter></shape>
+<emitter type="constant"><rgb name="radiance" value="0.3, 0.3, 0.3"/></emitter></scene>"""
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
@@ -34,25 +43,8 @@ def export(app: Brdf, theta: Params, path: Path) -> None:
 
 def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
     """A sphere with the material, a lamp above it to the left, a dim sky."""
-    root = ET.Element("scene", version=VERSION)
-    ET.SubElement(root, "integrator", type="path")
-    bsdf = ET.SubElement(root, "bsdf", type=plugin, id=name)
-    ET.SubElement(bsdf, "string", name="filename", value=file)
-    sphere = ET.SubElement(root, "shape", type="sphere")
-    ET.SubElement(sphere, "ref", id=name)
-    camera = ET.SubElement(root, "sensor", type="perspective")
-    ET.SubElement(camera, "float", name="fov", value="30")
-    ET.SubElement(
-        ET.SubElement(camera, "transform", name="to_world"), "lookat", origin="0, 0, 5", target="0, 0, 0", up="0, 1, 0"
-    )
-    film = ET.SubElement(camera, "film", type="hdrfilm")
-    for side in ("width", "height"):
-        ET.SubElement(film, "integer", name=side, value="256")
-    ET.SubElement(ET.SubElement(camera, "sampler", type="independent"), "integer", name="sample_count", value="64")
-    lamp = ET.SubElement(root, "shape", type="sphere")
-    ET.SubElement(lamp, "point", name="center", x="-4", y="5", z="5")
-    ET.SubElement(lamp, "float", name="radius", value="1")
-    ET.SubElement(ET.SubElement(lamp, "emitter", type="area"), "rgb", name="radiance", value="40, 40, 40")
-    sky = ET.SubElement(root, "emitter", type="constant")
-    ET.SubElement(sky, "rgb", name="radiance", value="0.3, 0.3, 0.3")
+    root = ET.fromstring(SCENE)
+    parts = {"bsdf": {"type": plugin, "id": name}, "bsdf/string": {"value": file}, "shape/ref": {"id": name}}
+    for path, attributes in parts.items():
+        next(root.iterfind(path)).attrib.update(attributes)
     return root

@@ -170,8 +170,3 @@ def test_exports_of_a_fit_are_anisotropic(mi: Any, tmp_path: Path) -> None:
     for suffix in ("", "_builtin"):
         scene = mi.load_file(str(tmp_path / "brushed" / f"brushed{suffix}.xml"))
         assert np.isfinite(np.array(mi.render(scene, spp=4))).all()
-
-
-def test_of_files_with_damaged_headers_no_azimuths_are_reported(tmp_path: Path) -> None:
-    (tmp_path / "a.bsdf").write_bytes(b"tensor_file\0")
-    assert not rgl.is_anisotropic(tmp_path)
