@@ -28,13 +28,13 @@ OFFERS = (
         (*_FLAT, "illumination", "transport"),
         f"{_HERE}.perceptual:lpips",
         "Zhang et al. 2018, version 0.1, 0 for equal pictures",
-        f"{_HERE}.perceptual:source_of_lpips",
+        f"{_HERE}.perceptual:source",
     ),
     PictureMeasure(
         "DISTS",
         _FLAT,
         f"{_HERE}.perceptual:dists",
         "Ding et al. 2020, 0 for equal pictures",
-        f"{_HERE}.perceptual:source_of_dists",
+        f"{_HERE}.perceptual:source",
     ),
 )

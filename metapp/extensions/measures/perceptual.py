@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
-import importlib.util
 import math
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from torch.nn.functional import conv2d
 
 from metapp.appearance.features import Features, describe_features, hann, load_features, weights_path
 from metapp.appearance.presentation import Compared
-from metapp.storage.files import read_bytes
 
 PACKAGE, GET = "torchmetrics", 'pip install "metapp[measures]"'
 LPIPS_FILE, DISTS_FILE = "lpips_models/vgg.pth", "dists_models/weights.pt"
@@ -50,11 +48,6 @@ def lpips(compared: Compared) -> float:
     return float(torch.stack(distances).sum(0).mean())
 
 
-def source_of_lpips() -> str:
-    """The features and the package. ValueError: one is missing."""
-    return _source(LPIPS_FILE)
-
-
 @torch.no_grad()
 def dists(compared: Compared) -> float:
     """Mean over pictures: 1 less the weighted similarity of means and of variations of features, 0 to about 1.
@@ -67,22 +60,14 @@ def dists(compared: Compared) -> float:
     for a, b, *weights in zip(made, wanted, *dists_weights(), strict=True):
         alpha, beta = (part.to(a) for part in weights)
         mean_a, mean_b = (maps.mean((2, 3), keepdim=True) for maps in (a, b))
-        of_a, of_b, of_both = ((c * d).mean((2, 3)) for c, d in _pairs(a - mean_a, b - mean_b))
+        a, b = a - mean_a, b - mean_b
+        of_a, of_b, of_both = ((c * d).mean((2, 3)) for c, d in ((a, a), (b, b), (a, b)))
         mean_a, mean_b = mean_a[..., 0, 0], mean_b[..., 0, 0]
         means = (2 * mean_a * mean_b + TINY) / (mean_a.square() + mean_b.square() + TINY)
         variations = (2 * of_both + TINY) / (of_a + of_b + TINY)
         similarity = similarity.to(a) + means @ alpha + variations @ beta
         total += float(alpha.sum() + beta.sum())
     return float(1 - (similarity / total).mean())
-
-
-def source_of_dists() -> str:
-    """The features and the package. ValueError: one is missing."""
-    return _source(DISTS_FILE)
-
-
-def _pairs(a: Tensor, b: Tensor) -> tuple[tuple[Tensor, Tensor], ...]:
-    return (a, a), (b, b), (a, b)
 
 
 class L2Pooling(nn.Module):
@@ -137,19 +122,21 @@ def _tensors(name: str, sizes: tuple[int, ...]) -> list[Tensor]:
 
 def _content(name: str) -> bytes:
     """A file of the package, by its known SHA-256."""
-    found = importlib.util.find_spec(PACKAGE)
-    if not found or not found.submodule_search_locations:
-        raise ValueError(f"{PACKAGE}, which holds its weights, is not installed: {GET}")
-    file = Path(found.submodule_search_locations[0]) / "functional" / "image" / name
-    content = read_bytes(file) if file.is_file() else b""
-    if (digest := hashlib.sha256(content).hexdigest()) != SHA256[name]:
-        problem = f"SHA-256 {digest[:16]}..., expected {SHA256[name][:16]}..." if content else "no such file"
-        raise ValueError(f"{file}: {problem} of {PACKAGE} 1.9.0: {GET}")
+    try:
+        package = importlib.metadata.distribution(PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        raise ValueError(f"{PACKAGE}, which holds its weights, is not installed: {GET}") from None
+    file = Path(str(package.locate_file(f"{PACKAGE}/functional/image/{name}")))
+    content = file.read_bytes() if file.is_file() else b""
+    if hashlib.sha256(content).hexdigest() != SHA256[name]:
+        raise ValueError(f"{file}: missing or another file, expected that of {PACKAGE} 1.9.0: {GET}")
     return content
 
 
-def _source(name: str) -> str:
-    _content(name)
+def source() -> str:
+    """The features and the package. ValueError: one is missing."""
+    for name in SHA256:
+        _content(name)
     if not weights_path().is_file():
         raise ValueError("the weights of VGG-16 are missing: metapp data vgg")
     return f"{describe_features()}, weights of {PACKAGE} {importlib.metadata.version(PACKAGE)}"

@@ -106,23 +106,17 @@ def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, mon
     (note,) = (note for offer, note in picture_measures("texture")[0].items() if offer.name == "LPIPS")
     assert "VGG-16 features (unknown weights " in note
     assert note.endswith(f"), weights of torchmetrics {importlib.metadata.version('torchmetrics')}")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    line = 'torchmetrics, which holds its weights, is not installed: pip install "metapp[measures]"'
+    monkeypatch.setattr(perceptual, "PACKAGE", "no-such-package")
+    line = 'no-such-package, which holds its weights, is not installed: pip install "metapp[measures]"'
     assert lacks() == {"LPIPS": line, "DISTS": line}
 
 
-def test_other_files_of_the_package_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Found:
-        submodule_search_locations = (str(tmp_path),)
-
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: Found)
-    with pytest.raises(ValueError, match=r"vgg.pth: no such file of torchmetrics 1.9.0: pip install"):
-        perceptual.source_of_lpips()
-    file = tmp_path / "functional" / "image" / perceptual.DISTS_FILE
-    file.parent.mkdir(parents=True)
-    file.write_bytes(b"another")
-    with pytest.raises(ValueError, match=r"weights.pt: SHA-256 [0-9a-f]{16}..., expected f5e65c96230b7f6c... of torch"):
-        perceptual.source_of_dists()
+@needs_weights
+@pytest.mark.parametrize("name", [perceptual.LPIPS_FILE, perceptual.DISTS_FILE])
+def test_other_files_of_the_package_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(perceptual.SHA256, name, "0")
+    with pytest.raises(ValueError, match=rf"{name}: missing or another file, expected that of torchmetrics 1.9.0: pip"):
+        perceptual.source()
 
 
 def test_psnr_is_its_definition(rng: Generator) -> None:
