@@ -1,4 +1,4 @@
-"""HTML of galleries and interactive pages: elements, and documents that need no network."""
+"""HTML of interactive pages: elements, and documents that need no network."""
 
 from __future__ import annotations
 
@@ -25,17 +25,9 @@ def element(name: str, *content: str, **attributes: str) -> str:
         content: HTML.
         attributes: texts; those of "" are left out. In their names _ stands for -, but for one at the end: `class_`.
     """
-    return f"{_tag(name, attributes)}{''.join(content)}</{name}>"
-
-
-def image(address: str, text: str, **attributes: str) -> str:
-    """A picture, and what it is to those who do not see it; attributes as of `element`."""
-    return _tag("img", {"loading": "lazy", "src": address, "alt": text, **attributes})
-
-
-def figure(picture: str, caption: str, **attributes: str) -> str:
-    """A picture above its caption, both HTML; attributes as of `element`."""
-    return element("figure", picture, element("figcaption", caption), **attributes)
+    pairs = ((key.rstrip("_").replace("_", "-"), escape(text)) for key, text in attributes.items() if text)
+    words = [name, *(f'{key}="{text}"' for key, text in pairs)]
+    return f"<{' '.join(words)}>{''.join(content)}</{name}>"
 
 
 def data_script(name: str, document: Document) -> str:
@@ -71,9 +63,3 @@ def write_page(text: str, path: Path) -> Path:
     """
     write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8", errors="backslashreplace"))
     return path
-
-
-def _tag(name: str, attributes: dict[str, str]) -> str:
-    pairs = ((key.rstrip("_").replace("_", "-"), escape(text)) for key, text in attributes.items() if text)
-    words = [name, *(f'{key}="{text}"' for key, text in pairs)]
-    return f"<{' '.join(words)}>"

@@ -48,11 +48,18 @@ def view(options: Options) -> None:
 
     Example: metapp view runs/brdf/meta runs/brdf/quickft
     """
-    from metapp.extensions.viewer.viewing import Wanted, view_page
+    from metapp.extensions.viewer.viewing import view_page
 
     check_new(options.out, options.overwrite)
-    wanted = Wanted(options.runs or [Path("runs")], options.inputs or [], options.data, options.task, options.most)
-    page = view_page(wanted, options.out, quiet=options.quiet)
+    page = view_page(
+        options.runs or [Path("runs")],
+        options.out,
+        inputs=options.inputs or (),
+        data=options.data,
+        task=options.task,
+        most=options.most,
+        quiet=options.quiet,
+    )
     if options.open_page:
         webbrowser.open(page.resolve().as_uri())
     if options.json:
@@ -80,34 +87,36 @@ def try_all(
     """
     begin = time.perf_counter()
     from metapp.apps import app_names
-    from metapp.extensions.viewer.trying import try_app, try_page
+    from metapp.extensions.viewer.trying import try_app
+    from metapp.extensions.viewer.viewing import view_page
     from metapp.runs import BadOption
     from metapp.runs.requests.checks import check_name
 
-    tried = []
+    runs, fits = list[Path](), []
     for app in apps or ():
         check_name(app)
     for app in apps or app_names():
         try:
-            tried.append(try_app(app, out, recipe))
+            run, fit = try_app(app, out, recipe)
         except ValueError as reason:
-            if apps or not tried or isinstance(reason, BadOption):
+            if apps or not runs or isinstance(reason, BadOption):
                 raise
             say(f"warning: {app} is left out: {reason}")
             continue
-        fit = tried[-1].record
+        runs.append(run)
+        fits.append(fit)
         if not quiet:
             error = "" if fit["error"] is None else f"error {number(fit['error'], '.3f')}, "
             seconds = f"fitted in {number(fit['seconds'], '.3g')} s, total {number(fit['whole_seconds'], '.1f')} s"
             say(f"{app}: {fit['name']}, {error}{seconds}")
     if not quiet:
         say("page: rendering what it shows")
-    page = try_page(tried, out, quiet=quiet)
+    page = view_page(runs, out / "try.html", quiet=quiet)
     whole = time.perf_counter() - begin
     if open_page:
         webbrowser.open(page.resolve().as_uri())
     if json:
         size = page.stat().st_size
-        print_json({"page": str(page), "bytes": size, "seconds": whole, "fits": [each.record for each in tried]})
+        print_json({"page": str(page), "bytes": size, "seconds": whole, "fits": fits})
     elif not quiet:
         say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB; all in {whole:.0f} s")

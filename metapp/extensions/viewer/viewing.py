@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,45 +41,39 @@ class FitOfRun(NamedTuple):
     task: Task
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """The content of a page.
+def view_page(
+    runs: Sequence[Path],
+    out: Path | None,
+    *,
+    inputs: Sequence[Path] = (),
+    data: Path | None = None,
+    task: str = "",
+    most: int = MOST,
+    quiet: bool = False,
+) -> Path:
+    """Write the page of runs; fits of the same task stand side by side.
 
-    Attributes:
+    Args:
         runs: folders of runs, their record files, or files of parameters in them.
+        out: the file; None: `view.html` in the first run's folder.
         inputs: what was fitted, where it is not where records say.
         data: the data set that was fitted, for the same.
         task: the one to show; "" for all.
         most: tasks at most.
-    """
-
-    runs: Sequence[Path]
-    inputs: list[Path] = field(default_factory=list)
-    data: Path | None = None
-    task: str = ""
-    most: int = MOST
-
-
-def view_page(wanted: Wanted, out: Path | None, *, quiet: bool) -> Path:
-    """Write the page of runs; fits of the same task stand side by side.
-
-    Args:
-        wanted: what it shows.
-        out: the file; None: `view.html` in the first run's folder.
         quiet: no progress.
 
     Raises:
         ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
     """
-    runs = [_read(path, wanted.task) for path in wanted.runs]
-    fits = [fit for run in runs for fit in _fits(run, wanted)]
+    read = [_read(path, task) for path in runs]
+    fits = [fit for run in read for fit in _fits(run, inputs, data)]
     by_task: dict[tuple[str, str], list[FitOfRun]] = {}
     for fit in fits:
         by_task.setdefault((fit.app.name, fit.record["name"]), []).append(fit)
-    tasks_shown = list(by_task.values())[: wanted.most]
+    tasks_shown = list(by_task.values())[:most]
     if len(by_task) > len(tasks_shown):
         say(f"view: {len(tasks_shown)} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
-    labels, page = _labels(runs), out or runs[0].folder / PAGE
+    labels, page = _labels(read), out or read[0].folder / PAGE
     make_folder(page.parent)  # before what takes time
     with progress("view", len(tasks_shown), quiet=quiet) as bar:
         groups, lacking = [], list[str]()
@@ -112,9 +105,9 @@ def _read(path: Path, task: str) -> Recorded:
     return Recorded(run.folder, records)
 
 
-def _fits(run: Recorded, wanted: Wanted) -> list[FitOfRun]:
+def _fits(run: Recorded, inputs: Sequence[Path], data: Path | None) -> list[FitOfRun]:
     app = plan_as(run.records[-1]["settings"]).app
-    tasks = tasks_as(run.records, app, wanted.inputs, wanted.data)
+    tasks = tasks_as(run.records, app, list(inputs), data)
     if missing := sum(record["name"] not in tasks for record in run.records):
         what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"
         say(f"view: {what}; give them by --input or --data to see references.")

@@ -13,7 +13,7 @@ import pytest
 
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.extensions.viewer.pages import brdf
-from metapp.extensions.viewer.trying import Tried, try_app
+from metapp.extensions.viewer.trying import try_app
 from metapp.extensions.viewer.view import View
 from metapp.extensions.viewer.viewing import PAGE
 from metapp.learning.task import Params, Task
@@ -188,7 +188,7 @@ def test_one_input_of_an_application_is_made_fitted_and_shown(metapp: Callable, 
 def test_what_cannot_be_fitted_is_left_out_of_all(
     metapp: Callable, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without(app: str, out: Path, recipe: str = "") -> Tried:
+    def without(app: str, out: Path, recipe: str = "") -> tuple[Path, dict[str, Any]]:
         if app != "brdf":
             raise ValueError(f"{app} needs weights")
         return try_app(app, out, recipe)
