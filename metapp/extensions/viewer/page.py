@@ -68,34 +68,19 @@ class Group(NamedTuple):
 def document(title: str, groups: Sequence[Group]) -> Document:
     """The document that the scripts read."""
     shared: dict[str, Document] = {}
-    for view in (fit.view for group in groups for fit in group.fits):
-        shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}
-    return {
-        "title": title,
-        "groups": [
-            {
-                "title": group.title,
-                "section": group.section,
-                "kind": group.fits[0].view.kind,
-                "fits": [item(fit) for fit in group.fits],
-            }
-            for group in groups
-        ],
-        "shared": shared,
-    }
-
-
-def item(fit: Shown) -> Document:
-    """One fit."""
-    view = fit.view
-    return {
-        "label": fit.label,
-        "caption": fit.caption,
-        "facts": dict(view.facts),
-        "arrays": {name: array(values) for name, values in view.arrays.items()},
-        "pictures": {name: picture(pixels) for name, pixels in view.pictures.items()},
-        "thumbnail": "" if view.thumbnail is None else picture(view.thumbnail),
-    }
+    parts: list[Document] = []
+    for group in groups:
+        fits: list[Document] = []
+        for label, caption, view in group.fits:
+            shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}
+            arrays = {name: array(values) for name, values in view.arrays.items()}
+            pictures = {name: picture(pixels) for name, pixels in view.pictures.items()}
+            thumbnail = "" if view.thumbnail is None else picture(view.thumbnail)
+            fits.append({"label": label, "caption": caption, "facts": dict(view.facts), "arrays": arrays,
+                         "pictures": pictures, "thumbnail": thumbnail})  # fmt: skip
+        kind = group.fits[0].view.kind
+        parts.append({"title": group.title, "section": group.section, "kind": kind, "fits": fits})
+    return {"title": title, "groups": parts, "shared": shared}
 
 
 def array(values: Tensor) -> Document:

@@ -64,7 +64,9 @@ def surface_view(
         true_maps = _resized(reference, _within(max(small.size), reference.diffuse))
         pictures |= {f"reference_{name}": pixels for name, pixels in _encoded(true_maps).items()}
     lit = {f"photo_{number}": each for number, each in enumerate(photographed, 1)}
-    pictures |= {name: _photo(each.photo) for name, each in lit.items() if each.photo is not None}
+    for name, each in lit.items():
+        if each.photo is not None:
+            pictures[name] = _last(expose(adaptive_avg_pool2d(each.photo, _within(LARGEST_PHOTO, each.photo))))
     lit |= {name: Lit(light, eye) for name, (light, eye) in relightings().items()}
     facts = {
         "tiles": surface.tiles,
@@ -100,11 +102,6 @@ def _encoded(maps: Maps) -> dict[str, Tensor]:
         "specular": _last(maps.specular.clamp(0, 1) ** (1 / GAMMA)),
         "detail": _last(torch.cat([x_and_y, maps.roughness])),
     }
-
-
-def _photo(photo: Tensor) -> Tensor:
-    """Display values [H, W, 3] of a linear photograph, as `expose` has them, no finer than LARGEST_PHOTO."""
-    return _last(expose(adaptive_avg_pool2d(photo, _within(LARGEST_PHOTO, photo))))
 
 
 def _last(pixels: Tensor) -> Tensor:

@@ -35,12 +35,13 @@ def view(presentation: IlluminationPresentation, theta: Params, task: Task) -> V
     app, one = presentation.app, {key: value[None] for key, value in theta.items()}
     pixels = presentation.map_of(one, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
-    maps = {"map": _limited(pixels.permute(2, 0, 1) / unit)}
+    light = pixels.permute(2, 0, 1) / unit
+    maps = {"map": resample(light, *MOST) if light.shape[1] > MOST[0] else light}
     if "map" in task.data:
         reference = task.data["map"].float() * task.data.get("scale", torch.ones(())) / unit
         maps["reference"] = resample(reference, *maps["map"].shape[1:])
-    scale = max(1.0, *(float(light.amax()) / HALF for light in maps.values()))
-    arrays = {name: (light / scale).permute(1, 2, 0).half() for name, light in maps.items()}
+    scale = max(1.0, *(float(each.amax()) / HALF for each in maps.values()))
+    arrays = {name: (each / scale).permute(1, 2, 0).half() for name, each in maps.items()}
     materials = {name: {"roughness": roughness} for name, roughness in ROUGHNESSES.items()}
     facts = {
         "scale": scale,
@@ -57,11 +58,6 @@ def view(presentation: IlluminationPresentation, theta: Params, task: Task) -> V
     lobes = torch.stack([lobe_albedos(roughness) for roughness in ROUGHNESSES.values()]).half()
     shown = thumbnail(tone_map(maps["map"]).permute(1, 2, 0))
     return View("light", arrays, pictures, facts | materials, {"lobes": lobes}, shown)
-
-
-def _limited(light: Tensor) -> Tensor:
-    """A map [3, H, W], of MOST texels at most."""
-    return resample(light, *MOST) if light.shape[1] > MOST[0] else light
 
 
 def _note(pixels: Tensor, light: Tensor, task: Task) -> str:

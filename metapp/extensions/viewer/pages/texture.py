@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from metapp.appearance.quilting import block_of, quilted
 from metapp.apps.texture.presentation import TexturePresentation
@@ -20,16 +19,11 @@ def view(presentation: TexturePresentation, theta: Params, task: Task) -> View:
     fit = presentation.files(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
-        exemplar = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
-        pictures["exemplar"] = exemplar
-        pictures["image quilting"] = _quilted(exemplar)
+        exemplar = pictures["exemplar"] = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
+        pixels, size = exemplar.numpy(), (QUILTED * exemplar.shape[0], QUILTED * exemplar.shape[1])
+        block, overlap = block_of(pixels)
+        made = quilted(pixels, size, np.random.default_rng(0), block=block, overlap=overlap)  # the same each time
+        pictures["image quilting"] = torch.from_numpy(made)
     rows = [{"title": name, "name": name, "tiles": how} for name, how in tiles.items() if name in pictures]
     facts = {"pictures": rows, "compared": [rows[0]["title"], "fit"]}
     return View("pictures", pictures=pictures, facts=facts, thumbnail=thumbnail(fit))
-
-
-def _quilted(exemplar: Tensor) -> Tensor:
-    """A picture [2 H, 2 W, 3] of blocks of an exemplar [H, W, 3]; the same each time."""
-    block, overlap = block_of(exemplar.numpy())
-    size = QUILTED * exemplar.shape[0], QUILTED * exemplar.shape[1]
-    return torch.from_numpy(quilted(exemplar.numpy(), size, np.random.default_rng(0), block=block, overlap=overlap))

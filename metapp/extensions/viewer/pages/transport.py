@@ -72,8 +72,13 @@ def scene_view(flow: Flow, theta: Params, task: Task) -> View:
     curves = {name: torch.stack([shot.seconds, shot.errors], 1).tolist() for name, shot in shots.items()}
     lines = [{"label": name, "points": points} for name, points in curves.items()]
     chart = {"x": "seconds of CPU", "y": "MAPE", "lines": lines, "level": {"label": "equal error", "y": level}}
+    names = (REFERENCE, *told)
+    shown: list[Document] = [{"title": name, "name": name, "told": told.get(name, ""), "row": 0} for name in names]
+    shown += [{"title": f"worst region x{ZOOM}, {name}", "name": name, "part": region, "row": 1} for name in names]
+    shown.append({"title": "error by time", "told": said, "chart": chart, "row": 2})
+    shown += [{"title": f"error, {name}", "name": name, "error": True, "row": 2} for name in told]
     facts = {
-        "pictures": _pictures(told, region, chart, said),
+        "pictures": shown,
         "compared": [REGULAR, GUIDED],
         "reference": REFERENCE,
         "region": region,
@@ -173,16 +178,6 @@ def worst_region(picture: Tensor, reference: Tensor) -> list[int]:
     means = avg_pool2d(errors.clamp_max(4.0)[None], side, stride=1)[0]  # a firefly alone is no region
     row, column = divmod(int(means.argmax()), means.shape[1])
     return [column, row, side, side]
-
-
-def _pictures(told: dict[str, str], region: list[int], chart: Document, said: str) -> list[Document]:
-    """What is shown: pictures, the worst region enlarged, errors, and the error by time."""
-    names = (REFERENCE, *told)
-    shown: list[Document] = [{"title": name, "name": name, "told": told.get(name, ""), "row": 0} for name in names]
-    shown += [{"title": f"worst region x{ZOOM}, {name}", "name": name, "part": region, "row": 1} for name in names]
-    shown.append({"title": "error by time", "told": said, "chart": chart, "row": 2})
-    shown += [{"title": f"error, {name}", "name": name, "error": True, "row": 2} for name in told]
-    return shown
 
 
 def _notes(made: dict[str, Tensor], next_event: bool) -> list[str]:
