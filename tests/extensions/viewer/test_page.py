@@ -7,7 +7,6 @@ import io
 import json
 import re
 import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from PIL import Image
 
 from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture
 from metapp.extensions.viewer.view import View
-from metapp.storage.html import write_page
 
 LARGEST = 3_000_000  # bytes of a page beside the run's own data
 
@@ -73,17 +71,3 @@ def test_what_fits_share_stands_once() -> None:
     one = View("pictures", shared=shared)
     data = document("metapp", [Group(name, "BRDF", [Shown("meta", "", one)] * 3) for name in "ab"])
     assert len(json.dumps(data)) < 1.1 * len(json.dumps(page_of(one)))
-
-
-def test_a_page_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = write_page(html(page_of(View("pictures"), "\ud800")), tmp_path / "view.html")
-    before = file.read_bytes()
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OSError, match="was not written"):
-        write_page(html(page_of(View("pictures"))), file)
-    assert file.read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir()] == ["view.html"]
