@@ -19,6 +19,7 @@ from torch.nn.functional import conv2d
 
 from metapp.appearance.features import Features, describe_features, hann, load_features, weights_path
 from metapp.appearance.presentation import Compared
+from metapp.storage.files import read_bytes
 
 PACKAGE, GET = "torchmetrics", 'pip install "metapp[measures]"'
 LPIPS_FILE, DISTS_FILE = "lpips_models/vgg.pth", "dists_models/weights.pt"
@@ -127,7 +128,7 @@ def _content(name: str) -> bytes:
     except importlib.metadata.PackageNotFoundError:
         raise ValueError(f"{PACKAGE}, which holds its weights, is not installed: {GET}") from None
     file = Path(str(package.locate_file(f"{PACKAGE}/functional/image/{name}")))
-    content = file.read_bytes() if file.is_file() else b""
+    content = read_bytes(file) if file.is_file() else b""
     if hashlib.sha256(content).hexdigest() != SHA256[name]:
         raise ValueError(f"{file}: missing or another file, expected that of {PACKAGE} 1.9.0: {GET}")
     return content
