@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -16,10 +16,6 @@ from metapp.runs import BadOption
 from metapp.runs.reporter import progress, say
 from metapp.runs.requests.options import all_shown_options, name_parts, options_of
 from metapp.storage.text import meant
-
-if TYPE_CHECKING:
-    from metapp.runs.requests.plan import Plan
-    from metapp.storage.records import Record
 
 
 @dataclass(frozen=True)
@@ -77,9 +73,16 @@ def baseline(options: Options, **own: object) -> None:
 
     Example: metapp baseline texture wall.jpg --method quilting
     """
+    from metapp.apps import presentation_of
     from metapp.cli.fits.run import table_of
+    from metapp.extensions.baselines import baselines_of
+    from metapp.extensions.baselines.baseline import DrawsAnswers
+    from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder
+    from metapp.runs.inputs.sources import tasks_to_fit
+    from metapp.runs.outputs.files import OUTPUTS, write_pictures
     from metapp.runs.requests.plan import plan
     from metapp.runs.requests.request import Request
+    from metapp.storage.records import RunFolder, file_name
 
     request = Request(
         options.app,
@@ -94,54 +97,31 @@ def baseline(options: Options, **own: object) -> None:
         device="cpu",
         quiet=options.quiet,
     )
-    planned = plan(request)
-    cannot, folder, records, made = run(planned, options.method)
-    if not (options.quiet or options.json):
-        out().print(table_of(planned.app, options.method, records, made))
-    if not options.quiet:
-        say(f"{options.method} cannot {cannot}\nrecords: {folder}")
-    if options.json:
-        print_json({"method": options.method, "out": str(folder), "cannot": cannot, "tasks": records})
-
-
-def run(plan: Plan, method: str) -> tuple[str, Path, list[Record], Path | None]:
-    """Fit what a plan's request names, or its data set's test tasks, by one of the application's baselines.
-
-    Returns:
-        What it cannot do, the folder of the records, one a task, and the folder of pictures and maps, if any.
-
-    Raises:
-        BadOption: the application has no such baseline.
-        ValueError: an input cannot be read or fitted, or there are no training tasks for a method that learns.
-    """
-    from metapp.apps import presentation_of
-    from metapp.extensions.baselines import baselines_of
-    from metapp.extensions.baselines.baseline import DrawsAnswers
-    from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder, training_of
-    from metapp.runs.inputs.sources import tasks_to_fit
-    from metapp.runs.outputs.files import OUTPUTS, write_pictures
-    from metapp.storage.records import RunFolder, file_name
-
-    app, request = plan.app, plan.request
+    planned, method = plan(request), options.method
+    app, request = planned.app, planned.request
     methods = {baseline.name: baseline for baseline in baselines_of(app)}
     if method not in methods:
         names = ", ".join(methods) or f"another application: {app.name} has no method"
         raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{meant(method, methods)}")
-    baseline, (tasks, label) = methods[method], tasks_to_fit(plan)
-    source = training_folder(plan) if baseline.learns else None
-    if baseline.learns and source is None:
+    baseline, (tasks, label) = methods[method], tasks_to_fit(planned)
+    if baseline.learns and training_folder(planned, baseline) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
-    words = [label, request.recipe, f"seed{request.seed}", *name_parts(app.name, plan.options), method, app.protocol]
+    words = [label, request.recipe, f"seed{request.seed}", *name_parts(app.name, planned.options), method, app.protocol]
     path = request.out / app.name / "baseline" / "-".join(filter(None, words))
-    folder = RunFolder(path, settings_of(plan, baseline, source, label), ENTRIES, plan.origin())
-    records, presentation = [], presentation_of(app)
-    made = folder.path / OUTPUTS if isinstance(presentation, DrawsAnswers) else None
+    folder = RunFolder(path, settings_of(planned, baseline, label), ENTRIES, planned.origin())
+    records, shown = [], presentation_of(app)
+    made = folder.path / OUTPUTS if isinstance(shown, DrawsAnswers) else None
     with progress(method, len(tasks), quiet=request.quiet) as bar:
-        fits = fit_baselines(plan, baseline, training_of(app, source), tasks, warm=False)
+        fits = fit_baselines(planned, baseline, tasks, warm=False)
         for task, (record, kept, answer) in zip(tasks, fits, strict=True):
             folder.add(record, kept)
-            if isinstance(presentation, DrawsAnswers):
-                write_pictures(presentation.files_of(answer, task), folder.path / OUTPUTS / file_name(task.name))
+            if isinstance(shown, DrawsAnswers):
+                write_pictures(shown.files_of(answer, task), folder.path / OUTPUTS / file_name(task.name))
             records.append(record)
             bar.advance(task.name)
-    return baseline.cannot, folder.path, records, made
+    if not (options.quiet or options.json):
+        out().print(table_of(app, method, records, made))
+    if not options.quiet:
+        say(f"{method} cannot {baseline.cannot}\nrecords: {folder.path}")
+    if options.json:
+        print_json({"method": method, "out": str(folder.path), "cannot": baseline.cannot, "tasks": records})

@@ -13,7 +13,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
-from metapp.extensions.baselines.baseline import Allowed, Baseline, PreparedBaseline, Training, bytes_of
+from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.fits.fitter import rng_of
@@ -33,14 +33,14 @@ ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 Judged = tuple[Record, Params | None, object]  # the record, the picture, what was judged, as of `App.errors_of`
 
 
-def training_folder(plan: Plan) -> Path | None:
-    """The data set whose training tasks baselines are prepared on: the one that is fitted, else the embedded one.
+def training_folder(plan: Plan, baseline: Baseline) -> Path | None:
+    """The data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
-    None where neither has any: the embedded one is not made for this.
+    None where it learns nothing or neither has any: the embedded one is not made for this.
     """
     app, data, quiet = plan.app.name, plan.request.data, plan.request.quiet
-    folders = [data_folder(plan.app, data, quiet)] if data or embedded_exists(app) else []
-    folders += [embedded_data(app, quiet=quiet)] if embedded_exists(app) else []
+    folders = [data_folder(plan.app, data, quiet)] if baseline.learns and (data or embedded_exists(app)) else []
+    folders += [embedded_data(app, quiet=quiet)] if baseline.learns and embedded_exists(app) else []
     return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
 
 
@@ -56,10 +56,10 @@ def allowed_for(plan: Plan) -> Allowed:
     return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(plan.app).values()))
 
 
-def settings_of(plan: Plan, baseline: Baseline, source: Path | None, label: str) -> Record:
-    """Everything that figures of a baseline on data of this name depend on; `source`: the data set it learns from."""
+def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
+    """Everything that figures of a baseline on data of this name depend on."""
     app, request = plan.app, plan.request
-    options = recorded_options(app.name, plan.options)
+    options, source = recorded_options(app.name, plan.options), training_folder(plan, baseline)
     return {
         "app": app.name,
         **observe_of(app),
@@ -81,20 +81,12 @@ def own_parameters(app: App) -> Params:
     return {key: value for key, value in theta.items() if not app.traits.own or key in app.traits.own}
 
 
-def fit_baselines(
-    plan: Plan,
-    baseline: Baseline,
-    training: Training,
-    tasks: Sequence[Task],
-    *,
-    warm: bool = True,
-) -> Iterator[Judged]:
+def fit_baselines(plan: Plan, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept.
 
     Args:
         plan: of the evaluation.
         baseline: what is fitted.
-        training: what it is prepared on.
         tasks: to be fitted.
         warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
 
@@ -104,34 +96,29 @@ def fit_baselines(
     Raises:
         ValueError: it cannot be fitted to these tasks.
     """
+    app, allowed = plan.app, allowed_for(plan)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
-        allowed = allowed_for(plan)
-        prepared, timed = baseline.prepare(training, allowed), not baseline.stored
-        for i, task in enumerate(tasks):
-            if warm and i == 0 and timed:
-                _fit_one(plan, prepared, task, allowed)
-            yield _fit_one(plan, prepared, task, allowed, timed=timed)
-
-
-def _fit_one(plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowed, *, timed: bool = True) -> Judged:
-    rng, app = rng_of(plan, task), plan.app
-    begin = time.perf_counter()
-    stacked = stack(app, [task])
-    fitted = prepared.fit(stacked, rng, allowed)
-    seconds = time.perf_counter() - begin
-    answer = fitted.answer()
-    errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
-    if errors and not math.isfinite(errors["error"]):
-        raise ValueError(f"{task.name}: the error is not finite.")
-    scale = {"error": app.traits.scale}
-    record = {
-        "name": task.name,
-        "error": None,
-        **{key: scale.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
-        **({"seconds": seconds, "threads": torch.get_num_threads()} if timed else {}),
-        "numbers": fitted.numbers,
-        "size": fitted.size,
-        "shared": prepared.shared,
-        "chosen": prepared.chosen,
-    }
-    return record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer
+        prepared = baseline.prepare(training_of(app, training_folder(plan, baseline)), allowed)
+        for task in tasks[:1] if warm and not baseline.stored else ():
+            prepared.fit(stack(app, [task]), rng_of(plan, task), allowed)
+        for task in tasks:
+            rng, begin = rng_of(plan, task), time.perf_counter()
+            stacked = stack(app, [task])
+            fitted = prepared.fit(stacked, rng, allowed)
+            seconds = time.perf_counter() - begin
+            answer = fitted.answer()
+            errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
+            if errors and not math.isfinite(errors["error"]):
+                raise ValueError(f"{task.name}: the error is not finite.")
+            scale = {"error": app.traits.scale}
+            record = {
+                "name": task.name,
+                "error": None,
+                **{key: scale.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
+                **({} if baseline.stored else {"seconds": seconds, "threads": torch.get_num_threads()}),
+                "numbers": fitted.numbers,
+                "size": fitted.size,
+                "shared": prepared.shared,
+                "chosen": prepared.chosen,
+            }
+            yield record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer

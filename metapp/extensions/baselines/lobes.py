@@ -80,7 +80,9 @@ def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, f
         outer = cos / (1 + reflectance(numbers, cosines) * cos)
         return (slopes(numbers, cosines) * outer[..., None]).flatten(0, 1).numpy()
 
-    bounds = _bounds(len(first))
+    lobes = (len(first) - 3) // LOBE
+    low = np.array([0.0] * 3 + [math.log(NARROWEST), 0.0, 0.0, 0.0, 0.0] * lobes)
+    bounds = low, np.array([np.inf] * 3 + [math.log(WIDEST), 1.0, np.inf, np.inf, np.inf] * lobes)
     solution = least_squares(
         residual,
         np.clip(first, *bounds),
@@ -94,12 +96,6 @@ def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, f
         max_nfev=60,
     )
     return solution.x, float(solution.cost)
-
-
-def _bounds(size: int) -> tuple[Floats, Floats]:
-    lobe_low, lobe_high = [math.log(NARROWEST), 0.0, *[0.0] * 3], [math.log(WIDEST), 1.0, *[np.inf] * 3]
-    lobes = (size - 3) // LOBE
-    return np.array([0.0] * 3 + lobe_low * lobes), np.array([np.inf] * 3 + lobe_high * lobes)
 
 
 def _first(cosines: Cosines, target: Tensor, alphas: tuple[float, ...]) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +20,6 @@ from metapp.extensions.baselines.fits import (
     own_parameters,
     settings_of,
     training_folder,
-    training_of,
 )
 from metapp.learning.task import Params, Task
 from metapp.runs.outputs.statistics import apart
@@ -46,35 +44,31 @@ def _larger(subject: Subject) -> list[str]:
 
 def _able(subject: Subject) -> list[Baseline]:
     """The baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
-    complete = [each for each in baselines_of(subject.app) if not each.stored or _all_hold(subject, each.stored)]
-    if subject.tasks and any(baseline.learns for baseline in complete) and training_folder(subject.plan) is None:
-        return [baseline for baseline in complete if not baseline.learns]
-    return complete
 
+    def able(baseline: Baseline) -> bool:
+        if baseline.stored:
+            return bool(subject.tasks) and all(baseline.stored in task.data for task in subject.tasks)
+        return not (baseline.learns and subject.tasks) or training_folder(subject.plan, baseline) is not None
 
-def _all_hold(subject: Subject, tensor: str) -> bool:
-    return bool(subject.tasks) and all(tensor in task.data for task in subject.tasks)
+    return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     """The fits of a baseline."""
-    source = training_folder(subject.plan) if baseline.learns and subject.tasks else None
     folder = None
-    if subject.tasks and (source or not baseline.learns):
-        settings = settings_of(subject.plan, baseline, source, subject.label)
+    if subject.tasks and (not baseline.learns or training_folder(subject.plan, baseline)):
+        settings = settings_of(subject.plan, baseline, subject.label)
         folder = subject.folder(f"baselines/{baseline.name}", settings, ENTRIES)
-    return subject.make_cell(baseline.name, folder, functools.partial(_measured, subject, baseline, source))
 
+    def measured(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
+        """The record and the picture of each task, as far as it can be fitted."""
+        try:
+            for record, kept, _ in fit_baselines(subject.plan, baseline, tasks):
+                yield record, kept
+        except ValueError as error:
+            say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
-def _measured(
-    subject: Subject, baseline: Baseline, source: Path | None, tasks: list[Task]
-) -> Iterator[tuple[Record, Params | None]]:
-    """The record and the picture of each task, as far as it can be fitted."""
-    try:
-        for record, kept, _ in fit_baselines(subject.plan, baseline, training_of(subject.app, source), tasks):
-            yield record, kept
-    except ValueError as error:
-        say(f"{name_of(subject.app)} {baseline.name}: {error}")
+    return subject.make_cell(baseline.name, folder, measured)
 
 
 def picture(subject: Subject) -> Path | None:
@@ -86,11 +80,9 @@ def picture(subject: Subject) -> Path | None:
 def picture_cells(subject: Subject) -> dict[str, Cell]:
     """The fits of the baselines that are measured and are pictures, by name."""
     cells = {baseline.name: baseline_cell(subject, baseline) for baseline in _able(subject)}
-    return {
-        name: cell
-        for name, cell in cells.items()
-        if cell.folder and subject.tasks and not cell.missing() and cell.folder.params(subject.tasks[0].name).is_file()
-    }
+    measured = {name: (cell, cell.folder) for name, cell in cells.items() if cell.folder and not cell.missing()}
+    first = subject.tasks[0].name if subject.tasks else ""
+    return {name: cell for name, (cell, folder) in measured.items() if folder.params(first).is_file()}
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -109,26 +101,17 @@ def baseline_rows(subject: Subject) -> list[Row]:
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
     fit = subject.fits[name]
     theta = own_parameters(fit.app)
-    entries = {
-        "baseline": False,
-        "numbers": sum(value.numel() for value in theta.values()),
-        "size": size(theta),
-        "shared": stored(fit.checkpoint),
-        "few": subject.is_of_few(name),
-    }
+    kept = {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
+    entries = kept | {"shared": stored(fit.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
     return row_of(subject, name, [subject.cell(name)], entries, against=against(subject, name, "meta"))
 
 
 def _row_of_baseline(subject: Subject, baseline: Baseline) -> Row:
-    cell = baseline_cell(subject, baseline)
+    cell, name = baseline_cell(subject, baseline), baseline.name
     records = cell.records()
-    entries = {
-        "baseline": True,
-        "numbers": statistics.fmean(record["numbers"] for record in records) if records else None,
-        "size": statistics.fmean(record["size"] for record in records) if records else None,
-        "shared": records[-1]["shared"] if records else None,
-    }
-    return row_of(subject, baseline.name, [cell], entries, against=against(subject, baseline.name, "meta"))
+    kept = {key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "size")}
+    entries = kept | {"shared": records[-1]["shared"] if records else None, "baseline": True}
+    return row_of(subject, name, [cell], entries, against=against(subject, name, "meta"))
 
 
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
@@ -151,11 +134,10 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
 def _compared(all_rows: list[Row]) -> list[str]:
     """The baselines of a lower error than Meta's, of a higher one, and those not told apart."""
     pairs = {row["paradigm"]: pair for row in all_rows if (pair := paired_of(row, "meta"))}
-    lower = [name for name, pair in pairs.items() if apart(pair) and pair.value < pair.level]
     higher = [name for name, pair in pairs.items() if apart(pair) and pair.value > pair.level]
     level = [name for name, pair in pairs.items() if not apart(pair)]
     return [
-        *(f"{name}: {compared_text(pairs[name], 'meta')}" for name in lower),
+        *(f"{name}: {compared_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *level)),
         *([f"a higher error than meta's: {', '.join(higher)}"] if higher else []),
         *([f"no win either way: {', '.join(level)}"] if level else []),
     ]
