@@ -172,4 +172,4 @@ class PretrainedSetup(MaterialSetup):
     @property
     def encoder(self) -> FeatureEncoder:  # type: ignore[override]
         """The encoder that fits it."""
-        return FeatureEncoder(self.field.code, len(PARTS))
+        return FeatureEncoder(self.field.code)

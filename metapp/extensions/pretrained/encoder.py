@@ -18,6 +18,7 @@ from metapp.appearance.features import load_features, weights_path
 from metapp.appearance.flash import positions
 from metapp.appearance.precision import in_bfloat16
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS
 from metapp.apps.svbrdf_nonstationary.encoder import SLOPE, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED, RAW
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
@@ -27,6 +28,7 @@ from metapp.runs.checkpoints.shipped import FULL, shipped_path
 from metapp.storage.records import load_checkpoint
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
+WIDTHS = (32, 64, 96, 128)  # channels of the levels, the finest first
 LARGEST = 1 << (len(TAPS) - 1)  # what the sides of photographs must be multiples of
 TONE, GAMMA = 0.35, 2.2  # of the mean of a photograph, as VGG sees it
 KNOWN = 12  # channels of what is known of each pixel beside the features
@@ -51,13 +53,9 @@ class FeatureEncoder(NamedTuple):
 
     Attributes:
         code: length of the code in a pixel.
-        deviations: how many maps it says the deviation of.
-        widths: channels of the levels, the finest first.
     """
 
     code: int
-    deviations: int
-    widths: tuple[int, ...] = (32, 64, 96, 128)
 
     def init(self, rng: Generator) -> Params:
         """Random parameters.
@@ -67,8 +65,8 @@ class FeatureEncoder(NamedTuple):
         """
         require_weights()
         encoder: Params = {}
-        for level, (width, channels) in enumerate(zip(self.widths, TAPS.values(), strict=True)):
-            coarser = self.widths[level + 1 : level + 2]
+        for level, (width, channels) in enumerate(zip(WIDTHS, TAPS.values(), strict=True)):
+            coarser = WIDTHS[level + 1 : level + 2]
             add_layer(encoder, rng, f"level{level}.features", width, channels)
             for below in coarser:
                 add_layer(encoder, rng, f"level{level}.coarser", width, below)
@@ -81,10 +79,9 @@ class FeatureEncoder(NamedTuple):
             add_layer(encoder, rng, f"overview{level}.first", width, below, 3, 3)
             add_layer(encoder, rng, f"overview{level}.second", width, width, 3, 3, gain=0.7)
             add_layer(encoder, rng, f"overview{level}.mean", width, width, gain=0.5)
-        add_layer(encoder, rng, "code", self.code, self.widths[0], gain=0.3)
-        if self.deviations:
-            add_layer(encoder, rng, "deviation", self.deviations, self.widths[AT], gain=0.0)
-            encoder["deviation.shift"] += math.log(DEVIATION)
+        add_layer(encoder, rng, "code", self.code, WIDTHS[0], gain=0.3)
+        add_layer(encoder, rng, "deviation", len(PARTS), WIDTHS[AT], gain=0.0)
+        encoder["deviation.shift"] += math.log(DEVIATION)
         return encoder
 
     def __call__(
@@ -99,8 +96,8 @@ class FeatureEncoder(NamedTuple):
             patch: as `patch_of` makes it of all of the patch; None where the photographs show that.
 
         Returns:
-            `z`, the code [T, code, H, H] and after it that of the smaller network, `flash` [T, FLASH] by that, and, if
-            it says any, `deviation` [T, deviations, H / 4, H / 4], logs.
+            `z`, the code [T, code, H, H] and after it that of the smaller network, `flash` [T, FLASH] by that, and
+            `deviation` [T, len(PARTS), H / 4, H / 4], logs.
 
         Raises:
             ValueError: no weights of VGG-16; another side.
@@ -127,7 +124,7 @@ class FeatureEncoder(NamedTuple):
                 parts += [] if x is None else [twice(pointwise(encoder, f"level{level}.coarser", x))]
                 # channels first: half the time where gradients are wanted, while VGG likes them last
                 x = block(encoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
-                if level == AT and self.deviations:
+                if level == AT:
                     result["deviation"] = pointwise(encoder, "deviation", x)
             assert x is not None
             result["z"] = pointwise(encoder, "code", x)
@@ -224,7 +221,7 @@ def require_weights() -> None:
     Raises:
         ValueError: they are not there.
     """
-    if not weights_path().is_file():
+    if lacks():
         raise ValueError(
             f"{weights_path()}: no such file, expected the weights of VGG-16, which the recipe pretrained reads; get "
             "them by metapp data vgg, or fit by --recipe full."

@@ -74,14 +74,14 @@ def read_task(source: Path, size: int, normals: str) -> Task:
 def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
     """Conversion of sets of maps, and of drawn materials as they are."""
     paths = list(paths)
-    drawn = {source: one for path in paths if _is_set(path) for source, one in _drawn(path, size).items()}
-    folders = [path for path in paths if not _is_set(path)]
+    sets, folders = ([path for path in paths if (path / MANIFEST).is_file() == is_set] for is_set in (True, False))
+    drawn = {source: one for path in sets for source, one in _drawn(path, size).items()}
     labels: Mapping[Path, Label] = split_materials(find_materials(folders)[0]) if folders else {}
 
     def found(some: Iterable[Path]) -> tuple[list[Path], list[str]]:
         some = list(some)
-        folders = [path for path in some if not _is_set(path)]
-        sources, skipped = find(folders) if folders else ([], [])
+        scans = [path for path in some if path not in sets]
+        sources, skipped = find(scans) if scans else ([], [])
         return [*sources, *(source for source in drawn if source.parent in some)], skipped
 
     def read(source: Path) -> Task:
@@ -96,10 +96,6 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) ->
 
 def _with(task: Task, known: torch.Tensor, kind: int) -> Task:
     return task._replace(data=task.data | {"known": known, "kind": torch.tensor([kind], dtype=torch.uint8)})
-
-
-def _is_set(path: Path) -> bool:
-    return (path / MANIFEST).is_file()
 
 
 def _drawn(folder: Path, size: int) -> dict[Path, tuple[Task, Label]]:

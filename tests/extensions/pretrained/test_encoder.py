@@ -31,7 +31,7 @@ DIGEST = "f6bf608fb21e"  # the digest of General by "full" that the checkpoint's
 
 @pytest.mark.usefixtures("weights")
 def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
-    encoder = FeatureEncoder(5, len(PARTS))
+    encoder = FeatureEncoder(5)
     parameters = encoder.init(rng)
     for side in (32, 64):
         read = encoder(parameters, torch.rand(2, 3, side, side, generator=rng))
@@ -45,7 +45,7 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
 @pytest.mark.usefixtures("weights")
 def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
     """It is not in most windows."""
-    encoder = FeatureEncoder(5, len(PARTS))
+    encoder = FeatureEncoder(5)
     parameters, photos = encoder.init(rng), torch.rand(2, 3, 32, 32, generator=rng) ** 2
     smaller, its = _smaller(photos.device)
     side = smaller.field.height
@@ -86,7 +86,7 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     fine = torch.rand(1, 3, 512, 512, generator=rng)
     smooth = torch.nn.functional.avg_pool2d(fine, 2)
     torch.testing.assert_close(overview_of(fine), overview_of(smooth))
-    encoder = FeatureEncoder(5, len(PARTS))
+    encoder = FeatureEncoder(5)
     untrained = encoder.init(rng)
     trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
     patch, middle = patch_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
@@ -115,7 +115,7 @@ def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
 
 @pytest.mark.usefixtures("weights")
 def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
-    encoder = FeatureEncoder(5, len(PARTS))
+    encoder = FeatureEncoder(5)
     untrained = encoder.init(rng)
     trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
     photo = torch.rand(1, 3, 32, 32, generator=rng)
