@@ -73,8 +73,8 @@ UNUSED = {
 def test_help_fits_a_screen_and_leaves_out_what_the_paradigm_does_not_use(paradigm: str) -> None:
     for name in ["", *app_names()]:
         shown = CliRunner().invoke(cli, [paradigm, *filter(None, [name]), "--help"], env={"COLUMNS": "100"}).stdout
-        assert len(shown.splitlines()) <= 50
-        assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output", "Machine"]
+        assert len(shown.splitlines()) <= 43
+        assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output"]
         options = set(re.findall(r"^│ (?:-q, )?--([a-z-]+)", shown, re.MULTILINE))
         every = {option.replace("_", "-") for option in (*OPTIONS, *all_options())} | {"json"}
         assert options == every - {"app", "inputs"} - (OWN - SHOWN[name]) - UNUSED[paradigm]
