@@ -106,18 +106,6 @@ def test_two_fingers_zoom_a_panorama(page: Page) -> None:
     assert not page.problems
 
 
-def test_a_light_is_drawn_while_it_changes(page: Page) -> None:
-    """A frame may fall between the parts of an update."""
-    page.page.evaluate(f"metapp.open({LIGHT})")
-    update = (
-        "async () => { const { viewer } = metapp, done = viewer.update(viewer); viewer.draw(); await 0; viewer.draw();"
-    )
-    page.page.evaluate(update + " await new Promise((next) => setTimeout(next)); viewer.draw(); await done; }")
-    page.settle()
-    assert kinds(page) == ("light", 1)
-    assert not page.problems
-
-
 def test_what_cannot_be_drawn_makes_room_for_the_reason(page: Page) -> None:
     page.page.evaluate("metapp.viewer.draw = () => { throw new Error('no memory'); }; metapp.set('show', 'one')")
     page.page.wait_for_selector(".problem:not([hidden])")

@@ -317,14 +317,3 @@ def test_fits_share_what_they_have_in_common_and_their_place(page: Page) -> None
     seen(page, 1, (600, 400), show="wipe")
     labels = page.page.locator(".label:not(.pointed)").all_text_contents()
     assert labels == [f"seed {seed}, error 0.1: exemplar, repeated | fit" for seed in (0, 1)]
-
-
-@pytest.mark.long
-def test_a_page_follows_a_fit(page: Page) -> None:
-    before = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=0)
-    page.page.evaluate("metapp.viewer.update({...DATA.groups[1], fits: DATA.groups[1].fits.slice(1)})")
-    page.settle()
-    fit = pixels_of(view_of(SHOWN, theta_of(1), exemplar_of()).pictures["fit"])
-    after = page.screenshot()
-    assert not np.array_equal(before, after)
-    assert np.abs(after - fit).max() < 0.5 / 255
