@@ -100,7 +100,9 @@ def run(command: Callable[[], object]) -> int:
         return Exit.USAGE
     except KeyboardInterrupt:
         return _interrupted(terminal)
-    except (BrokenPipeError, SystemExit):  # the latter is click's word for the former
+    except (BrokenPipeError, SystemExit) as error:
+        if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
+            raise  # not click's word for a broken pipe: it has ended well, as --show-completion does
         # a reader such as `head` went away: say nothing, also not when Python flushes at exit
         leave(sys.stdout)
         return Exit.UNREAD

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from typing import IO
 
 LONGEST = 300  # characters of an error or a warning
@@ -15,8 +16,11 @@ def escaped(text: str) -> str:
 
 
 def one_line(message: str) -> str:
-    """A message without control characters, its middle cut where it is long: the ends hold subject and remedy."""
-    text, half = escaped(message), (LONGEST - 5) // 2
+    """A message without control characters, its long paths cut, then its middle: the ends hold subject and remedy."""
+    text = escaped(message)
+    if len(text) > LONGEST:
+        text = re.sub(r"[^\s(]{60,}", lambda word: f"...{word[0][-45:]}", text)  # long paths: their ends tell most
+    half = (LONGEST - 5) // 2
     return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
 
 

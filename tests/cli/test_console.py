@@ -1,6 +1,7 @@
 """Messages on a terminal, and help."""
 
 import os
+import sys
 
 import pytest
 
@@ -33,3 +34,10 @@ def test_a_reader_that_goes_away_ends_a_command_quietly(
         monkeypatch.setattr("sys.stdout", pipe)
         assert run(lambda: print("a line")) == 141
     assert capsys.readouterr().err == ""
+
+
+def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
+    """As --show-completion does; only a broken pipe counts as output that nobody read."""
+    with pytest.raises(SystemExit) as ended:
+        run(lambda: sys.exit(0))
+    assert ended.value.code == 0

@@ -180,7 +180,7 @@ def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: p
     (Path("page")).mkdir()
     (Path("page") / "index.html").touch()
     assert "--overwrite" in metapp("export-model", "svbrdf_nonstationary", "--page", "page").misuse
-    monkeypatch.setattr(runtime, "URL", "file:///none.tgz")
+    monkeypatch.setattr(runtime, "URL", Path("none.tgz").absolute().as_uri())
     refused = metapp("export-model", "svbrdf_nonstationary", "--page", "page", "--overwrite").refusal
     assert "expected onnxruntime-web" in refused
     assert not Path("material.onnx").exists()
