@@ -229,11 +229,11 @@ def bench_kernel() -> None:
     print(f"\nBRDF network in C, {SAMPLES} samples of a task, one thread; torch says {capability}")
     print(f"  {'-march':12} {'lanes':>5} {'limit':>13} {'gradient':>24} {'product':>24}")
     for march in runs:
-        library = nbrdf.library(march)
+        library = nbrdf.compiled(march)
         if library is None:
             print(f"  {march:12} is not compiled here")
             continue
-        with mock.patch.object(nbrdf, "library", return_value=library):
+        with mock.patch.object(nbrdf, "compiled", return_value=library):
             times = medians(
                 {
                     "gradient": lambda: nbrdf.gradient(flat, batch, {}),

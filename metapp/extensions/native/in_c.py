@@ -75,7 +75,7 @@ def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
         or any(value.dtype != torch.float32 or value.device.type != "cpu" for value in theta.values())
     ):
         return None
-    return kernel(theta) if library() is not None else None
+    return kernel(theta) if compiled() is not None else None
 
 
 def _kernel(function: Callable[..., object]) -> Callable[[Params], LossInC | None] | None:
@@ -140,7 +140,7 @@ def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 @functools.cache
-def library(march: str = "native") -> ctypes.CDLL | None:
+def compiled(march: str = "native") -> ctypes.CDLL | None:
     """The functions of `step.c` by the instructions of a CPU; None where there is no compiler for it."""
     result = load(Path(__file__).with_name("step.c"), "step", "step_back", march=march)
     if result is not None:
@@ -168,7 +168,7 @@ class _Step:
 
     def __init__(self, layout: Layout, loss: LossInC, order: int) -> None:
         self.loss, self.order = loss, order
-        functions = library()
+        functions = compiled()
         assert functions is not None, "a loss in C is offered with the library alone"
         self.functions = functions
         pairs = [

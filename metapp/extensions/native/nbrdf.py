@@ -19,11 +19,11 @@ from metapp.learning.task import Batch, Params
 def loss(theta: Params) -> LossInC | None:
     """The loss for parameters of this network; None for others, or without a compiler."""
     same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == shapes_of(NBRDF)
-    return LossInC(tuple(shapes_of(NBRDF)), gradient, product) if same and library() is not None else None
+    return LossInC(tuple(shapes_of(NBRDF)), gradient, product) if same and compiled() is not None else None
 
 
 @functools.cache
-def library(march: str = "native") -> ctypes.CDLL | None:
+def compiled(march: str = "native") -> ctypes.CDLL | None:
     """The functions of `nbrdf.c` by the instructions of a CPU; None where there is no compiler for it."""
     result = load(Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product", "nbrdf_lanes", march=march)
     if result is not None:
@@ -37,7 +37,7 @@ def library(march: str = "native") -> ctypes.CDLL | None:
 def gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
     """Gradient [T, 675] and loss [T]."""
     result, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
-    dense, functions = _dense(theta, batch), library()
+    dense, functions = _dense(theta, batch), compiled()
     assert functions is not None
     functions.nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
     return result, losses
@@ -48,7 +48,7 @@ def product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tupl
     dense, result, along = _dense(theta, batch), torch.empty_like(theta), along.contiguous()
     pulled = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
     pulls = [pulled[key].data_ptr() if key in pulled else None for key in ("smoothing", "weights")]
-    functions = library()
+    functions = compiled()
     assert functions is not None
     functions.nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
     return result, pulled

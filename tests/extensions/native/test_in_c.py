@@ -43,10 +43,10 @@ def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int
     if march != "native" and not (platform.machine() in ("x86_64", "AMD64") and (wide or march == "x86-64-v2")):
         pytest.skip(f"this CPU does not run {march}")
     for module in (nbrdf, in_c):
-        library = module.library(march)
+        library = module.compiled(march)
         assert library is not None
-        monkeypatch.setattr(module, "library", lambda library=library: library)
-    lanes: int = nbrdf.library().nbrdf_lanes()
+        monkeypatch.setattr(module, "compiled", lambda library=library: library)
+    lanes: int = nbrdf.compiled().nbrdf_lanes()
     assert lanes == {"x86-64-v3": 8, "x86-64-v2": 4}.get(march, lanes)
     return lanes
 
@@ -278,8 +278,8 @@ def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
     here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
-    monkeypatch.setattr(nbrdf, "library", lambda: None)
-    monkeypatch.setattr(in_c, "library", lambda: None)
+    monkeypatch.setattr(nbrdf, "compiled", lambda: None)
+    monkeypatch.setattr(in_c, "compiled", lambda: None)
     there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
     for key, value in there.items():
         assert away(here[key], value.double()) < 100 * EPS
