@@ -332,6 +332,18 @@ def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Pat
     return write
 
 
+@pytest.fixture(scope="module")
+def network(neural_fits: Callable[[int], Path]) -> Path:
+    """One such network."""
+    return neural_fits(1) / "m0"
+
+
+@pytest.fixture
+def fit(metapp: Callable) -> Callable:
+    """`metapp PARADIGM brdf ARGUMENTS... --quiet`."""
+    return lambda paradigm, *arguments: metapp(paradigm, "brdf", *arguments, "--quiet")
+
+
 @pytest.fixture(scope="session")
 def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of ten small materials, eight of them for training; for tests to copy, not to write to."""

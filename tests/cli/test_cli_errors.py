@@ -25,16 +25,6 @@ from tests.conftest import Result
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
-@pytest.fixture(scope="module")
-def network(neural_fits: Callable[[int], Path]) -> Path:
-    return neural_fits(1) / "m0"
-
-
-@pytest.fixture
-def fit(metapp: Callable) -> Callable:
-    return lambda paradigm, *arguments: metapp(paradigm, "brdf", *arguments, "--quiet")
-
-
 def one(result: Result) -> str:
     """The one line, and no other, of a command that failed."""
     assert result.code == 1
