@@ -114,7 +114,7 @@ def light(
                 "for fits with --observe photo."
             )
     forms = inputs_of("illumination")
-    readers = [form.files() for form in forms if hasattr(form.files(), "task_of_pixels")]
+    readers = [files for files in (form.files() for form in forms) if hasattr(files, "task_of_pixels")]
     if not readers:
         raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
     task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, size, fov_rad)

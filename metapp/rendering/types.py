@@ -23,7 +23,6 @@ Tensorf = Any
 # records of Mitsuba: SurfaceInteraction3f, BSDFSample3f, DirectionSample3f, Ray3f or RayDifferential3f
 Interaction = Any
 BsdfSample = Any
-EmitterSample = Any
 Ray = Any
 # objects of Mitsuba
 Mitsuba = Any  # the module, in its variant

@@ -168,15 +168,16 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
             pairs = zip(compared.sides, records, strict=True)
             columns.append(column_of(task, [(side.label, side.app, side.folder, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
-    if app.name in SPHERES and any("reference" in column.pictures for column in columns):
-        compared = compared._replace(measures=compared.measures | _colour_differences(columns, compared))
+    judged = [column for column in columns if "reference" in column.pictures]
+    if app.name in SPHERES and judged:
+        compared = compared._replace(measures=compared.measures | _colour_differences(judged, compared))
     return write_compared(app, columns, file), compared
 
 
 def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str, Measured]:
     """Of both fits' spheres from the reference's, by what they are: median and 95th percentile of a sphere's pixels."""
     found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}), ({}, {})]
-    for column in (column for column in columns if "reference" in column.pictures):
+    for column in columns:
         reference, *fits = column.pictures.values()
         touched = np.min([reference, *fits], 0).min(-1) < 1  # the background is white
         for side, fit in enumerate(fits):

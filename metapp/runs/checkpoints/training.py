@@ -69,8 +69,9 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     general = general or general_of(plan, steps) if begins else None
     encoder = general.prepared if general else None
     tasks = _tasks_of(plan, name, folder)
-    info = _about(plan, name, folder, encoder) | ({"first": first.digest} if first.digest else {})
-    info["training_digest"] = digest(_settings(plan, name, steps, folder, encoder) | info)
+    about = _about(plan, name, folder, encoder) | ({"first": first.digest} if first.digest else {})
+    settings = _settings(plan, name, steps, folder, encoder) | about
+    info = about | {"training_digest": digest(settings)}
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
@@ -78,7 +79,6 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, previous)
 
     writes, phi = ranks.number() == 0, first.prepared
-    settings = _settings(plan, name, steps, folder, encoder) | info
     checkpoint, since = _opened(path, settings, plan, training_of(plan.job, name, steps))
     with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
         rng = Generator(plan.device).manual_seed(request.seed)

@@ -110,13 +110,13 @@ def execute(plan: Plan) -> Run | None:
         ValueError: bad inputs, no checkpoint, a folder that cannot be written to; nothing could be fitted.
         FloatingPointError: training is not finite.
     """
-    if ranks.number() > 0:
-        if plan.request.train:
-            with reporting(Reporter()):
-                _with_checkpoint(replace(plan, request=replace(plan.request, quiet=True)))
-        return None
-    make_folder(plan.request.out)
     with threads(threads_of(plan.app)):
+        if ranks.number() > 0:
+            if plan.request.train:
+                with reporting(Reporter()):
+                    _with_checkpoint(replace(plan, request=replace(plan.request, quiet=True)))
+            return None
+        make_folder(plan.request.out)
         sources, label = sources_to_fit(plan)
         plan = replace(plan, checkpoint=_with_checkpoint(plan).checkpoint)
         folder = _folder(plan, label)
@@ -125,14 +125,13 @@ def execute(plan: Plan) -> Run | None:
 
 def _with_checkpoint(plan: Plan) -> Plan:
     """The plan with its checkpoint, trained first if that is asked for, by all ranks together."""
-    with threads(threads_of(plan.app)):
-        if plan.request.train:
-            with ranks.joined(plan.device):
-                trained = train_checkpoint(plan, plan.request.train_steps)
-            if plan.paradigm.name == "quickft" and trained.general:  # which may ship
-                return replace(plan, checkpoint=tuned_by(trained.general, trained.prepared.phi, trained.path))
-            plan = replace(plan, request=replace(plan.request, checkpoint=trained.path))
-        return find_checkpoint(plan) if ranks.number() == 0 else plan
+    if plan.request.train:
+        with ranks.joined(plan.device):
+            trained = train_checkpoint(plan, plan.request.train_steps)
+        if plan.paradigm.name == "quickft" and trained.general:  # which may ship
+            return replace(plan, checkpoint=tuned_by(trained.general, trained.prepared.phi, trained.path))
+        plan = replace(plan, request=replace(plan.request, checkpoint=trained.path))
+    return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
 def _folder(plan: Plan, label: str) -> RunFolder:
@@ -254,11 +253,14 @@ class _Loop:
             results = self._fitter.fit([task for _, task in pairs])
         except (ValueError, FloatingPointError, MemoryError, RuntimeError) as error:
             if len(pairs) == 1:
-                return self._fail(pairs[0][0], error)
-            results = []
-        for pair in pairs if not results else ():  # outside of the handler, which holds what the batch held
-            self._fit([pair])
-        for (source, task), result in zip(pairs, results, strict=False):
+                self._fail(pairs[0][0], error)
+                return
+            results = None
+        if results is None:  # outside of the handler, which holds what the batch held
+            for pair in pairs:
+                self._fit([pair])
+            return
+        for (source, task), result in zip(pairs, results, strict=True):
             theta = {key: value.detach().cpu() for key, value in result.theta.items()}
             try:
                 self._keep(source, task, theta, result.record, len(pairs))
@@ -266,7 +268,6 @@ class _Loop:
                 self._fail(source, error)
             else:
                 self._export(task, theta)
-        return None
 
     def _keep(self, source: Source, task: Task, theta: Params, record: Document, beside: int) -> None:
         """Write the pictures, the parameters and the record of a fit, in this order."""
