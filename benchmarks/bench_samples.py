@@ -81,7 +81,7 @@ def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Trai
     for task in tasks:
         stacked = stack(planned.app, [task])
         answer = prepared.fit(stacked, rng_of(planned, task), allowed).answer()
-        errors[task.name] = planned.app.traits.scale * float(planned.app.errors_of(answer, stacked)["error"])
+        errors[task.name] = planned.app.scale * float(planned.app.errors_of(answer, stacked)["error"])
     return errors
 
 

@@ -6,75 +6,77 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.learning.recipe import Setup
-from metapp.learning.task import RESERVED, Batch, Held, Linear, Params, Task, Tasks
+from metapp.learning.task import RESERVED, Batch, Linear, Params, Task, Tasks, TensorSpec
 
 Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
-
-
-@dataclass(frozen=True)
-class Traits:
-    """The properties of an application at a setup that others depend on.
-
-    Attributes:
-        scale: factor of errors in records and tables; 100 where the paper prints x100.
-        single_threaded: True where threads and GPUs only slow down the fit of one task.
-        compiles: True where compiling the inner step pays in training.
-        cheap_fits: True where a search can afford to fit all validation tasks.
-        periodic: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
-        deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
-        reads: px a side, or rows of a map, of the resolution that a user's files are read at; 0: as their readers do.
-        own: the parameters that a task does not share with others after General's encoder; () for all.
-        given: names and shapes, without task axis, of parameters that only tasks give (`Known`), not `App.init`.
-    """
-
-    scale: float = 1.0
-    single_threaded: bool = False
-    compiles: bool = False
-    cheap_fits: bool = False
-    periodic: bool = False
-    deterministic: bool = False
-    reads: int = 0
-    own: tuple[str, ...] = ()
-    given: tuple[tuple[str, tuple[int, ...]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-    All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
-    tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
-    table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
-    `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `Reflective` fits,
-    `ReducedPrecision`, `Doubtful` fits, `Remarked` tasks.
+    All methods are batched over tasks: parameters and batches have a leading task axis T. Abstract methods are what
+    every application has; the others have defaults that do nothing. What fits look like, and what tables say about
+    errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a table beside it.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
         protocol: what a fit may see, one of the values of --observe; "" where there is but one.
         name: as on the command line.
-        holds: what each task must hold, by the tensor's name.
-        traits: what others must know of it.
+        tensors: what each task must hold, by the tensor's name.
+        scale: factor of errors in records and tables; 100 where the paper prints x100.
+        single_threaded: True where threads and GPUs only slow down the fit of one task.
+        compiles: True where compiling the inner step pays in training.
+        deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
     """
 
     setup: Setup = None
     protocol: str = ""
     name: ClassVar[str]
-    holds: ClassVar[Mapping[str, Held]] = MappingProxyType({})
+    tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
+    scale: ClassVar[float] = 1.0
+    single_threaded: ClassVar[bool] = False
+    compiles: ClassVar[bool] = False
+    deterministic: ClassVar[bool] = False
 
     @property
-    def traits(self) -> Traits:
-        """The properties that others depend on; a class attribute where the setup changes nothing."""
-        return Traits()
+    def periodic(self) -> bool:
+        """True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge."""
+        return False
+
+    @property
+    def cheap_fits(self) -> bool:
+        """True where a search can afford to fit all validation tasks."""
+        return False
+
+    @property
+    def read_size(self) -> int:
+        """The px a side, or rows of a map, that a user's files are read at; 0: as their readers do."""
+        return 0
+
+    @property
+    def task_parameters(self) -> tuple[str, ...]:
+        """The parameters that a task does not share with others after General's encoder; () for all."""
+        return ()
+
+    @property
+    def linear_parameter(self) -> str:
+        """The parameter [C, F] that the network is linear in; "" where there is none."""
+        return ""
 
     def conditions(self) -> dict[str, str]:
         """The further conditions of its errors, by name: part of every record and caption."""
         return {}
+
+    def precision(self, device: torch.device) -> str:
+        """The precision of computation, in words: part of every record; "" for float32 throughout."""
+        return ""
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -84,9 +86,17 @@ class App(ABC):
     def init(self, rng: Generator, count: int) -> Params:
         """Random network parameters for `count` tasks, each tensor [count, ...]."""
 
+    def known(self, tasks: Tasks) -> Params:
+        """The parameters that tasks give themselves, [T, ...]: what no step moves, or first values."""
+        return {}
+
     @abstractmethod
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`count` random samples of each task, from the part a fit may see; tensors [T, ...]."""
+
+    def stage(self, tasks: Tasks, done: float) -> Tasks:
+        """The part of tasks that a descent sees after this share of its steps, in [0, 1], such as coarse to fine."""
+        return tasks
 
     @abstractmethod
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -95,6 +105,18 @@ class App(ABC):
     def loss_parameters(self, steps: int) -> Params:
         """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
         return {}
+
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares near the inner loss, in `linear_parameter`; without one it is not called."""
+        raise NotImplementedError
+
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`count` samples for the outer loss, tensors [T, ...]: those of fits."""
+        return self.sample(tasks, rng, count)
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The outer loss of each fit, [T]: that of fits, where training tasks know no more than a fit may see."""
+        return self.loss(theta, batch, learned)
 
     @abstractmethod
     def init_encoder(self, rng: Generator) -> Params:
@@ -112,6 +134,10 @@ class App(ABC):
         """Data augmentation: as many other tasks, each changed at random, for training only."""
         return tasks
 
+    def finish(self, theta: Params) -> Params:
+        """Fits [T, ...] as they are kept, after the last step."""
+        return theta
+
     @abstractmethod
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled.
@@ -128,114 +154,29 @@ class App(ABC):
         """
         raise NotImplementedError
 
-
-@runtime_checkable
-class Staged(Protocol):
-    """An application whose fits do not see all from the beginning, such as from coarse to fine."""
-
-    def stage(self, tasks: Tasks, done: float) -> Tasks:
-        """The part of tasks that a descent sees after this share of its steps, in [0, 1]."""
-
-
-@runtime_checkable
-class LinearLayer(Protocol):
-    """An application whose network is linear in a parameter, at some setups at least.
-
-    Attributes:
-        solves: the parameter [C, F]; "" where it is linear in none at this setup.
-    """
-
-    @property
-    def solves(self) -> str:
-        """Its name."""
-
-    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        """Least squares near the inner loss, in the parameter `solves`."""
-
-
-@runtime_checkable
-class Known(Protocol):
-    """An application some of whose parameters a task gives itself: what no step moves, or first values."""
-
-    def known(self, tasks: Tasks) -> Params:
-        """These parameters, [T, ...]."""
-
-
-def known_of(app: App, tasks: Tasks) -> Params:
-    """The parameters that tasks give themselves, [T, ...]; {} for applications that are not `Known`."""
-    return app.known(tasks) if isinstance(app, Known) else {}
-
-
-@runtime_checkable
-class OuterLoss(Protocol):
-    """An application whose training tasks know more than a fit may see."""
-
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The outer loss of each fit, [T]."""
-
-
-@runtime_checkable
-class OuterSample(Protocol):
-    """An application whose outer loss is taken of other samples than a fit's."""
-
-    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`count` samples for the outer loss, tensors [T, ...]."""
-
-
-@runtime_checkable
-class Distilled(Protocol):
-    """An application with several networks, of which one may learn from another."""
-
-    def evaluated(self, theta: Params, task: Task) -> Task:
-        """The task that one fit reproduces without error."""
-
-
-@runtime_checkable
-class Reflective(Protocol):
-    """An application whose fits are BRDFs."""
-
-    def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
-        """Linear RGB [..., 3] in 1/sr, of half and difference angles and phi_h, [..., 4] in rad."""
-
-
-@runtime_checkable
-class ReducedPrecision(Protocol):
-    """An application whose fits compute in other than float32 on some devices."""
-
-    def precision(self, device: torch.device) -> str:
-        """The precision of computation, in words: part of every record; "" for float32 throughout."""
-
-
-@runtime_checkable
-class Doubtful(Protocol):
-    """An application that sees in a fit alone, without a reference, what is wrong with it."""
-
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """The faults of the fit of each task, in short clauses; [] where nothing is."""
-
-
-@runtime_checkable
-class Finishing(Protocol):
-    """An application that changes fits at their end."""
-
-    def finished(self, theta: Params) -> Params:
-        """Fits [T, ...] as they are kept."""
-
-
-@runtime_checkable
-class Remarked(Protocol):
-    """An application that has more to say of a task, or of its fit, than errors."""
+        """The faults of the fit of each task that show without a reference, in short clauses; [] where nothing is."""
+        return [[] for _ in range(len(tasks))]
 
     def remarks(self, task: Task, theta: Params) -> Mapping[str, object]:
-        """Entries of the record of a fit (no task axis in theta), with a reference or without.
+        """Further entries of the record of a fit (no task axis in theta), with a reference or without.
 
         `counts`: how many things of a kind a fit sees; `note`: a clause, also printed; others the application names.
         """
+        return {}
 
+    def evaluated(self, theta: Params, task: Task) -> Task | None:
+        """The task that a fit reproduces without error, for another network to learn; None where there is but one."""
+        return None
 
-def linear_in(app: App) -> str:
-    """The parameter that an application's network is linear in; "" where there is none."""
-    return app.solves if isinstance(app, LinearLayer) else ""
+    def reflectance(self, theta: Params, angles: Tensor) -> Tensor | None:
+        """Linear RGB [..., 3] in 1/sr of a fitted BRDF (no task axis in theta); None of other applications.
+
+        Args:
+            theta: the fit.
+            angles: half and difference angles and phi_h, [..., 4] in rad.
+        """
+        return None
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

@@ -26,7 +26,7 @@ from metapp.learning.adjoint import (
     learn_through,
     same,
 )
-from metapp.learning.app import App, OuterLoss, OuterSample, Staged
+from metapp.learning.app import App
 from metapp.learning.task import KIND, Params, Rng, Tasks, drawn
 
 
@@ -177,8 +177,7 @@ def task_loss(app: App, batch: int) -> Loss:
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    value = app.outer_loss if isinstance(app, OuterLoss) else app.loss
-    return _loss_of(app, value, app.outer_sample if isinstance(app, OuterSample) else app.sample, batch)
+    return _loss_of(app, app.outer_loss, app.outer_sample, batch)
 
 
 Draw = Callable[[Tasks, Generator, int], Params]
@@ -189,8 +188,7 @@ def _loss_of(app: App, value: Callable[[Params, AnyBatch, Params], Tensor], samp
     def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
         return Drawn(tasks.picked_names, drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    loss = Loss(draw, value)
-    return staged(loss, app.stage) if isinstance(app, Staged) else loss
+    return staged(Loss(draw, value), app.stage)
 
 
 def staged(loss: Loss, stage: Callable[[AnyData, float], AnyData]) -> Loss:

@@ -51,7 +51,7 @@ class Linear(NamedTuple):
     prior: Tensor | None = None
 
 
-class Held(NamedTuple):
+class TensorSpec(NamedTuple):
     """The form that a tensor of a task must have.
 
     Attributes:
@@ -69,11 +69,11 @@ class Held(NamedTuple):
 
 
 KIND = "kind"  # tensor of tasks of any application: which of several kinds, of which training draws as many of each
-RESERVED = {KIND: Held((1,), "uint8", optional=True)}
+RESERVED = {KIND: TensorSpec((1,), "uint8", optional=True)}
 _KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torch.uint8,)}
 
 
-def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
+def problems_of(task: Task, holds: Mapping[str, TensorSpec]) -> list[str]:
     """List the errors in a task's tensors, a line each: found, expected.
 
     Args:
@@ -109,7 +109,7 @@ def _of(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
 
 
-def _said(held: Held) -> str:
+def _said(held: TensorSpec) -> str:
     return f"{held.kind} [{', '.join(map(str, held.shape))}]"
 
 

@@ -8,7 +8,7 @@ from collections.abc import Collection
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.app import App, Traits
+from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.field import LocalField, regridded
 
@@ -26,13 +26,15 @@ class CodedApp(App):
         setup: holds the `field`, and the `encoder` that reads photographs for it.
     """
 
+    single_threaded = compiles = deterministic = True
+
     @property
-    def traits(self) -> Traits:
-        field = self.field
-        cheap = field.height * field.width <= CHEAP
-        return Traits(
-            single_threaded=True, compiles=True, deterministic=True, periodic=field.periodic, cheap_fits=cheap
-        )
+    def periodic(self) -> bool:
+        return self.field.periodic
+
+    @property
+    def cheap_fits(self) -> bool:
+        return self.field.height * self.field.width <= CHEAP
 
     @property
     def field(self) -> LocalField:

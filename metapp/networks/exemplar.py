@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.detail import detail, softness
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
-from metapp.learning.app import App, Traits
+from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.recipe import Recipe, Setup
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -115,8 +115,8 @@ class ExemplarApp(App):
     described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
 
     @property
-    def traits(self) -> Traits:
-        return replace(super().traits, reads=self.setup.width if self.setup.finer else 0)
+    def read_size(self) -> int:
+        return self.setup.width if self.setup.finer else 0
 
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features()}

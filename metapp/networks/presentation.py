@@ -37,7 +37,7 @@ class CodedPresentation(Presentation[AnyCoded]):
         stacked, measured = stack(self.app, [task]), super().image_errors(fits, task)
         for name, fit in fits.items():
             if errors := self.app.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
-                errors["error"] = self.app.traits.scale * errors["error"]
+                errors["error"] = self.app.scale * errors["error"]
                 own = {title: float(errors[key]) for key, title in self.of_pictures.items()}
                 measured[name] = own | measured.get(name, {})
         return measured

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.app import App, Staged, known_of
+from metapp.learning.app import App
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
 from metapp.learning.progress import Progress
 from metapp.learning.rules import fixed_adam
@@ -24,14 +24,14 @@ def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -
 
 def beginning(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """The same where steps follow: beside it are the parameters that tasks give themselves and that it leaves out."""
-    return known_of(job.app, tasks) | initialisation(job, prepared, tasks, rng)
+    return job.app.known(tasks) | initialisation(job, prepared, tasks, rng)
 
 
 def encoding(app: App) -> Encoding:
     """The encoding of `beginning`: its condition is that of General's encoder, and what tasks give themselves."""
 
     def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
-        return app.condition(tasks, rng), known_of(app, tasks)
+        return app.condition(tasks, rng), app.known(tasks)
 
     def encode(encoder: Params, condition: tuple[Batch, Params]) -> Params:
         return condition[1] | app.encode(encoder, condition[0])
@@ -46,8 +46,7 @@ def outer_problem(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     augment = app.augment if training.augment else None
     outer = over_tasks(loss, count=training.tasks, augment=augment)
     # staged before tasks are augmented: what is not seen need not be made
-    outer = staged(outer, app.stage) if isinstance(app, Staged) else outer
-    return MetaParameters(encoder=app.init_encoder(rng)), outer
+    return MetaParameters(encoder=app.init_encoder(rng)), staged(outer, app.stage)
 
 
 def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:

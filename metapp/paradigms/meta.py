@@ -9,7 +9,6 @@ import torch
 from torch import Generator
 
 from metapp.learning.adjoint import Loss, RuleStep, UpdateRule, fastest
-from metapp.learning.app import known_of
 from metapp.learning.learn import (
     MetaParameters,
     after_learning,
@@ -52,7 +51,7 @@ def outer_problem(job: Job, prepared: MetaParameters, rng: Generator) -> tuple[M
         clip=training.clip,
         encoding=general.encoding(app) if prepared.encoder else None,
         outer_loss=task_outer_loss(app, recipe.batch),
-        engine=fastest(compiles=app.traits.compiles),
+        engine=fastest(compiles=app.compiles),
     )
     phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), prepared.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
@@ -94,7 +93,7 @@ def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -
     """theta_0, the same for every task; or what an encoder that was trained through the steps says of each."""
     if prepared.encoder:
         return general.beginning(job, prepared, tasks, rng)
-    return known_of(job.app, tasks) | spread(prepared.theta, len(tasks), 0)
+    return job.app.known(tasks) | spread(prepared.theta, len(tasks), 0)
 
 
 def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> UpdateRule:

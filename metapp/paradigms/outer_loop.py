@@ -55,7 +55,7 @@ def train(
             continue  # it was cut off after this validation
         if now.step == steps or now.step % training.validate_every == 0:
             error = validation_error(paradigm, job, MetaParameters.unflat(now.theta), data.to_validate)
-            mean = job.app.traits.scale * float(torch.stack(losses).mean()) if losses else None
+            mean = job.app.scale * float(torch.stack(losses).mean()) if losses else None
             losses.clear()
             curve = (*best.curve, (now.step, mean, error))
             if error < best.validation:

@@ -1,6 +1,5 @@
 """Overfit: a random initialisation, Adam until converged; nothing is prepared."""
 
-from metapp.learning.app import known_of
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Rng, Tasks, drawn
@@ -15,7 +14,7 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
 def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """Return random parameters, but those that the tasks give themselves."""
     random = drawn(lambda some, own: job.app.init(own, len(some)), tasks, rng)
-    return random | known_of(job.app, tasks)
+    return random | job.app.known(tasks)
 
 
 OVERFIT = Paradigm(

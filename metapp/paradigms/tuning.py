@@ -59,7 +59,7 @@ def search(
 
 def to_tune_on(job: Job, tasks: Tasks) -> Tasks:
     """All validation tasks where fits are cheap, else up to TUNED_ON of them, evenly spaced."""
-    if job.app.traits.cheap_fits:
+    if job.app.cheap_fits:
         return tasks
     count = min(len(tasks), TUNED_ON)
     return tasks.select([i * len(tasks) // count for i in range(count)])

@@ -38,7 +38,7 @@ def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tas
     Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
     """
     paradigm = paradigm._replace(guard=lambda job: None)
-    total, weights, seeds = 0.0, tasks.weights(), 1 if job.app.traits.deterministic else 2
+    total, weights, seeds = 0.0, tasks.weights(), 1 if job.app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for some in torch.arange(len(tasks)).split(AT_ONCE):
@@ -48,4 +48,4 @@ def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tas
             except FloatingPointError:
                 return float("inf")
             total += float((weights[some] * job.app.errors(theta, part)["error"]).sum())
-    return job.app.traits.scale * total / (seeds * float(weights.sum()))
+    return job.app.scale * total / (seeds * float(weights.sum()))

@@ -19,7 +19,6 @@ from torch import Tensor
 from data_tools.readers.brdf_objects import unit_vectors
 from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
-from metapp.learning.app import Reflective
 from metapp.learning.task import Params, Task
 from metapp.runs import BadOption
 from metapp.runs.checkpoints.finding import find_checkpoint
@@ -121,15 +120,15 @@ class Fit:
         Raises:
             ValueError: a fit of another application; no unit vectors, another shape.
         """
-        if not isinstance(self.app, Reflective):
-            raise ValueError(
-                f"{self.name}: a fit of {self.app.name}, expected one of brdf; take fit.maps or fit.picture()."
-            )
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
         with threads(threads_of(self.app)), torch.no_grad():
             values = self.app.reflectance(self.parameters, directions_to_four_angles(light, viewer).float())
+        if values is None:
+            raise ValueError(
+                f"{self.name}: a fit of {self.app.name}, expected one of brdf; take fit.maps or fit.picture()."
+            )
         values = values * ((light[:, 2:] > 0) & (viewer[:, 2:] > 0))
         return values if isinstance(wi, Tensor) else values.numpy()
 

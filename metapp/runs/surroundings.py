@@ -9,14 +9,14 @@ from pathlib import Path
 
 import torch
 
-from metapp.learning.app import App, ReducedPrecision
+from metapp.learning.app import App
 from metapp.runs import BadOption
 from metapp.storage.text import meant
 
 
 def threads_of(app: App) -> int | None:
     """The threads of an application's fits: 1 where threads only wait for each other, else None, all there are."""
-    return 1 if app.traits.single_threaded else None
+    return 1 if app.single_threaded else None
 
 
 def find_device(name: str, app: App) -> torch.device:
@@ -25,7 +25,7 @@ def find_device(name: str, app: App) -> torch.device:
         raise BadOption(f"--device '{name}': expected auto, cpu or cuda.{meant(name, ('auto', 'cpu', 'cuda'))}")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    automatic = "cuda" if torch.cuda.is_available() and not app.traits.single_threaded else "cpu"
+    automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
     return torch.device(automatic if name == "auto" else name)
 
 
@@ -40,7 +40,7 @@ def versions() -> dict[str, str]:
 
 def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
     """The precision of so many steps as records and headers of checkpoints state it; {} for float32."""
-    precision = app.precision(device) if steps and isinstance(app, ReducedPrecision) else ""
+    precision = app.precision(device) if steps else ""
     return {"precision": precision} if precision else {}
 
 

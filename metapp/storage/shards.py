@@ -18,7 +18,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import save
 
-from metapp.learning.task import Held, Task, problems_of
+from metapp.learning.task import Task, TensorSpec, problems_of
 from metapp.storage.files import PARTIAL, locked, naming, open_regular, partial_path, write_atomically
 from metapp.storage.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
 from metapp.storage.tensors import read_tensors
@@ -212,7 +212,7 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def read_shard(
-    folder: str | Path, split: str | None = None, app: str | None = None, holds: Mapping[str, Held] | None = None
+    folder: str | Path, split: str | None = None, app: str | None = None, holds: Mapping[str, TensorSpec] | None = None
 ) -> list[Task]:
     """Read the tasks of a data set; the tensors are mapped from disk and loaded when they are used.
 
@@ -246,7 +246,7 @@ def read_shard(
     return tasks
 
 
-def check_shard(folder: str | Path, holds: Mapping[str, Held] | None = None) -> list[str]:
+def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = None) -> list[str]:
     """Check a data set against its manifest, and its tasks against what the application says they must hold.
 
     Returns:

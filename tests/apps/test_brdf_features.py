@@ -115,7 +115,7 @@ def test_weights_follow_the_loss(theta: Params) -> None:
     changed = theta | {"last": (theta["last"] + 1e-4).requires_grad_()}
     learned = {"smoothing": torch.tensor([math.log(0.02)], dtype=torch.float64)}
     wanted = torch.autograd.grad(APP.loss(changed, batch, learned).sum(), changed["last"])[0]
-    near = APP.linear(changed, batch, learned)
+    near = APP.least_squares(changed, batch, learned)
     found = -(near.residual * near.weights[:, None]) @ near.features.mT / near.weights.shape[1]
     torch.testing.assert_close(found / 3, wanted, rtol=2e-2, atol=2e-2 * float(wanted.abs().max()))
 

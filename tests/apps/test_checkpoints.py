@@ -138,7 +138,7 @@ def test_ten_steps_of_the_default_rule_beat_the_other_quick_ways_on_unseen_mater
     def error_of(paradigm: str, start: MetaParameters, rule: str = recipe.rule) -> float:
         app = app_of("brdf", recipe, rule=rule if paradigm == "meta" else "")
         theta = fitted(app, start, unseen, paradigm, rule=rule)
-        return app.traits.scale * float(app.errors(theta, unseen)["error"].mean())
+        return app.scale * float(app.errors(theta, unseen)["error"].mean())
 
     meta = error_of("meta", start_of("brdf", recipe.rule))
     assert meta < 0.8

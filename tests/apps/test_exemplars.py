@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.detail import FAINTEST, detail
 from metapp.apps import app_of, recipes_of
 from metapp.apps.texture.app import Texture
-from metapp.learning.app import Doubtful, stack
+from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
@@ -71,7 +71,6 @@ def test_fits_are_doubted_each_for_itself_where_networks_read_layouts(app: Exemp
     tiles = 60 + 130 * ((at[:, None] % 16 < 6) | (at % 16 < 6)).to(torch.uint8).expand(3, -1, -1)
     ordered = Task("tiles", {"image": tiles})
     noise = Task("noise", {"image": tasks.data["image"][0]})
-    assert isinstance(app, Doubtful)
     both = stack(app, [noise, ordered])
     theta = app.init(Generator().manual_seed(0), 2)
     doubts = app.doubts(theta, both)
@@ -80,7 +79,6 @@ def test_fits_are_doubted_each_for_itself_where_networks_read_layouts(app: Exemp
     alone = {key: value[1:] for key, value in theta.items()}
     assert app.doubts(alone, both.select([1])) == doubts[1:]
     quick = app_of(app.name, recipes_of(app.name)["quick"])
-    assert isinstance(quick, Doubtful)
     assert quick.doubts({}, both) == [[], []]
 
 

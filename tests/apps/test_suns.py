@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
 from metapp.apps.illumination.app import Illumination, IlluminationSetup
-from metapp.apps.illumination.suns import COUNT, WIDEST, joined, suns_of, with_suns
+from metapp.apps.illumination.suns import COUNT, WIDEST, joined, parted, suns_of, with_suns
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
@@ -99,9 +99,7 @@ def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generato
     predicted, theta = (each.encode(encoder, each.condition(tasks, rng)) for each in (app, how))
     assert not [key for key in predicted if key.startswith("suns")]  # General sees the photograph alone
     torch.testing.assert_close(joined(theta), tasks.data["suns"])
-    assert {(key, tuple(value.shape[1:])) for key, value in theta.items() if key not in predicted} == {
-        *app.traits.given
-    }
+    assert theta.keys() - predicted.keys() == app.known(tasks).keys() == parted(tasks.data["suns"]).keys()
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
     loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
     grads = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)

@@ -8,12 +8,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.learning.task import Held, Task, problems_of
+from metapp.learning.task import Task, TensorSpec, problems_of
 
 HOLDS = {
-    "image": Held((3, "h", "w"), "uint8"),
-    "map": Held(("h", "w"), low=0.0, high=1.0),
-    "more": Held(("n",), optional=True),
+    "image": TensorSpec((3, "h", "w"), "uint8"),
+    "map": TensorSpec(("h", "w"), low=0.0, high=1.0),
+    "more": TensorSpec(("n",), optional=True),
 }
 
 

@@ -24,7 +24,7 @@ from metapp.apps.illumination.app import IlluminationSetup
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
 from metapp.apps.transport.app import TransportSetup
 from metapp.apps.transport.flow import Flow
-from metapp.learning.app import App, linear_in
+from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, last
 from metapp.learning.names import rule_names
 from metapp.learning.progress import Prepared, Progress
@@ -161,7 +161,7 @@ def small_recipe(app: App) -> Recipe:
         general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
         setup=app.setup,
-        rule="ridge" if linear_in(app) else recipe.rule,
+        rule="ridge" if app.linear_parameter else recipe.rule,
     )
 
 

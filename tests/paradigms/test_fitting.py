@@ -32,7 +32,7 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     prepared = prepared_for(paradigm, job)
     theta = paradigm.fit(job, prepared, few, rng())
     network = {key: tuple(value.shape) for key, value in job.app.init(rng(), 3).items()}
-    given = {key: (3, *shape) for key, shape in job.app.traits.given} if paradigm.count(job) else {}
+    given = {key: tuple(value.shape) for key, value in job.app.known(few).items()} if paradigm.count(job) else {}
     assert {key: tuple(value.shape) for key, value in theta.items()} == network | given
     assert {value.dtype for value in theta.values()} == {torch.float32}
     assert not any(value.requires_grad for value in theta.values())
@@ -40,9 +40,9 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(theta[key], again[key]) for key in theta)
     other = paradigm.fit(job, prepared, few, rng(9))
     # without steps nothing need be random: an encoder may look at all there is
-    if name == "overfit" or (paradigm.count(job) and not job.app.traits.deterministic):
+    if name == "overfit" or (paradigm.count(job) and not job.app.deterministic):
         assert not all(torch.equal(theta[key], other[key]) for key in theta)
-    elif job.app.traits.deterministic:
+    elif job.app.deterministic:
         assert all(torch.equal(theta[key], other[key]) for key in theta)
     errors = job.app.errors(theta, few)
     assert {tuple(value.shape) for value in errors.values()} == {(3,)}

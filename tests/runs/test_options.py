@@ -108,7 +108,7 @@ def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) ->
     usual, fine = (plan(Request(app, "general", recipe="full", options={"detail": detail})) for detail in (256, 512))
     assert usual.options == {}
     assert fine.options == {"detail": 512}
-    assert (usual.app.traits.reads, fine.app.traits.reads) == (0, 512)
+    assert (usual.app.read_size, fine.app.read_size) == (0, 512)
     shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
     assert shapes[0] == shapes[1]
     small = Task("small", {"image": torch.zeros(3, 300, 300, dtype=torch.uint8)})

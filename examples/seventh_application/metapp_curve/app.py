@@ -9,8 +9,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu
 
-from metapp.learning.app import App, Traits
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.app import App
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 WIDTH, SAMPLES = 12, 32
 SHAPES = {"w1": (WIDTH, 1), "b1": (WIDTH, 1), "w2": (1, WIDTH), "b2": (1, 1)}
@@ -20,8 +20,8 @@ class Curve(App):
     """The application; parameters have a leading task axis T."""
 
     name = "curve"
-    holds = MappingProxyType({"y": Held((SAMPLES,), low=-1e3, high=1e3)})
-    traits = Traits(single_threaded=True, cheap_fits=True)
+    tensors = MappingProxyType({"y": TensorSpec((SAMPLES,), low=-1e3, high=1e3)})
+    single_threaded = cheap_fits = True
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`x` and `y` [SAMPLES]; even ones are for fits to see, odd ones for tests."""

@@ -18,8 +18,8 @@ from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, samples_at
-from metapp.learning.app import App, Traits
-from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
+from metapp.learning.app import App
+from metapp.learning.task import Batch, Linear, Params, Task, Tasks, TensorSpec
 
 CONDITION = 1024  # samples that General's encoder reads
 EXCESSIVE = 1.01  # the share of light that a fit may be said to reflect without a note
@@ -35,23 +35,25 @@ class Brdf(App):
     """
 
     name = "brdf"
-    holds: ClassVar = {
-        "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
-        "phi_h": Held(("N",), low=0.0, high=2 * math.pi, optional=True),
-        "reflectance": Held(("N", 3), low=0.0),
-        "render": Held(("H", "W", 4), optional=True),
-        "environment": Held(("h", "w", 4), optional=True),
+    tensors: ClassVar = {
+        "angles": TensorSpec(("N", 3), low=0.0, high=2 * math.pi),
+        "phi_h": TensorSpec(("N",), low=0.0, high=2 * math.pi, optional=True),
+        "reflectance": TensorSpec(("N", 3), low=0.0),
+        "render": TensorSpec(("H", "W", 4), optional=True),
+        "environment": TensorSpec(("h", "w", 4), optional=True),
     }
 
+    scale = 100.0
+    single_threaded = compiles = cheap_fits = True
     setup: BrdfNetwork = NBRDF
 
     @property
-    def traits(self) -> Traits:
-        return Traits(scale=100.0, single_threaded=True, compiles=True, cheap_fits=True, own=self.setup.own)
+    def task_parameters(self) -> tuple[str, ...]:
+        return self.setup.task_parameters
 
     @property
-    def solves(self) -> str:
-        return self.setup.solves
+    def linear_parameter(self) -> str:
+        return self.setup.linear_parameter
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
@@ -90,8 +92,10 @@ class Brdf(App):
         norm = ((d * d + s * s).sqrt() - s).mean(1)
         return (norm * sample_weights(where, learned) if "weights" in learned else norm).mean(1)
 
-    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        return self.setup.linear(theta, batch, learned)
+    outer_loss = loss  # the same function, by which compiled code is found
+
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        return self.setup.least_squares(theta, batch, learned)
 
     def loss_parameters(self, steps: int) -> Params:
         return self.setup.loss_parameters(steps)
@@ -109,7 +113,7 @@ class Brdf(App):
         """Mixtures of these materials, with samples as the network learns from them."""
         return tasks.variants(self.setup.augment(mixed(tasks, rng), rng))
 
-    def finished(self, theta: Params) -> Params:
+    def finish(self, theta: Params) -> Params:
         """Limited to reflecting no more than all, where that is asked for."""
         network = self.setup
         return network.conserved(theta) if isinstance(network, Nbrdf | Featured) and network.conserve else theta
@@ -119,7 +123,7 @@ class Brdf(App):
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
         errors = self.errors_of(self.setup.reflectance(theta, where).clamp_min(0), tasks)
         expected = self.setup.expected_errors(theta, tasks)
-        return errors | {name: self.traits.scale * values for name, values in expected.items()}
+        return errors | {name: self.scale * values for name, values in expected.items()}
 
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
         """That no sample was held out, where a measurement has few; that phi_h counts for nothing; energy.

@@ -56,11 +56,11 @@ class Featured(BrdfNetwork):
         return anisotropic.INPUTS if self.anisotropic else INPUTS
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def task_parameters(self) -> tuple[str, ...]:
         return ("z", "last", TURN) if self.anisotropic else ("z", "last")
 
     @property
-    def solves(self) -> str:
+    def linear_parameter(self) -> str:
         return "last"
 
     def init(self, rng: Generator, count: int) -> Params:
@@ -83,7 +83,7 @@ class Featured(BrdfNetwork):
         """A set encoder to a code and a last layer, and the weights that all materials share."""
         numbers = self.code + 3 * (self.features + 1)
         reader = set_encoder(rng, self.inputs + 3, self.encoder, numbers)
-        return encoder_of(reader, self.init(rng, 1), self.own)
+        return encoder_of(reader, self.init(rng, 1), self.task_parameters)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """A code and a last layer from samples, beside the shared weights."""
@@ -110,7 +110,7 @@ class Featured(BrdfNetwork):
         """exp(last layer) - 1."""
         return torch.expm1(torch.bmm(theta["last"], self.features_of(theta, where)))
 
-    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
         """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
         where, target = batch["where"], batch["target"]
         cos = where[:, 6:7]

@@ -36,16 +36,16 @@ class BrdfNetwork(ABC):
     """A network of BRDFs; an instance holds its size.
 
     `where` [T, 7, N] is half vector, difference vector and cos theta_i; `target` [T, 3, N] is log(1 + f cos theta_i).
-    `reflectance`, `linear`, `evaluate` and `folded` take the sizes of the parameters: an instance of any will do.
+    `reflectance`, `least_squares`, `evaluate` and `folded` go by the sizes of the parameters: any instance will do.
     """
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def task_parameters(self) -> tuple[str, ...]:
         """The parameters that a material does not share with others after General's encoder; () for all."""
         return ()
 
     @property
-    def solves(self) -> str:
+    def linear_parameter(self) -> str:
         """The parameter that it is linear in; "" for none."""
         return ""
 
@@ -85,8 +85,8 @@ class BrdfNetwork(ABC):
         where = half_difference_incident(flat if self.anisotropic else flat[:, :3])
         return self.reflectance(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
-    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        """Least squares near the loss, in the parameter `solves`."""
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares near the loss, in `linear_parameter`."""
         raise NotImplementedError
 
     def loss_parameters(self, steps: int) -> Params:

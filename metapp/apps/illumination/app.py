@@ -19,12 +19,11 @@ from metapp.apps.illumination.confidence import Weibull, deviations, features, s
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, photographed, resampled, seen_loss
 from metapp.apps.illumination.spheres import sphere_errors
-from metapp.apps.illumination.suns import GIVEN, joined, parted, suns_of, with_suns
+from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.app import Traits
 from metapp.learning.draws import uniform
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField
 from metapp.rendering.second_scene import relighting
@@ -69,20 +68,19 @@ class Illumination(CodedApp):
     """
 
     name = "illumination"
-    holds: ClassVar = {
-        "photos": Held(("K", 3, 64, 64), "uint8"),
-        "map": Held((3, "H", "W"), low=0.0, optional=True),
-        "scale": Held((), low=0.0, optional=True),
-        "seen": Held((3, "h", "w"), low=0.0, optional=True),
-        "certain": Held((2, "h", "w"), low=0.0, high=1.0, optional=True),
+    tensors: ClassVar = {
+        "photos": TensorSpec(("K", 3, 64, 64), "uint8"),
+        "map": TensorSpec((3, "H", "W"), low=0.0, optional=True),
+        "scale": TensorSpec((), low=0.0, optional=True),
+        "seen": TensorSpec((3, "h", "w"), low=0.0, optional=True),
+        "certain": TensorSpec((2, "h", "w"), low=0.0, high=1.0, optional=True),
     }
+    scale = 100.0
     setup: IlluminationSetup
 
     @property
-    def traits(self) -> Traits:
-        reads = self.field.height if self.field.height > READ else 0
-        given = GIVEN if self.protocol == "reference" else ()
-        return replace(super().traits, scale=100.0, reads=reads, given=given)
+    def read_size(self) -> int:
+        return self.field.height if self.field.height > READ else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.

@@ -18,7 +18,6 @@ from metapp.learning.task import Params
 
 COUNT, NUMBERS = 3, 10  # suns of a map, and numbers of each
 BRIGHT = 80.0  # luminance of what is a sun, of maps of mean luminance 1
-GIVEN = tuple((f"suns.{kind}", (COUNT, 1 if kind == "angle" else 3)) for kind in ("angle", "level", "light", "towards"))
 WIDEST = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
 COVERED = 20.0  # the network does not count where a sun has this part of its radiance or more
 NARROWEST = 0.1  # texels, standard deviation along one axis

@@ -31,8 +31,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
-from metapp.learning.app import Traits
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.doubts import of_highlight
 from metapp.networks.field import LocalField
@@ -104,18 +103,18 @@ class SvbrdfNonstationary(CodedApp):
     """
 
     name = "svbrdf_nonstationary"
-    holds: ClassVar = {
-        "photo": Held((3, "S", "S"), "uint8"),
-        "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
-        "others": Held(("K", 3, "S", "S"), "uint8", optional=True),
-        "predicted": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
-        "places": Held(("N", 2, 3), low=-1e3, high=1e3, optional=True),
+    tensors: ClassVar = {
+        "photo": TensorSpec((3, "S", "S"), "uint8"),
+        "maps": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
+        "others": TensorSpec(("K", 3, "S", "S"), "uint8", optional=True),
+        "predicted": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
+        "places": TensorSpec(("N", 2, 3), low=-1e3, high=1e3, optional=True),
     }
     setup: MaterialSetup
 
     @property
-    def traits(self) -> Traits:
-        return replace(super().traits, reads=FINEST if self.setup.read or self.setup.finer else 0)
+    def read_size(self) -> int:
+        return FINEST if self.setup.read or self.setup.finer else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.

@@ -24,7 +24,7 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.highlight import evenly_lit, gloss
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_blobs, of_highlight, of_order
 from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise, softness_of
 from metapp.networks.layout import astray
@@ -56,10 +56,10 @@ class SvbrdfStationary(ExemplarApp):
 
     name = "svbrdf_stationary"
     described = ("gram", "spectrum")
-    holds: ClassVar = {
-        "image": Held((3, "S", "S"), "uint8"),
-        "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
-        "truth": Held((3, 2, 6), low=0, high=1, optional=True),
+    tensors: ClassVar = {
+        "image": TensorSpec((3, "S", "S"), "uint8"),
+        "relit": TensorSpec((3, 3, "R", "R"), "uint8", optional=True),
+        "truth": TensorSpec((3, 2, 6), low=0, high=1, optional=True),
     }
 
     @torch.no_grad()

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.features import describe_precision, distance, gram
 from metapp.learning.draws import uniform
-from metapp.learning.task import Batch, Held, Params, Tasks
+from metapp.learning.task import Batch, Params, Tasks, TensorSpec
 from metapp.networks.doubts import of_order
 from metapp.networks.exemplar import JUDGED, SHOWN, Crop, ExemplarApp, same_noise, softness_of
 from metapp.networks.layout import astray
@@ -22,7 +22,7 @@ class Texture(ExemplarApp):
 
     name = "texture"
     reduced = True
-    holds: ClassVar = {"image": Held((3, "S", "S"), "uint8")}
+    tensors: ClassVar = {"image": TensorSpec((3, "S", "S"), "uint8")}
 
     def precision(self, device: torch.device) -> str:
         return describe_precision(device)

@@ -12,7 +12,7 @@ from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
@@ -43,12 +43,12 @@ class Transport(App):
     """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
 
     name = "transport"
-    holds: ClassVar = {
-        "samples": Held(("N", 4), low=0.0, high=1.0),
-        "held": Held(("M", 4), low=0.0, high=1.0, optional=True),
-        "image": Held((3, 32, 32), low=0.0),
-        "scene": Held(("L",), "uint8", optional=True),
-        "next_event": Held((1,), "uint8", optional=True),
+    tensors: ClassVar = {
+        "samples": TensorSpec(("N", 4), low=0.0, high=1.0),
+        "held": TensorSpec(("M", 4), low=0.0, high=1.0, optional=True),
+        "image": TensorSpec((3, 32, 32), low=0.0),
+        "scene": TensorSpec(("L",), "uint8", optional=True),
+        "next_event": TensorSpec((1,), "uint8", optional=True),
     }
     setup: TransportSetup
 

@@ -91,7 +91,7 @@ def join(
         raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
     manifests = [read_manifest(source) for source in folders]
     app = class_of(name := manifests[0].app)
-    sets = [{task.name: task for task in read_shard(source, app=name, holds=app.holds)} for source in folders]
+    sets = [{task.name: task for task in read_shard(source, app=name, holds=app.tensors)} for source in folders]
     every = [task.data for tasks in sets for task in tasks.values()]
     shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
@@ -137,7 +137,7 @@ def check(
 
     try:
         manifest = read_manifest(folder)
-        problems = check_shard(folder, class_of(manifest.app).holds)
+        problems = check_shard(folder, class_of(manifest.app).tensors)
     except ValueError as error:
         if not as_json:
             raise

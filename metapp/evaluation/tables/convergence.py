@@ -115,7 +115,7 @@ def states_of(plan: Plan, task: Task, stacked: Tasks, wanted: Collection[int]) -
 def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
     """The table's error; None where the task holds no reference."""
     errors = subject.app.errors(theta, stacked)
-    return subject.app.traits.scale * float(errors["error"][0]) if errors else None
+    return subject.app.scale * float(errors["error"][0]) if errors else None
 
 
 def further_errors(

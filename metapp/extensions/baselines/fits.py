@@ -47,7 +47,7 @@ def training_folder(plan: Plan, baseline: Baseline) -> Path | None:
 @functools.lru_cache(maxsize=1)
 def training_of(app: App, folder: Path | None) -> Training:
     """The training tasks of a data set; no tasks where there is no folder."""
-    return Training(app, read_shard(folder, "train", app.name, app.holds) if folder else [])
+    return Training(app, read_shard(folder, "train", app.name, app.tensors) if folder else [])
 
 
 def allowed_for(plan: Plan) -> Allowed:
@@ -78,7 +78,7 @@ def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
 def own_parameters(app: App) -> Params:
     """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    return {key: value for key, value in theta.items() if not app.traits.own or key in app.traits.own}
+    return {key: value for key, value in theta.items() if not app.task_parameters or key in app.task_parameters}
 
 
 def fit_baselines(plan: Plan, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
@@ -110,7 +110,7 @@ def fit_baselines(plan: Plan, baseline: Baseline, tasks: Sequence[Task], *, warm
             errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
-            scale = {"error": app.traits.scale}
+            scale = {"error": app.scale}
             record = {
                 "name": task.name,
                 "error": None,

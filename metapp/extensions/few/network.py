@@ -45,11 +45,11 @@ class Few(BrdfNetwork):
     kinds: int = 3
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def task_parameters(self) -> tuple[str, ...]:
         return OF_KINDS
 
     @property
-    def solves(self) -> str:
+    def linear_parameter(self) -> str:
         return "last"
 
     def init(self, rng: Generator, count: int) -> Params:
@@ -92,7 +92,7 @@ class Few(BrdfNetwork):
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
         return gaussian.reflectance_of(theta, where)
 
-    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
         """The ridge regression of all samples in logarithms."""
         return gaussian.linear(theta, batch)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -24,7 +24,6 @@ from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
 from metapp.extensions.pretrained.encoder import SMALLER, FeatureEncoder, beside_smaller, halves_of
-from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 from metapp.networks.field import LocalField
@@ -45,9 +44,9 @@ class FromFeatures(SvbrdfNonstationary):
     setup: PretrainedSetup
 
     @property
-    def traits(self) -> Traits:
-        """Those of its photographs' size."""
-        return replace(super().traits, reads=FINEST)
+    def read_size(self) -> int:
+        """That of the finest photographs."""
+        return FINEST
 
     def conditions(self) -> dict[str, str]:
         """The features, which a checkpoint's encoder needs."""

@@ -106,7 +106,7 @@ def _drawn(folder: Path, size: int) -> dict[Path, tuple[Task, Label]]:
     """
     drawn = {}
     entries = read_manifest(folder).tasks
-    for entry, task in zip(entries, read_shard(folder, app=APP, holds=class_of(APP).holds), strict=True):
+    for entry, task in zip(entries, read_shard(folder, app=APP, holds=class_of(APP).tensors), strict=True):
         side = task.data["maps"].shape[-1] if "maps" in task.data else 0
         if side != size:
             found = f"maps of {side} px" if side else "a photo without maps"

@@ -39,7 +39,7 @@ class Network(Part):
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Networks that add nothing."""
-        return networks(theta, steps, first.rate, periodic=app.traits.periodic)
+        return networks(theta, steps, first.rate, periodic=app.periodic)
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """Empty memories."""

@@ -174,7 +174,7 @@ class Average(Part):
 
     def refusal(self, app: App, theta: Params) -> str:
         """It needs samples that scatter the parameters."""
-        return "its fits see nothing random that would scatter the parameters" if app.traits.deterministic else ""
+        return "its fits see nothing random that would scatter the parameters" if app.deterministic else ""
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Tail averaging over AVERAGED of the steps."""

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import AnyBatch, Loss
-from metapp.learning.app import App, LinearLayer, linear_in
+from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Linear, Params
@@ -64,11 +64,11 @@ class Solve(Part):
 
     def refusal(self, app: App, theta: Params) -> str:
         """It needs a network that is linear in a parameter."""
-        return "" if linear_in(app) else "its network is not linear in any parameter of one task"
+        return "" if app.linear_parameter else "its network is not linear in any parameter of one task"
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
-        name = linear_in(app)
+        name = app.linear_parameter
         return {
             f"penalty.{name}": theta[name].new_full((1, theta[name].shape[-1]), math.log(PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),
@@ -76,8 +76,7 @@ class Solve(Part):
 
     def loss(self, app: App, loss: Loss) -> Loss:
         """Normal equations of its least squares."""
-        assert isinstance(app, LinearLayer)
-        return NormalEquations(loss.draw, loss.value, loss.shared, linear=app.linear)
+        return NormalEquations(loss.draw, loss.value, loss.shared, linear=app.least_squares)
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """The Gram matrix of all samples so far: none."""

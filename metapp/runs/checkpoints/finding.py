@@ -176,7 +176,7 @@ def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:
         return prepared
     wanted = _fresh_alpha(plan)
     alpha = {
-        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.traits.periodic)
+        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.periodic)
         if key in wanted and _is_on_a_grid(value, wanted[key])
         else value
         for key, value in prepared.alpha.items()

@@ -130,7 +130,7 @@ def _opened(
 def _tasks_of(plan: Plan, name: str, folder: Path) -> Tasks:
     """The training tasks of a data set."""
     app = plan.app
-    tasks = stack(app, read_shard(folder, "train", app.name, app.holds), plan.device)
+    tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), plan.device)
     say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     return tasks
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator
 
-from metapp.learning.app import Doubtful, Finishing, Remarked, stack
+from metapp.learning.app import stack
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
@@ -86,21 +86,21 @@ class Fitter:
         descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng)
         first = next(descent)
         fit = last(chain([first], descent))
-        theta = app.finished(fit.theta) if isinstance(app, Finishing) else fit.theta
+        theta = app.finish(fit.theta)
         seconds = _now(plan.device) - begin
         measures = app.errors(theta, stacked)
         warnings = warnings_of(plan, stacked, first, fit)
         results = []
         for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
-            errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
+            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
             theta_of_task = {key: value[i] for key, value in theta.items()}
             require_finite(task, theta_of_task, errors)
             # sums depend on the number of threads, in their last digits: the record says it, but its key does not,
             # since that is no reason to fit anew
             record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            record |= app.remarks(task, theta_of_task) if isinstance(app, Remarked) else {}
+            record |= app.remarks(task, theta_of_task)
             record |= (
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )
@@ -162,7 +162,7 @@ def warnings_of(plan: Plan, stacked: Tasks, first: Step, fit: Step) -> list[list
         Clauses for each task, [] where there is nothing to say.
     """
     app = plan.app
-    doubts = app.doubts(fit.theta, stacked) if isinstance(app, Doubtful) else [[] for _ in range(len(stacked))]
+    doubts = app.doubts(fit.theta, stacked)
     compared = fit.guarded is not None or not plan.steps
     rises = [[] for _ in range(len(stacked))] if compared else _rises(plan.job, stacked, first, fit)
     return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]

@@ -76,7 +76,7 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
         ValueError: it has none.
     """
     folder = data_folder(app, data, quiet)
-    tasks = read_shard(folder, "test", app.name, app.holds)
+    tasks = read_shard(folder, "test", app.name, app.tensors)
     if not tasks:
         raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split auto or test.")
     return [task._replace(name=safe_name(task.name)) for task in tasks], data_label(folder)
@@ -239,7 +239,7 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
 
 def _arguments(plan: Plan, form: door.Format) -> dict[str, object]:
     """The arguments of readers, by keyword: the size that fits have, and options of the format that were given."""
-    reads = plan.app.traits.reads
+    reads = plan.app.read_size
     return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | read_options(form, plan.options)
 
 

@@ -15,7 +15,7 @@ from data_tools.formats import exports_of
 from metapp import door
 from metapp.appearance.colour import stretched, tone_map
 from metapp.appearance.presentation import Picture, Presentation, Rendered
-from metapp.learning.app import App, Distilled, stack
+from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import QUICK
@@ -124,12 +124,12 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
         task: what was fitted.
         theta: parameters of one task, without a task axis.
     """
-    assert isinstance(app, Distilled), f"{app.name} has one network"
     by = find_checkpoint(plan(Request(app.name, "finetune", recipe=QUICK, quiet=True)))
-    evaluated = stack(by.app, [app.evaluated(theta, task)])
-    fitted = by.paradigm.fit(by.job, by.prepared, evaluated, Generator().manual_seed(by.request.seed))
+    evaluated = app.evaluated(theta, task)
+    assert evaluated is not None, f"{app.name} has one network"
+    fitted = by.paradigm.fit(by.job, by.prepared, stack(by.app, [evaluated]), Generator().manual_seed(by.request.seed))
     before, after = (
-        number(app.traits.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
+        number(app.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
         for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
     )
     say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")

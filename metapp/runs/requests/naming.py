@@ -37,4 +37,4 @@ def caption_of(app: App, measured: bool = True) -> str:
 
 def factor_of(app: App) -> str:
     """The factor that errors are printed with: " x100"; "" where it is 1."""
-    return f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""
+    return f" x{app.scale:g}" if app.scale != 1 else ""

@@ -67,7 +67,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 
     def write(name: str) -> Path:
         angles, app = 0.6 * torch.rand(256, 3, generator=rng), class_of(name)
-        units = dict.fromkeys((*app.holds, "render"), "any")
+        units = dict.fromkeys((*app.tensors, "render"), "any")
         with ShardWriter(tmp_path / "data", name, units) as writer:
             for i in range(TRAIN + TEST):
                 writer.add(random_task(name, f"t{i}", rng, angles), "train" if i < TRAIN else "test")
@@ -129,7 +129,7 @@ def test_its_table_prints_them(
     monkeypatch.setattr("metapp.extensions.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
     subject, table = subject_of(name, protocol), load_table("baselines")
     assert {row["tasks"] for row in table.rows(subject)} == {0}
-    pretend_meta(subject, 0.2 * subject.app.traits.scale)
+    pretend_meta(subject, 0.2 * subject.app.scale)
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
     rows = {row["paradigm"]: row for row in baseline_rows(subject)}
     for baseline in baselines_of(subject.app):
@@ -199,7 +199,7 @@ def test_measures_that_are_not_finite_have_no_figure(
     monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
     cell = baseline_cell(subject, baselines_of(subject.app)[0])
     run_cells([cell], quiet=True)
-    assert {record["error"] for record in cell.records()} == {2.0 * subject.app.traits.scale}
+    assert {record["error"] for record in cell.records()} == {2.0 * subject.app.scale}
     assert not any("map" in record for record in cell.records())
 
 

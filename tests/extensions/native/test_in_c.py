@@ -225,7 +225,7 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "another network": (rule, loss, ridge.init(rng, TASKS)),
         "another step": (rule._replace(step=lambda *arguments: sgd_step(*arguments)), loss, theta),
         "another loss": (rule, loss_of([], registered=False), theta),
-        "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.linear), theta),
+        "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
     assert in_c.stepper(rule, loss, theta, 1) is not None
     for name, case in cases.items():

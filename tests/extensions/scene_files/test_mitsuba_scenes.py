@@ -135,7 +135,7 @@ def test_lights_that_no_path_meets_by_chance_are_sampled(tmp_path: Path, emitter
     task = read_task(write(tmp_path / "lamp.xml", xml(CAMERA, floor, ball(""), emitter)), samples=300, held=100)
     assert task.data["next_event"].tolist() == [1]
     assert {key: tuple(task.data[key].shape) for key in ("samples", "held")} == {"samples": (300, 4), "held": (100, 4)}
-    assert not problems_of(task, Transport.holds)
+    assert not problems_of(task, Transport.tensors)
     assert task.data["image"].max() > 0
 
 
