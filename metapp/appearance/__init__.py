@@ -1,1 +1,1 @@
-"""Geometry, reflection, photographs, colour, metrics and image features; the presentation of applications."""
+"""Geometry, reflection, photographs, colour, metrics and image features."""

@@ -40,6 +40,18 @@ class Surface(NamedTuple):
         """Height and width in texels."""
         return self.base.shape[-2], self.base.shape[-1]
 
+    def linear_maps(self) -> dict[str, Tensor]:
+        """The fit's own maps by name, linear: [H, W, 3], or [H, W] of roughness and of heights in texels.
+
+        Normals are unit vectors. There are heights where the fit has them.
+        """
+        if self.maps is None:
+            return {"basecolor": self.base.movedim(0, -1)}
+        diffuse, specular, roughness, normal = self.maps
+        maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
+        maps = {name: part.movedim(0, -1) for name, part in maps.items()} | {"roughness": roughness[0]}
+        return maps if self.height is None else maps | {"height": self.height[0]}
+
 
 class Plane(NamedTuple):
     """One map as a file holds it.
@@ -53,19 +65,6 @@ class Plane(NamedTuple):
     values: Tensor
     encoding: Encoding
     meaning: str
-
-
-def linear_maps(surface: Surface) -> dict[str, Tensor]:
-    """The fit's own maps by name, linear: [H, W, 3], or [H, W] of roughness and of heights in texels.
-
-    Normals are unit vectors. There are heights where the fit has them.
-    """
-    if surface.maps is None:
-        return {"basecolor": surface.base.movedim(0, -1)}
-    diffuse, specular, roughness, normal = surface.maps
-    maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
-    maps = {name: part.movedim(0, -1) for name, part in maps.items()} | {"roughness": roughness[0]}
-    return maps if surface.height is None else maps | {"height": surface.height[0]}
 
 
 def fitted_planes(surface: Surface) -> dict[str, Plane]:

@@ -1,7 +1,7 @@
-"""The applications that extensions offer, by name: their classes, recipes and presentations.
+"""The applications that extensions offer, by name: their classes and recipes.
 
-What ships is a package here for each: it offers the application, and has modules for its class, its recipes and its
-presentation. Nothing here is imported before it is asked for.
+What ships is a package here for each: it offers the application, and has modules for its class and its recipes.
+Nothing here is imported before it is asked for.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from metapp import door
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
-    from metapp.appearance.presentation import Presentation
     from metapp.learning.app import App
     from metapp.learning.recipe import Recipe
 
@@ -73,17 +72,3 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
     setup = (recipe.training(rule).setup if rule else None) or recipe.setup
     app: type[App] = getattr(setup, "app", None) or class_of(name)
     return app(setup, protocol or next(iter(protocols_of(name)), ""))
-
-
-def presentation_of(app: App, **options: object) -> Presentation[App]:
-    """The presentation of an application, at its setup and under its protocol.
-
-    Args:
-        app: the application.
-        options: of what fits make for their users, as the application offers them, such as `size`.
-
-    Raises:
-        ValueError: nothing can be made by these options.
-    """
-    result: Presentation[App] = door.load(application_of(app.name).presentation)(app, **options)
-    return result

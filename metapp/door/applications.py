@@ -13,9 +13,8 @@ class Application(NamedTuple):
     Attributes:
         name: as on the command line.
         app: its subclass of `metapp.learning.app.App`.
-        presentation: its subclass of `metapp.appearance.presentation.Presentation`.
         protocols: the values of --observe, the default first; () where there is no choice.
-        options: that change its recipe or what its presentation makes.
+        options: that change its recipe or are fields of its class.
         examples: what follows `metapp` ({} stands for a folder of input files), and what that makes.
         files: the input files of the examples, `files(app, folder) -> paths written`; "" for none.
         needs_vgg: whether its fits read features of VGG.
@@ -23,7 +22,6 @@ class Application(NamedTuple):
 
     name: str
     app: str
-    presentation: str
     protocols: tuple[str, ...] = ()
     options: tuple[Option, ...] = ()
     examples: tuple[tuple[str, str], ...] = ()

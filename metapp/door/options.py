@@ -20,7 +20,7 @@ class Option(NamedTuple):
         panel: of --help.
         convert: what was given -> what the owner takes; ValueError states what is expected.
         adapt: of an application, `adapt(recipe, value) -> recipe`, ValueError where the recipe has no such choice; ""
-            for an option that its presentation takes as a keyword. What adapts is in the name of a run's folder, and
+            for an option that is a field of its class. What adapts is in the name of a run's folder, and
             checkpoints are never trained with it.
         passed_as: the keyword that the owner takes it by; "" for the option's name.
         protocol: the value of --observe that it needs; "" for any.

@@ -44,7 +44,7 @@ class Output(NamedTuple):
     Attributes:
         app: the application.
         option: that asks for it.
-        output: `output(presentation, task, theta, value) -> metapp.appearance.presentation.Rendered`.
+        output: `output(app, task, theta, value) -> metapp.learning.pictures.Rendered`.
         examples: as of the application, after its own.
     """
 
@@ -60,7 +60,7 @@ class PictureMeasure(NamedTuple):
     Attributes:
         name: of the row.
         apps: the applications whose pictures it is of.
-        measure: `measure(compared) -> float` of a `metapp.appearance.presentation.Compared`; NaN where it has none.
+        measure: `measure(compared) -> float` of a `metapp.learning.pictures.Compared`; NaN where it has none.
         note: what it is, in a few words.
         source: `source() -> str`, by which package and version; ValueError where that is missing. "" where metapp does.
         more_is_better: whether a higher value is better.
@@ -91,7 +91,7 @@ class Page(NamedTuple):
 
     Attributes:
         app: the application.
-        view: `view(presentation, theta, task) -> metapp.extensions.viewer.view.View`: of a fit, `theta`
+        view: `view(app, theta, task) -> metapp.extensions.viewer.view.View`: of a fit, `theta`
             without a task axis, of a task, without data where that is not at hand.
             KeyError where the fit alone is not enough.
     """

@@ -200,7 +200,7 @@ def strips(subject: Subject) -> Drawn | None:
         return None
     pictures = []
     for task in tasks:
-        made = [subject.presentation.outputs(theta, task) for theta in parts_of(cell, task).values()]
+        made = [subject.app.preview(theta, task) for theta in parts_of(cell, task).values()]
         last = [made[-1]["reference"]] if "reference" in made[-1] else []
         pictures.append([to_srgb(picture) for picture in [*(outputs["fit"] for outputs in made), *last]])
     height, width = pictures[0][0].shape[:2]

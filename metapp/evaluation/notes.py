@@ -68,7 +68,7 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
     means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row.get(f"mean_{key}") is not None]
-        for key, title in subject.presentation.measures.items()
+        for key, title in subject.app.measures.items()
     }
     return [f"{title}: {', '.join(means)}" for title, means in means_by_title.items() if means]
 

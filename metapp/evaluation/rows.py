@@ -201,7 +201,7 @@ def row_of(
     row |= statistics_of([values_of(cell, take) for cell in cells], groups)
     row |= {"seconds": statistics.median(seconds) if seconds else None, "tasks": len(cells[0].records())}
     row |= remarks(records) | means_of(subject, records) | entries | app.conditions()
-    logarithmic, ours = subject.presentation.logarithmic, [values_of(cell) for cell in cells]
+    logarithmic, ours = subject.app.logarithmic, [values_of(cell) for cell in cells]
     for other, others in (against or {}).items():
         theirs = [values_of(cell) for cell in others]
         row |= paired_entries(other, paired(ours, theirs, groups, logarithmic=logarithmic) if theirs else None)
@@ -210,7 +210,7 @@ def row_of(
 
 def means_of(subject: Subject, records: Sequence[Record]) -> Row:
     """The means of the further errors that the application states, `mean_<name>`, of records that have them."""
-    by_measure = {key: [record[key] for record in records if key in record] for key in subject.presentation.measures}
+    by_measure = {key: [record[key] for record in records if key in record] for key in subject.app.measures}
     return {f"mean_{key}": statistics.fmean(values) if values else None for key, values in by_measure.items()}
 
 

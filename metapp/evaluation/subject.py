@@ -6,10 +6,7 @@ import functools
 import shlex
 from collections.abc import Collection
 from contextlib import suppress
-from typing import Any
 
-from metapp.appearance.presentation import Presentation
-from metapp.apps import presentation_of
 from metapp.evaluation.cell import Cell, Measure
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -79,11 +76,6 @@ class Subject:
     def app(self) -> App:
         """The application under the protocol."""
         return self.plan.app
-
-    @functools.cached_property
-    def presentation(self) -> Presentation[Any]:
-        """The presentation that tables and pictures need."""
-        return presentation_of(self.app)
 
     @property
     def title(self) -> str:

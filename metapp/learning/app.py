@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Generator, Tensor
 
+from metapp.learning.pictures import Compared, Fitted, Picture, Visible
 from metapp.learning.recipe import Setup
 from metapp.learning.task import RESERVED, Batch, Linear, Params, Task, Tasks, TensorSpec
 
 Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
+Surface = Any  # metapp.appearance.surface.Surface
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-    All methods are batched over tasks: parameters and batches have a leading task axis T. Abstract methods are what
-    every application has; the others have defaults that do nothing. What fits look like, and what tables say about
-    errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a table beside it.
+    All methods but those of pictures are batched over tasks: parameters and batches have a leading task axis T.
+    Abstract methods are what every application has; the others have defaults that do nothing. Its recipes are a table
+    beside it.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
         protocol: what a fit may see, one of the values of --observe; "" where there is but one.
+        size: height and width of `pictures`, px; None for the application's own choice.
         name: as on the command line.
+        title: as in tables.
+        measure: what the error is, in one line.
+        measures: further errors whose means tables state: what they are, by their names in records.
+        logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         tensors: what each task must hold, by the tensor's name.
         scale: factor of errors in records and tables; 100 where the paper prints x100.
         single_threaded: True where threads and GPUs only slow down the fit of one task.
@@ -38,12 +46,27 @@ class App(ABC):
 
     setup: Setup = None
     protocol: str = ""
+    size: tuple[int, int] | None = None
     name: ClassVar[str]
+    title: ClassVar[str]
+    measure: ClassVar[str]
+    measures: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    logarithmic: ClassVar[bool] = False
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
     scale: ClassVar[float] = 1.0
     single_threaded: ClassVar[bool] = False
     compiles: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        """Refuse a size that pictures cannot have.
+
+        Raises:
+            ValueError: it is such a one.
+        """
+        if self.size and (refusal := self.size_refusal(*self.size)):
+            raise ValueError(f"--size {self.size[0]}x{self.size[1]}: {self.name} {refusal}.")
+        object.__setattr__(self, "_last", (None, None, None))  # what `once` made last
 
     @property
     def periodic(self) -> bool:
@@ -176,6 +199,69 @@ class App(ABC):
             theta: the fit.
             angles: half and difference angles and phi_h, [..., 4] in rad.
         """
+        return None
+
+    # Pictures of one fit: parameters without a task axis
+
+    @property
+    def image_measure(self) -> str:
+        """What `image_errors` are of, in one line; "" where there are none."""
+        return ""
+
+    def size_refusal(self, height: int, width: int) -> str:
+        """Why `pictures` cannot be of a size; "" where they can."""
+        return "has files of one size; leave it out"
+
+    @abstractmethod
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Linear RGB pictures [H, W, 3 or 4] of a fit and, where there is one, its `reference`, by name."""
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The files that a fit makes for its user, by the file's name without its ending."""
+        return {}
+
+    def answer_pictures(self, answer: Answer, task: Task) -> dict[str, Picture]:
+        """The same of an answer to one task, as of `errors_of`, that need not come from the network."""
+        return {}
+
+    def surface(self, theta: Params, task: Task) -> Surface | None:
+        """The flat surface that a fit is of, as `pictures` shows it; None of applications that have none."""
+        return None
+
+    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Linear maps of a fit, [H, W] or [H, W, 3], by name; {} of one that has none."""
+        surface = self.surface(theta, task)
+        return {} if surface is None else surface.linear_maps()
+
+    def once(self, theta: Params, task: Task, make: Callable[[], Made]) -> Made:
+        """The source of both `pictures` and `surface`, made once where they are asked for the same fit in turn.
+
+        Args:
+            theta: the fit; other mappings and tasks count as others, whatever is in them.
+            task: what was fitted.
+            make: makes it, of `size`.
+        """
+        last: tuple[Params, Task, Made] = self._last  # type: ignore[attr-defined]
+        if last[0] is not theta or last[1] is not task:
+            object.__setattr__(self, "_last", (None, None, None))  # may be 0.6 GB, not to lie beside the next fit's
+            last = theta, task, make()
+            object.__setattr__(self, "_last", last)
+        return last[2]
+
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """Pictures that extensions measure, where there is a reference."""
+        return None
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
+
+        There may be further names, of pictures that are made without any fit; `pictures.REFERENCE` is of the
+        references' own error. Of SSIM more is better, of others less. Empty where there are none.
+        """
+        return {}
+
+    def visible(self, task: Task) -> Visible | None:
+        """The amount that a fit may see of a task; None where the application does not say."""
         return None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import torch
 from torch import Generator, Tensor
@@ -15,6 +15,7 @@ from metapp.appearance.detail import detail, softness
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
+from metapp.learning.pictures import Visible
 from metapp.learning.recipe import Recipe, Setup
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
@@ -26,6 +27,10 @@ HIDDEN = 128
 SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
 JUDGED = 4
 SHOWN = 1  # seed of the noise of pictures that are written and shown
+TILED = 4  # times as high and wide as in training: what is written
+LARGEST = 4096  # px
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -266,6 +271,27 @@ class ExemplarApp(App):
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """Further data of these exemplars, once their channels are those [T, 3] of before."""
         return {}
+
+    def visible(self, task: Task) -> Visible:
+        """The exemplar, all of it in each step."""
+        return Visible(1, task.data["image"].nbytes, 1)
+
+    def size_refusal(self, height: int, width: int) -> str:
+        step = 2 ** (self.setup.network.levels - 1)
+        fits = all(2 * step <= side <= LARGEST and side % step == 0 for side in (height, width))
+        return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST}"
+
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """The size of `pictures`: the one asked for, else TILED times the exemplar's."""
+        return self.size or (TILED * self.setup.height, TILED * self.setup.width)
+
+    @torch.no_grad()
+    def shown(self, theta: Params, make: Callable[[Params, Tensor], Made], size: tuple[int, int] | None = None) -> Made:
+        """Call `make` with theta [1, ...] and the noise [1, 1, ...] of pictures, of a size in px or the exemplar's."""
+        one = {key: value[None] for key, value in theta.items()}
+        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.setup.network.noise
+        return make(one, normal(rng, 1, 1, channels, *(size or (self.setup.height, self.setup.width))))
 
 
 def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:

@@ -141,13 +141,13 @@ class Fit:
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
         with threads(threads_of(self.app)):
-            maps = self.plan.presentation.maps(self.parameters, self.task)
+            maps = self.app.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
         with threads(threads_of(self.app)):
-            return self.plan.presentation.outputs(self.parameters, self.task)
+            return self.app.preview(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
@@ -155,8 +155,7 @@ class Fit:
         made = outputs_of(self.app.name, self.plan.options)
         with threads(threads_of(self.app)):
             files = [
-                door.load(output.output)(self.plan.presentation, self.task, self.parameters, value).files
-                for output, value in made
+                door.load(output.output)(self.app, self.task, self.parameters, value).files for output, value in made
             ]
         return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
 
@@ -187,7 +186,7 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        export_fit(self.plan.presentation, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
+        export_fit(self.app, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
 
 
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:

@@ -13,7 +13,6 @@ from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, IlluminationSetup, body_of
 from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import LOST
-from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.recipes import QUICK
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
@@ -245,7 +244,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
 def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     app = Illumination(RECIPE.setup, "reference")
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
-    files = IlluminationPresentation(app).files(theta, task_of(lamps(0)))
+    files = app.pictures(theta, task_of(lamps(0)))
     fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
     fitted = fitted / mean_luminance(fitted[None])[0]  # 1, as all that are fitted; 3 is the file's
     torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))

@@ -28,7 +28,6 @@ from metapp.apps.illumination.confidence import (
     hatched,
 )
 from metapp.apps.illumination.mirror import photographed
-from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
@@ -135,13 +134,13 @@ def test_records_and_pictures_of_photographs_say_it() -> None:
     told = app.remarks(alone, theta)["deviation"]
     assert {"front", "rim", "back"} <= told.keys()
     assert min(told.values()) > 1
-    picture = IlluminationPresentation(app).files(theta, alone)["confidence"]
+    picture = app.pictures(theta, alone)["confidence"]
     assert (picture.kind, picture.pixels.shape) == ("srgb", (256, 512, 3))
     assert 0 <= picture.pixels.min() <= picture.pixels.max() <= 1
     known = Task("known", {"photos": photo, "map": light})
     reference = Illumination(SMALL, "reference")
     assert reference.remarks(known, theta) == {}
-    assert "confidence" not in IlluminationPresentation(reference).files(theta, known)
+    assert "confidence" not in reference.pictures(theta, known)
 
 
 # Calibration

@@ -25,7 +25,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     oblique_pairs,
     photographed,
 )
-from metapp.apps.svbrdf_nonstationary.presentation import fine_maps, relit
+from metapp.apps.svbrdf_nonstationary.pictures import relit
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROPPED,
@@ -268,7 +268,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     whole = decoded(field(theta, inputs_of(photo)))
     pictures = relit(whole)
     monkeypatch.setattr(fields, "TEXELS", 150 * 64)
-    for found, wanted in zip(fine_maps(app, theta, photo), whole, strict=True):
+    for found, wanted in zip(app.fine_maps(theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
 

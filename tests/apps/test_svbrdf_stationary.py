@@ -30,16 +30,14 @@ from metapp.apps.svbrdf_stationary.app import (
     SvbrdfStationary,
     _grams,
 )
-from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR, QUICK
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.exemplar import TILED, ExemplarSetup
 from metapp.networks.generators import UNet
-from metapp.networks.presentation import TILED
 
 SIZE = 32
 TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), ("relu1_1",)))
@@ -164,7 +162,7 @@ def test_the_light_is_where_the_highlight_is(
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
-    SvbrdfStationaryPresentation(app).outputs({key: value[0] for key, value in theta.items()}, sources[1])
+    app.preview({key: value[0] for key, value in theta.items()}, sources[1])
     for (light, view), expected in zip(used, (lights[[1, 2, 0], None], lights[:, None], lights[1]), strict=False):
         torch.testing.assert_close(light, expected)
         assert torch.equal(light, view)
@@ -201,7 +199,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
 def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
     app = tiny()
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
+    made = app.pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
     names = ["diffuse", "specular", "roughness", "normal", "height"]
     assert list(files) == [*names, *(f"lit_from_{name}" for name in relightings())]
@@ -235,7 +233,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """To where they mirror each other in a flat material."""
     app = tiny()
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
+    made = app.pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
     assert files["height"].max() == 0
     places = positions(TILED * SIZE, TILED * SIZE).flatten(1)

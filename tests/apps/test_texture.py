@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
-from metapp.appearance.presentation import Fitted
+from metapp.appearance.picture_measures import image_errors
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
-from metapp.apps.texture.presentation import TexturePresentation
 from metapp.apps.texture.recipes import QUICK
 from metapp.learning.app import stack
+from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarSetup
 from metapp.networks.generators import UNet
@@ -142,12 +142,11 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
     app = Texture(replace(TINY.setup, height=64, width=64))
-    shown = TexturePresentation(app)
     fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
         monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0, made=made: made[None, None])
-        measured = shown.image_errors(fits, Task("paving", {"image": (255 * paving).to(torch.uint8)}))
+        measured = image_errors(app, fits, Task("paving", {"image": (255 * paving).to(torch.uint8)}))
         assert measured["a"]["order"] == pytest.approx(expected, abs=0.25)
     noise = torch.randint(256, (3, 64, 64), generator=seeded(1), dtype=torch.uint8)
-    assert "order" not in shown.image_errors(fits, Task("noise", {"image": noise}))["a"]
+    assert "order" not in image_errors(app, fits, Task("noise", {"image": noise}))["a"]

@@ -18,7 +18,6 @@ from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import normal_from_height, unpack
-from metapp.apps import presentation_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
@@ -125,7 +124,7 @@ def test_files_of_another_size(app: str, data: str, metapp: Callable, wall: Path
 def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, wall: Path) -> None:
     run = Path(metapp("overfit", app, wall, "--data", data, "--json").done["out"])
     made, theta = run / "outputs" / "wall", load_file(run / "params" / "wall.safetensors")
-    files = presentation_of(app_by(app)).files(theta, Task("wall", {}))
+    files = app_by(app).pictures(theta, Task("wall", {}))
     wanted = {name: torch.movedim(each.pixels, -1, 0) for name, each in files.items()}
     found = unpack(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
     for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):

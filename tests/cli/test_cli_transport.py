@@ -15,14 +15,13 @@ import torch
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport_task import transport_task
-from metapp.appearance.presentation import Fitted
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import reading
+from metapp.learning.pictures import Fitted
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from tests.quick import app_by
@@ -48,8 +47,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
     setup = TransportSetup(Flow(code=3, hidden=8, bins=4))
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, setup=setup))
-    monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
-    monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
+    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
@@ -58,7 +57,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None:
     task, app = box, app_by("transport")
-    shown, theta = TransportPresentation(app), uniform(app)
+    shown, theta = app, uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
     with_nee = [images.REGULAR_NEE, *(plugin.row for plugin in images.integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
@@ -108,7 +107,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task, monkeypatch: p
         return 1e9
 
     monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = TransportPresentation(app).image_errors({"instant": Fitted(uniform(app), 0.0)}, box)
+    found = app.image_errors({"instant": Fitted(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6

@@ -1,4 +1,4 @@
-"""What every application promises of its presentation: pictures, files with a kind each, measures of pictures."""
+"""Properties of the pictures of every application: previews, files with a kind each, measures of pictures."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import math
 import pytest
 import torch
 
-from metapp.appearance.presentation import KINDS, Fitted, Presentation
-from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
+from metapp.appearance.picture_measures import image_errors
+from metapp.apps import app_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
+from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.storage.records import file_name
@@ -20,41 +21,33 @@ pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
 
 @pytest.fixture
-def presentation(app: App) -> Presentation:
-    return presentation_of(app)
-
-
-@pytest.fixture
 def fitted(job: Job, tasks: Tasks) -> Params:
     """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
     theta = paradigms()["overfit"].fit(job._replace(steps=3), MetaParameters(), tasks.select([0]), rng())
     return {key: value[0] for key, value in theta.items()}
 
 
-def test_it_is_of_the_application_as_it_was_placed(app: App, presentation: Presentation) -> None:
-    assert presentation.app is app
+def test_an_application_has_the_protocol_that_it_is_made_for(app: App) -> None:
     for protocol in protocols_of(app.name) or ("",):
         for recipe in recipes_of(app.name, protocol).values():
-            assert presentation_of(app_of(app.name, recipe, protocol)).app.protocol == protocol
+            assert app_of(app.name, recipe, protocol).protocol == protocol
 
 
-def test_what_tables_say(presentation: Presentation, sources: list[Task]) -> None:
+def test_what_tables_say(app: App, sources: list[Task]) -> None:
     """One line each, and how much a fit may see."""
-    for line in (presentation.title, presentation.measure):
+    for line in (app.title, app.measure):
         assert line
         assert line == " ".join(line.split())
-    assert presentation.image_measure == " ".join(presentation.image_measure.split())
-    visible = presentation.visible(sources[0])
+    assert app.image_measure == " ".join(app.image_measure.split())
+    visible = app.visible(sources[0])
     if visible:
         assert visible.samples >= 1
         assert visible.size > 0
         assert visible.encoder >= 0
 
 
-def test_pictures_of_a_fit_and_of_its_reference(
-    presentation: Presentation, fitted: Params, sources: list[Task]
-) -> None:
-    pictures = presentation.outputs(fitted, sources[0])
+def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, sources: list[Task]) -> None:
+    pictures = app.preview(fitted, sources[0])
     assert list(pictures)[:2] == ["reference", "fit"]
     assert pictures["fit"].shape == pictures["reference"].shape
     for name, picture in pictures.items():
@@ -63,15 +56,15 @@ def test_pictures_of_a_fit_and_of_its_reference(
         assert picture.dtype == torch.float32, name
         assert picture.isfinite().all(), name
         assert not picture.requires_grad, name
-    again = presentation.outputs(fitted, sources[0])
+    again = app.preview(fitted, sources[0])
     assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
-    other = presentation.outputs(fitted, sources[1])
+    other = app.preview(fitted, sources[1])
     assert not torch.equal(other["reference"], pictures["reference"])
 
 
-def test_files_are_what_their_kind_says(presentation: Presentation, fitted: Params, sources: list[Task]) -> None:
+def test_files_are_what_their_kind_says(app: App, fitted: Params, sources: list[Task]) -> None:
     """With names for every file system, also those that do not tell upper from lower case."""
-    made = presentation.files(fitted, sources[0])
+    made = app.pictures(fitted, sources[0])
     for name, (pixels, kind) in made.items():
         assert kind in KINDS, name
         assert pixels.ndim == 3, name
@@ -83,15 +76,13 @@ def test_files_are_what_their_kind_says(presentation: Presentation, fitted: Para
         assert name.replace("_", "").isalnum(), name
         assert name.isascii(), name
         assert name == file_name(name) == name.lower(), name
-    again = presentation_of(presentation.app).files(fitted, sources[0])
+    again = app.pictures(fitted, sources[0])
     assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
 
 
-def test_measures_of_pictures_are_said_where_there_are_any(
-    presentation: Presentation, fitted: Params, sources: list[Task]
-) -> None:
-    measured = presentation.image_errors({"meta": Fitted(fitted, 0.1)}, sources[0])
-    assert presentation.image_measure or not measured
+def test_measures_of_pictures_are_said_where_there_are_any(app: App, fitted: Params, sources: list[Task]) -> None:
+    measured = image_errors(app, {"meta": Fitted(fitted, 0.1)}, sources[0])
+    assert app.image_measure or not measured
     for name, measures in measured.items():
         assert measures, name
         assert all(math.isfinite(value) for value in measures.values()), name

@@ -12,11 +12,11 @@ import torch
 from torch import Generator
 from typer.testing import CliRunner
 
-from metapp.appearance.presentation import Presentation
-from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
+from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.cli.commands import SUMMARIES
 from metapp.cli.commands import app as cli
 from metapp.cli.fits.options import OPTIONS
+from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs import BadOption
 from metapp.runs.checkpoints.shipped import ships
@@ -86,7 +86,7 @@ def test_offers_of_an_application_are_what_it_has(name: str) -> None:
     assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
     app = app_of(name, recipes_of(name)["quick"], (protocols or ("",))[0])
     options = {option.name for option, _ in options_of(name)}
-    assert ("size" in options) is (type(presentation_of(app)).refusal is not Presentation.refusal)
+    assert ("size" in options) is (type(app).size_refusal is not App.size_refusal)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ Example:
 """
 
 OFFERS = (
-    Application("curve", "metapp_curve.app:Curve", "metapp_curve.presentation:CurvePresentation"),
+    Application("curve", "metapp_curve.app:Curve"),
     *recipes_in("curve", "metapp_curve.recipes:RECIPES", "quick", "paper"),
     Format(
         "curve",

@@ -9,7 +9,6 @@ OFFERS = (
     Application(
         "brdf",
         f"{_HERE}.app:Brdf",
-        f"{_HERE}.presentation:BrdfPresentation",
         examples=(
             ("meta brdf {}/paint.csv", "a network fitted to a table of measurements, and a picture of both"),
             (

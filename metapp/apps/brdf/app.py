@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -12,16 +13,22 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_incident, spread_angles
+from metapp.appearance.metrics import ssim
+from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, samples_at
+from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.pictures import dots, on_white
 from metapp.learning.app import App
+from metapp.learning.pictures import Compared, Fitted, Visible
 from metapp.learning.task import Batch, Linear, Params, Task, Tasks, TensorSpec
 
 CONDITION = 1024  # samples that General's encoder reads
+DOTS = 1024  # samples that are drawn in pictures, at most
 EXCESSIVE = 1.01  # the share of light that a fit may be said to reflect without a note
 SPARSE = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
@@ -35,6 +42,9 @@ class Brdf(App):
     """
 
     name = "brdf"
+    title = "BRDF"
+    measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
+    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
     tensors: ClassVar = {
         "angles": TensorSpec(("N", 3), low=0.0, high=2 * math.pi),
         "phi_h": TensorSpec(("N",), low=0.0, high=2 * math.pi, optional=True),
@@ -180,3 +190,35 @@ class Brdf(App):
                 f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
                 "mitsuba, or fit by --recipe full."
             )
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The sphere, on black with coverage; of a material known by samples alone these and the fit's values there."""
+        scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
+        evaluate = functools.partial(network_of(theta).evaluate, theta)
+        fit = shade_sphere(scene, evaluate)
+        if "render" in task.data:
+            return {"reference": task.data["render"], "fit": fit}
+        angles, reflectance = task.data["angles"][-DOTS:], task.data["reflectance"][-DOTS:]  # those held out
+        four = torch.cat([angles, task.data["phi_h"][-DOTS:, None]], 1) if "phi_h" in task.data else angles
+        return {"samples": dots(angles, reflectance), "predicted": dots(angles, evaluate(four)), "fit": fit}
+
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """The sphere under the environment map; None where a data set was made before it had such pictures."""
+        if "environment" not in task.data:
+            return None
+        scene = environment_scene(azimuths="phi_h" in task.data)
+        fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
+        return Compared(on_white(fit), on_white(task.data["environment"]), scene.mask)
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """SSIM, mean over the pixels that the sphere touches."""
+        measured = {}
+        for name, fit in fits.items():
+            if pair := self.compared(fit.theta, task):
+                measured[name] = {"SSIM": float(ssim(pair.pictures, pair.references)[..., pair.mask].mean())}
+        return measured
+
+    def visible(self, task: Task) -> Visible:
+        """The first half of the samples, three angles and a colour each."""
+        angles, reflectance = task.data["angles"], task.data["reflectance"]
+        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION)

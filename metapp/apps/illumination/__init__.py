@@ -10,7 +10,6 @@ OFFERS = (
     Application(
         "illumination",
         f"{_HERE}.app:Illumination",
-        f"{_HERE}.presentation:IlluminationPresentation",
         protocols=("reference", "photo"),
         options=(size("of the map, up to 1024x2048"),),
         examples=(

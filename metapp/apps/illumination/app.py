@@ -15,14 +15,16 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
-from metapp.apps.illumination.confidence import Weibull, deviations, features, spread_of
+from metapp.apps.illumination.confidence import Weibull, deviations, features, hatched, spread_of
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, photographed, resampled, seen_loss
-from metapp.apps.illumination.spheres import sphere_errors
+from metapp.apps.illumination.pictures import overview
+from metapp.apps.illumination.spheres import SPHERES, sphere_errors
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.draws import uniform
+from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField
@@ -36,6 +38,7 @@ LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, 
 BODY = 10  # numbers of a sphere's material and a camera
 BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
 GLOSSES = (0.25, 0.42, 0.7)
+LARGEST = 1024  # rows of a map
 READ = 64  # rows of a map that every size can be made of, but for finer ones
 SMALL = 32  # px of the photograph in the loss
 MIRRORS = 1 / 3  # of the photographs of training tasks
@@ -68,6 +71,18 @@ class Illumination(CodedApp):
     """
 
     name = "illumination"
+    title = "Illumination"
+    measure = "mean absolute error of a second scene's picture under the map"
+    measures: ClassVar = {
+        f"{name}_{kind}": f"{name} sphere, {title}"
+        for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
+        for name in SPHERES
+    }
+    image_measure = (
+        "the second scene under the map; its SSIM after tone mapping; three spheres under the tone-mapped map, as "
+        "DiffusionLight's evaluation"
+    )
+    image_titles: ClassVar = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM", **measures}
     tensors: ClassVar = {
         "photos": TensorSpec(("K", 3, 64, 64), "uint8"),
         "map": TensorSpec((3, "H", "W"), low=0.0, optional=True),
@@ -246,6 +261,77 @@ class Illumination(CodedApp):
             "map": logs,
             **sphere_errors(maps, target),
         }
+
+    def size_refusal(self, height: int, width: int) -> str:
+        fits = 2 * height == width and 16 <= height <= LARGEST
+        return "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST}x{2 * LARGEST}"
+
+    @torch.no_grad()
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
+        maps, photo = self._both_maps(theta, task)
+        return {name: overview(each, photo) for name, each in maps.items()}
+
+    @torch.no_grad()
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """The second scene under both maps, tone-mapped."""
+        lit = {name: tone_map(relighting.relight(each)) for name, each in self._both_maps(theta, task)[0].items()}
+        return Compared(lit["fit"], lit["reference"]) if "reference" in lit else None
+
+    def _both_maps(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
+        """The map `reference`, where it is known, and that of the fit, both [1, 3, H, W], and the photograph."""
+        prepared = {key: value[None] for key, value in self.prepare(task).items()}
+        fit = self.answer({key: value[None] for key, value in theta.items()}, prepared)
+        return ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}, prepared["photo"]
+
+    @torch.no_grad()
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it.
+
+        Of a photograph also the map with stripes where the fit is not sure of it.
+        """
+        one = {key: value[None] for key, value in theta.items()}
+        pictures = self.answer_pictures(self._answer(one, task), task)
+        if self.size:
+            pictures["map"] = self.map_picture(one, task)
+        if self.protocol == "photo":
+            spread = self.spread(one, {key: value[None] for key, value in self.prepare(task).items()})
+            light = pictures["map"].pixels.permute(2, 0, 1)
+            pictures["confidence"] = Picture(hatched(tone_map(light / light.mean()), spread).permute(1, 2, 0), "srgb")
+        return pictures
+
+    @torch.no_grad()
+    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The map as `pictures` has it."""
+        answer = self._answer({key: value[None] for key, value in theta.items()}, task)
+        return {"radiance": _radiance(of_mean_1(answer), task).pixels}
+
+    @torch.no_grad()
+    def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+        """The same of a map [1, 3, H, W], of its size."""
+        maps = of_mean_1(answer)
+        return {
+            "map": _radiance(maps, task),
+            "relit": Picture(tone_map(relighting.relight(maps))[0].permute(1, 2, 0), "srgb"),
+        }
+
+    def map_picture(self, theta: Params, task: Task) -> Picture:
+        """The map of `pictures`, of parameters [1, ...] of one task."""
+        app = self.sized(*self.size) if self.size else self
+        return _radiance(app._answer(theta, task), task)
+
+    def _answer(self, theta: Params, task: Task) -> Tensor:
+        return self.answer(theta, {key: value[None] for key, value in self.mirrored(task).items()})
+
+    def visible(self, task: Task) -> Visible:
+        """The map or the photograph, all of it in each step; General's encoder reads the photograph alone."""
+        if self.protocol == "photo":
+            return Visible(1, task.data["photos"][0].nbytes, 1)
+        return Visible(1, task.data["map"].nbytes, 0)
+
+
+def _radiance(maps: Tensor, task: Task) -> Picture:
+    return Picture((maps * task.data.get("scale", torch.ones(())))[0].permute(1, 2, 0), "radiance")
 
 
 def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float) -> Tensor:

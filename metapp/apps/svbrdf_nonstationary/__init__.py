@@ -9,7 +9,6 @@ OFFERS = (
     Application(
         "svbrdf_nonstationary",
         f"{_HERE}.app:SvbrdfNonstationary",
-        f"{_HERE}.presentation:SvbrdfNonstationaryPresentation",
         protocols=("reference", "photo"),
         examples=(
             (

@@ -10,14 +10,17 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
+from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
-from metapp.apps.svbrdf_nonstationary.confidence import PARTS, surprise, unknown, unsure
+from metapp.appearance.surface import Surface
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS, deviations, surprise, unknown, unsure
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED,
     FLASH,
     RAW,
+    Flash,
     decoded,
     differences,
     flash_of,
@@ -30,11 +33,13 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
+from metapp.apps.svbrdf_nonstationary.pictures import photo_of, pictures_of, sheet
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
+from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.doubts import of_highlight
-from metapp.networks.field import LocalField
+from metapp.networks.field import LocalField, field_by_rows
 
 DARK = 0.1  # of white: the log of radiance is flat below
 LEVEL = 0.01  # sine of an angle that hardly shows
@@ -49,6 +54,8 @@ SMOOTHED = 0.03  # at first, where learned losses round off |d|
 FINER, FINEST_SHOT = 2, 256  # how many times as fine as their maps augmented materials are photographed, to so many px
 INPUTS = 8
 FINEST = 2048  # px a side of a user's photograph, and of the maps that are written
+LARGEST = 256  # px of the maps that are shown
+LOOSE = 0.25  # the deviation of a map that is white in its picture
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,16 @@ class SvbrdfNonstationary(CodedApp):
     """
 
     name = "svbrdf_nonstationary"
+    title = "svBRDF non-stat."
+    measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
+    measures: ClassVar = {
+        "normal": "normals, degrees",
+        "diffuse": "diffuse at gamma 2.2",
+        "roughness": "roughness",
+        "specular": "specular at gamma 2.2",
+    }
+    image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"
+    image_titles: ClassVar = {"error": "log L1", "ssim": "SSIM"}
     tensors: ClassVar = {
         "photo": TensorSpec((3, "S", "S"), "uint8"),
         "maps": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
@@ -297,6 +314,81 @@ class SvbrdfNonstationary(CodedApp):
         """Maps [T, ...] under JUDGED lights: logs [T, V, 3, H, W], and display values at gamma 2.2 [T * V, 3, H, W]."""
         logs = self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
         return logs, expose((logs.exp() - DARK).flatten(0, 1))
+
+    @torch.no_grad()
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
+        photo = photo_of(task, LARGEST)
+        sheets = {"fit": sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
+        if "maps" in task.data:
+            target = unpack(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
+            sheets = {"reference": sheet(target, photo)} | sheets
+        return sheets
+
+    @torch.no_grad()
+    def compared(self, theta: Params, task: Task) -> Compared | None:
+        """The renderings whose SSIM is among the errors."""
+        if "maps" not in task.data:
+            return None
+        data = {key: value[None] for key, value in self.prepare(task).items()}
+        fitted = self.maps_of({key: value[None] for key, value in theta.items()}, data["photo"])
+        return Compared(*(self.judged(maps)[1] for maps in (fitted, unpack(data["maps"]))))
+
+    @torch.no_grad()
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights.
+
+        And where General says how sure it is, how far off each map may be: 0 black, LOOSE or more white. Of several
+        photographs also what the maps look like in each, `photo_1` and so on, from where the fit believes it was taken.
+        """
+        maps = self._whole(theta, task)
+        pictures = pictures_of(maps)
+        if "places" in task.data and self.protocol == "photo":
+            for number, flash in enumerate(self.flashes(theta, task), 1):
+                radiance = photographed(maps, Flash(*(part[None] for part in flash)))[0]
+                pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
+        if self.setup.sure:
+            for name, part in deviations({"deviation": theta["deviation"][None]}).items():
+                pictures[f"deviation_{name}"] = Picture((part[0, ..., None] / LOOSE).clamp(0, 1), "data")
+        return pictures
+
+    def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
+        """The same of maps [1, C, H, W], of their size."""
+        return pictures_of(answer)
+
+    @torch.no_grad()
+    def surface(self, theta: Params, task: Task) -> Surface:
+        maps = self._whole(theta, task)
+        return Surface(maps.diffuse[0], False, Maps(*(part[0] for part in maps)))
+
+    def _whole(self, theta: Params, task: Task) -> Maps:
+        """The maps [1, ...] of the size of files."""
+        one = {key: value[None] for key, value in theta.items()}
+        return self.once(theta, task, lambda: self.fine_maps(one, photo_of(task, FINEST)))
+
+    def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
+        """The maps [T, C, H, W] that fields make of linear photographs [T, 3, H, W], at these photographs' size.
+
+        Made by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB.
+        """
+        field = self.field._replace(height=photo.shape[-2], width=photo.shape[-1])
+        parts = [self.maps_from(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
+        return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
+
+    def flashes(self, theta: Params, task: Task) -> list[Flash]:
+        """The flash of each photograph that a fit saw, both without task axis, as the fit places it."""
+        description = self.field.gain * theta["flash"][None]
+        if "places" not in task.data or self.protocol != "photo":
+            flash = flash_of(description)
+            return [Flash(flash.place[0], flash.gain[0], flash.eye)]
+        flash = flashes_of(description, task.data["places"][None].float())
+        return [Flash(*(part[0, number] for part in flash)) for number in range(flash.place.shape[1])]
+
+    def visible(self, task: Task) -> Visible:
+        """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
+        if self.protocol == "photo":
+            return Visible(1 + len(task.data.get("others", ())), task.data["photo"].nbytes, 1)
+        return Visible(1, task.data["maps"].nbytes, 0)
 
 
 def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:

@@ -10,7 +10,6 @@ OFFERS = (
     Application(
         "svbrdf_stationary",
         f"{_HERE}.app:SvbrdfStationary",
-        f"{_HERE}.presentation:SvbrdfStationaryPresentation",
         options=(size("textures and maps up to 4096x4096"), DETAIL),
         examples=(
             (

@@ -24,6 +24,10 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.highlight import evenly_lit, gloss
+from metapp.appearance.relief import height_from_normal
+from metapp.appearance.surface import Surface
+from metapp.apps.svbrdf_stationary.pictures import pictures_of, preview_of
+from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_blobs, of_highlight, of_order
 from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise, softness_of
@@ -55,6 +59,9 @@ class SvbrdfStationary(ExemplarApp):
     """
 
     name = "svbrdf_stationary"
+    title = "svBRDF stat."
+    measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
+    image_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
     described = ("gram", "spectrum")
     tensors: ClassVar = {
         "image": TensorSpec((3, "S", "S"), "uint8"),
@@ -286,6 +293,46 @@ class SvbrdfStationary(ExemplarApp):
             made = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
             errors.append(distance(made, [part[:, None] for part in grams[1]]).mean((1, 2)))
         return torch.stack(errors).mean(0)
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
+        photo = self.exemplar(task.data["image"][None].float() / 255)
+        light = self.light_of(photo)
+        maps, height = self._material(theta)
+        fit = self.photograph(maps, light[0], light[0])
+        return preview_of(photo[0], fit, pictures_of(maps, height, self.photograph))
+
+    @torch.no_grad()
+    def compared(self, theta: Params, task: Task) -> Compared:
+        """The maps under the photo's light, and under others where the task has references of that."""
+        photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
+        references = torch.cat([self.exemplar(each.float() / 255) for each in photos])
+        light, maps = self.light_of(references[:1])[0], self._material(theta)[0]
+        pairs = [(light, light), *relightings(device=light.device).values()][: len(references)]
+        return Compared(torch.stack([self.photograph(maps, *pair) for pair in pairs]), references)
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
+        return pictures_of(*self._whole(theta, task), self.photograph)
+
+    def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
+        """The same of the first of the maps [1, B, ...], which tile, of their size; or the first photograph."""
+        if not isinstance(answer, Maps):
+            return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
+        maps = Maps(*(part[0, 0] for part in answer))
+        return pictures_of(maps, height_from_normal(maps.normal, periodic=True), self.photograph)
+
+    def surface(self, theta: Params, task: Task) -> Surface:
+        maps, height = self._whole(theta, task)
+        return Surface(maps.diffuse, True, maps, height)
+
+    def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
+        return self.once(theta, task, lambda: self._material(theta, self.picture_size))
+
+    def _material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
+        """Maps of one material and their height, without leading axes, of a size or the exemplar's."""
+        maps, heights = self.shown(theta, self.maps, size)
+        return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
 
 def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,6 @@ OFFERS = (
     Application(
         "texture",
         f"{_HERE}.app:Texture",
-        f"{_HERE}.presentation:TexturePresentation",
         options=(size("textures and maps up to 4096x4096"), DETAIL),
         examples=(
             ("baseline texture {}/bricks.png --method quilting", "a texture quilted of the photo, without a network"),

@@ -7,9 +7,12 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import describe_precision, distance, gram
+from metapp.appearance.surface import Surface
 from metapp.learning.draws import uniform
-from metapp.learning.task import Batch, Params, Tasks, TensorSpec
+from metapp.learning.pictures import Compared, Picture
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_order
 from metapp.networks.exemplar import JUDGED, SHOWN, Crop, ExemplarApp, same_noise, softness_of
 from metapp.networks.layout import astray
@@ -21,6 +24,9 @@ class Texture(ExemplarApp):
     """One exemplar of a stationary texture a task."""
 
     name = "texture"
+    title = "Texture"
+    measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
+    image_measure = "a texture of the exemplar's size beside the exemplar"
     reduced = True
     tensors: ClassVar = {"image": TensorSpec((3, "S", "S"), "uint8")}
 
@@ -88,3 +94,32 @@ class Texture(ExemplarApp):
         side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
         x, y = round(left * (size - side)), round(top * (size - side))
         return image[:, y : y + side, x : x + side]
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The exemplar and a texture of its size."""
+        texture, exemplar, _ = self.compared(theta, task)
+        return {
+            "reference": srgb_to_linear(exemplar[0]).permute(1, 2, 0),
+            "fit": srgb_to_linear(texture[0]).permute(1, 2, 0),
+        }
+
+    def compared(self, theta: Params, task: Task) -> Compared:
+        """A texture of the exemplar's size, and the exemplar."""
+        exemplar = self.exemplar(task.data["image"][None].float() / 255)
+        return Compared(self.shown(theta, self.generate)[0], exemplar)
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The texture, of the size asked for, else four times as high and wide as in training; it tiles."""
+        return {"texture": Picture(self._whole(theta, task).permute(1, 2, 0), "srgb")}
+
+    def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+        """The first of the textures [1, B, 3, H, W]."""
+        return {"texture": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
+
+    def surface(self, theta: Params, task: Task) -> Surface:
+        return Surface(srgb_to_linear(self._whole(theta, task)), True)
+
+    def _whole(self, theta: Params, task: Task) -> Tensor:
+        """The texture of the size of files, [3, H, W]."""
+        textures: Tensor = self.once(theta, task, lambda: self.shown(theta, self.generate, self.picture_size))
+        return textures[0, 0]

@@ -9,7 +9,6 @@ OFFERS = (
     Application(
         "transport",
         f"{_HERE}.app:Transport",
-        f"{_HERE}.presentation:TransportPresentation",
         examples=(
             (
                 "general transport {}/box.xml",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -12,6 +13,7 @@ from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
+from metapp.learning.pictures import Fitted, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
@@ -43,6 +45,9 @@ class Transport(App):
     """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
 
     name = "transport"
+    title = "Transport"
+    measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
+    logarithmic = True
     tensors: ClassVar = {
         "samples": TensorSpec(("N", 4), low=0.0, high=1.0),
         "held": TensorSpec(("M", 4), low=0.0, high=1.0, optional=True),
@@ -123,3 +128,52 @@ class Transport(App):
             return {}
         film, directions = answer
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
+
+    @property
+    def image_measure(self) -> str:
+        from metapp.apps.transport.images import integrators
+
+        notes = "".join(f"{plugin.note}; " for plugin in integrators())
+        return (
+            f"pictures of {self.setup.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
+            f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "
+            "samples that a fit sees, the fit, its table and the picture"
+        )
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The film, and the directions at sixteen parts of it, of the samples and of the fit.
+
+        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
+        scene, the densities.
+        """
+        from metapp.apps.transport import images, pictures
+
+        reference = guided = None
+        if "scene" in task.data:
+            studio = images.studio_of(task)
+            reference, guided = studio.glance, studio.guided(self.flow, theta, pictures.GLANCE).picture
+        return {
+            "reference": pictures.picture_of_samples(task.data["samples"], reference),
+            "fit": pictures.picture_of_flow(self.flow, theta, guided),
+        }
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing where there is no scene."""
+        from metapp.apps.transport import images, pictures
+
+        if "scene" not in task.data:
+            return {}
+        studio, spp = images.studio_of(task), pictures.SHOWN
+        shots = {"guided": studio.guided(self.flow, theta, spp), "regular": studio.regular(spp)}
+        return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
+        from metapp.apps.transport.images import image_errors
+
+        return image_errors(self.flow, fits, task, self.setup.picture) if "scene" in task.data else {}
+
+    def visible(self, task: Task) -> Visible:
+        """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
+        samples = task.data["samples"]
+        return Visible(len(samples), samples[0].nbytes, 0)

@@ -11,10 +11,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.metrics import displayed, dssim, mape, smape
-from metapp.appearance.presentation import REFERENCE, Compared, Fitted
+from metapp.appearance.picture_measures import further_errors
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.door import Plugin, load, offers
+from metapp.learning.pictures import REFERENCE, Compared, Fitted
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_samples
@@ -126,7 +127,7 @@ class Studio:
         """Measures of a picture against the reference."""
         pair = picture[None], self.reference[None]
         errors = {name: float(measure(*pair)) for name, measure in (("MAPE", mape), ("SMAPE", smape), ("DSSIM", dssim))}
-        return errors | Compared(*displayed(*pair)).measures("transport")
+        return errors | further_errors("transport", Compared(*displayed(*pair)))
 
 
 def _timed(shoot: Callable[[], Tensor]) -> Shot:

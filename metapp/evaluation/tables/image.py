@@ -1,23 +1,24 @@
-"""Measures in image space, of pictures that fits make beside the references: `Presentation.image_errors`."""
+"""Measures in image space, of pictures that fits make beside the references: `App.image_errors`."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
 
-from metapp.appearance.presentation import REFERENCE, Fitted, picture_measures
+from metapp.appearance.picture_measures import image_errors, picture_measures
 from metapp.door import PictureMeasure, offers
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import few_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
+from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.storage.records import Record
 
 
 def fits_of(subject: Subject) -> dict[str, Cell]:
     """The fits whose pictures are measured: of every paradigm; none where the application has no such measure."""
-    if not subject.presentation.image_measure:
+    if not subject.app.image_measure:
         return {}
     return {name: subject.cell(name) for name, fit in subject.fits.items() if name == fit.paradigm.name}
 
@@ -30,18 +31,18 @@ def cells(subject: Subject) -> list[Cell]:
 
 def image_cell(subject: Subject) -> Cell:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    fits, presentation = fits_of(subject), subject.presentation
+    fits, app = fits_of(subject), subject.app
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
     keys = {name: folder.key for name, folder in folders.items()}
     further = {offer.name: note for offer, note in picture_measures(subject.app.name)[0].items()}
-    settings = {"app": subject.app.name, "measure": [presentation.image_measure, further], "fits": keys}
+    settings = {"app": app.name, "measure": [app.image_measure, further], "fits": keys}
     folder = subject.folder("image", settings, ("measures",), of_fits=True) if len(folders) == len(fits) else None
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
         for task in tasks:
             fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
-            yield {"name": task.name, "error": None, "measures": presentation.image_errors(fitted, task)}, None
+            yield {"name": task.name, "error": None, "measures": image_errors(app, fitted, task)}, None
 
     cell = subject.make_cell("pictures", folder, measure)
     return cell._replace(stage=1, tasks=min((fit.tasks for fit in fits.values()), key=len))
@@ -94,7 +95,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
     measures, missing = picture_measures(subject.app.name)
-    lines = [", ".join([subject.presentation.image_measure, *of_references]), *few_note(subject)]
+    lines = [", ".join([subject.app.image_measure, *of_references]), *few_note(subject)]
     lines += [*(f"{offer.name}: {note}" for offer, note in measures.items()), *missing]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"

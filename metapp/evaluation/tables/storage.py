@@ -69,7 +69,7 @@ def _sample_row(subject: Subject, name: str, fit: Plan) -> Row:
     row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
     row |= {"steps": fit.steps, "batch": batch if fit.steps else None}
     row |= dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
-    visible = subject.presentation.visible(subject.tasks[0]) if subject.tasks else None
+    visible = subject.app.visible(subject.tasks[0]) if subject.tasks else None
     if visible is None:
         return row
     encodes = "general" in fit.paradigm.needs(fit.job) or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from torch import Generator, Tensor
 
-from metapp.appearance.presentation import Picture
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 
@@ -97,14 +96,6 @@ class Baseline(NamedTuple):
     prepare: Callable[[Training, Allowed], PreparedBaseline]
     learns: bool = True
     stored: str = ""
-
-
-@runtime_checkable
-class DrawsAnswers(Protocol):
-    """A presentation that writes what methods without a network answer, too."""
-
-    def files_of(self, answer: object, task: Task) -> dict[str, Picture]:
-        """The files of an answer, as of `App.errors_of` for this one task, as `Presentation.files`."""
 
 
 def bytes_of(*tensors: Tensor) -> int:

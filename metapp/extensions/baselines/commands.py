@@ -56,14 +56,14 @@ class Options:
 
 def all_read_options() -> dict[str, door.Option]:
     """The options that say how inputs are read, of formats, of merges and of recipes, by name."""
-    of_presentations = all_shown_options()
+    of_pictures = all_shown_options()
     names = {
         option.name: option
         for application in door.offers(door.Application)
         for option, owner in options_of(application.name)
         if not isinstance(owner, door.Output)
     }
-    return {name: option for name, option in names.items() if name not in of_presentations}
+    return {name: option for name, option in names.items() if name not in of_pictures}
 
 
 @extended(all_read_options().values())  # as for fits: how inputs are read, and at which resolution
@@ -73,10 +73,8 @@ def baseline(options: Options, **own: object) -> None:
 
     Example: metapp baseline texture wall.jpg --method quilting
     """
-    from metapp.apps import presentation_of
     from metapp.cli.fits.run import table_of
     from metapp.extensions.baselines import baselines_of
-    from metapp.extensions.baselines.baseline import DrawsAnswers
     from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder
     from metapp.runs.inputs.sources import tasks_to_fit
     from metapp.runs.outputs.files import OUTPUTS, write_pictures
@@ -109,14 +107,14 @@ def baseline(options: Options, **own: object) -> None:
     words = [label, request.recipe, f"seed{request.seed}", *name_parts(app.name, planned.options), method, app.protocol]
     path = request.out / app.name / "baseline" / "-".join(filter(None, words))
     folder = RunFolder(path, settings_of(planned, baseline, label), ENTRIES, planned.origin())
-    records, shown = [], presentation_of(app)
-    made = folder.path / OUTPUTS if isinstance(shown, DrawsAnswers) else None
+    records, made = [], None
     with progress(method, len(tasks), quiet=request.quiet) as bar:
         fits = fit_baselines(planned, baseline, tasks, warm=False)
         for task, (record, kept, answer) in zip(tasks, fits, strict=True):
             folder.add(record, kept)
-            if isinstance(shown, DrawsAnswers):
-                write_pictures(shown.files_of(answer, task), folder.path / OUTPUTS / file_name(task.name))
+            if pictures := app.answer_pictures(answer, task):
+                made = folder.path / OUTPUTS
+                write_pictures(pictures, made / file_name(task.name))
             records.append(record)
             bar.advance(task.name)
     if not (options.quiet or options.json):

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from metapp.appearance.colorimetry import colour_difference
-from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of, write_compared
@@ -140,10 +139,9 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     one, other = sides
-    presentation = presentation_of(one.app)
-    ratio_of_errors = paired([one.errors()], [other.errors()], groups, logarithmic=presentation.logarithmic)
+    ratio_of_errors = paired([one.errors()], [other.errors()], groups, logarithmic=one.app.logarithmic)
     measures = {}
-    for key, title in presentation.measures.items():
+    for key, title in one.app.measures.items():
         means = one.mean(key), other.mean(key)
         if means[0] is not None and means[1] is not None:
             ratio = paired([one.errors(key)], [other.errors(key)], groups, logarithmic=False)

@@ -7,8 +7,9 @@ import time
 import torch
 from torch import Tensor
 
-from metapp.appearance.presentation import Picture, Rendered
 from metapp.extensions.guided.integrator import register_guided_path
+from metapp.learning.app import App
+from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.rendering import pictures
 from metapp.rendering.jit import mi
@@ -20,11 +21,11 @@ SPP = 64  # samples a pixel of the guided picture
 _WAVES = 16  # that a picture in a given time is made of, about
 
 
-def rendered(presentation: object, task: Task, theta: Params, side: int) -> Rendered:
+def rendered(app: App, task: Task, theta: Params, side: int) -> Rendered:
     """The scene of a task by both, with next-event estimation.
 
     Args:
-        presentation: of transport.
+        app: transport.
         task: holds the `scene`.
         theta: its fit, which path guiding does not read.
         side: the longer side of the pictures, px.

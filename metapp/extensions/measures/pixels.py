@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colorimetry import colour_difference
-from metapp.appearance.presentation import Compared
+from metapp.learning.pictures import Compared
 
 MOST = 100.0  # dB, of pictures that are equal to rounding
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple, Never
+from typing import NamedTuple, Never
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp import door
 from metapp.appearance.colour import to_srgb
-from metapp.appearance.presentation import Presentation
+from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 
 THUMBNAIL = 80  # px of a side of the pictures in the list of fits
@@ -40,25 +40,25 @@ class View(NamedTuple):
     thumbnail: Tensor | None = None
 
 
-def view_of(presentation: Presentation[Any], theta: Params, task: Task) -> View:
+def view_of(app: App, theta: Params, task: Task) -> View:
     """The view of a fit as its application's `Page` makes it: its pictures, where no extension offers one.
 
     Args:
-        presentation: of the application.
+        app: the application.
         theta: the fit, without a task axis.
         task: what was fitted, without data where that is not at hand.
 
     Raises:
         KeyError: the fit alone is not enough.
     """
-    for page in door.offers_of(door.Page, presentation.app.name):
-        view: View = door.load(page.view)(presentation, theta, task)
+    for page in door.offers_of(door.Page, app.name):
+        view: View = door.load(page.view)(app, theta, task)
         return view
-    return pictures_view(presentation.outputs(theta, task))
+    return pictures_view(app.preview(theta, task))
 
 
 def pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
-    """The view of linear pictures, as of `Presentation.outputs`."""
+    """The view of linear pictures, as of `App.preview`."""
     shown = {name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()}
     return View("pictures", pictures=shown, thumbnail=thumbnail(shown["fit"]) if "fit" in shown else None)
 

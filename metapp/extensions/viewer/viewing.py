@@ -6,12 +6,10 @@ import os
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
-from metapp.appearance.presentation import Presentation
-from metapp.apps import presentation_of
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
@@ -143,16 +141,16 @@ def group_of(fits: Sequence[FitOfRun], labels: dict[Path, str], lacking: list[st
         try:
             theta = read_theta(fit.folder, fit.record["name"])
             with threads(threads_of(fit.app)):
-                shown.append(shown_of(presentation_of(fit.app), labels[fit.folder], fit.record, theta, fit.task))
+                shown.append(shown_of(fit.app, labels[fit.folder], fit.record, theta, fit.task))
         except ValueError as error:
             lacking.append(f"{labels[fit.folder]} of {error}")
     return Group(fits[0].record["name"], title_of(fits[0].app), shown)
 
 
-def shown_of(presentation: Presentation[Any], label: str, record: Document, theta: Params, task: Task) -> Shown:
+def shown_of(app: App, label: str, record: Document, theta: Params, task: Task) -> Shown:
     """One fit, with its error and seconds."""
     try:
-        view = view_of(presentation, theta, task)
+        view = view_of(app, theta, task)
     except KeyError as missing:
         if task.data:
             raise
@@ -160,7 +158,7 @@ def shown_of(presentation: Presentation[Any], label: str, record: Document, thet
             f"{task.name}: its view is made of the fit and its input ({missing}), expected both; "
             "give what was fitted by --input or --data."
         ) from None
-    error = "" if record["error"] is None else f"error{factor_of(presentation.app)} {number(record['error'], '.3f')}, "
+    error = "" if record["error"] is None else f"error{factor_of(app)} {number(record['error'], '.3f')}, "
     return Shown(label, f"{error}{number(record['seconds'], '.3g')} s", view)
 
 
@@ -177,6 +175,6 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     """
     title, record = title_of(fit.app), {"error": fit.error, "seconds": fit.seconds}
     with threads(threads_of(fit.app)):
-        shown = shown_of(fit.plan.presentation, fit.settings["paradigm"], record, fit.parameters, fit.task)
+        shown = shown_of(fit.app, fit.settings["paradigm"], record, fit.parameters, fit.task)
     page = html(document(f"metapp: {title}", [Group(fit.name, title, [shown])]))
     return write_page(page, Path(os.fsdecode(path or f"{file_name(fit.name)}.html")))

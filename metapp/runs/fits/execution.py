@@ -200,7 +200,7 @@ class _Loop:
         self._earlier = earlier
         # of tasks by name: sources of different stems may hold tasks of one name
         self._places: dict[str, str] = {record["name"]: place for place, record in earlier.items()}
-        self._fitter, self._presentation = Fitter(plan, warns=True), plan.presentation
+        self._fitter = Fitter(plan, warns=True)
         self._outputs = outputs_of(plan.app.name, plan.options)
         self._columns: dict[str, Column] = {}
         self._bar = Bar()
@@ -224,7 +224,7 @@ class _Loop:
 
     def _add_column(self, source: Source, task: Task, theta: Params) -> None:
         with torch.no_grad():
-            self._columns[source.place] = column_of_fit(self._presentation, task, theta)
+            self._columns[source.place] = column_of_fit(self.plan.app, task, theta)
 
     def _fail(self, source: Source, error: Exception) -> None:
         resumes = self.plan.request.resumes
@@ -272,8 +272,8 @@ class _Loop:
     def _keep(self, source: Source, task: Task, theta: Params, record: Document, beside: int) -> None:
         """Write the pictures, the parameters and the record of a fit, in this order."""
         with torch.no_grad():
-            write_files(self._presentation, task, theta, self.folder.path / OUTPUTS)
-            self.remarks += write_outputs(self._presentation, self._outputs, self.folder, task, theta)
+            write_files(self.plan.app, task, theta, self.folder.path / OUTPUTS)
+            self.remarks += write_outputs(self.plan.app, self._outputs, self.folder, task, theta)
         if len(self._columns) < COMPARED:
             self._add_column(source, task, theta)
         record = record | ({"batch": beside} if _is_batched(self.plan) else {})
@@ -290,7 +290,7 @@ class _Loop:
             path = run / form / file_name(task.name)
             try:
                 with torch.no_grad():
-                    export_fit(self._presentation, task, theta, path, form, self.folder.settings)
+                    export_fit(self.plan.app, task, theta, path, form, self.folder.settings)
             except (ValueError, OSError) as error:
                 why = getattr(error, "strerror", None) or str(error).removesuffix(".")
                 line = f"{path}: not written as {form}: {why}; the fit is kept, write it by metapp export {run} {form}"

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from glob import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from torch import Generator
 
 from data_tools.formats import exports_of
 from metapp import door
 from metapp.appearance.colour import stretched, tone_map
-from metapp.appearance.presentation import Picture, Presentation, Rendered
 from metapp.learning.app import App, stack
+from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import QUICK
@@ -33,14 +33,14 @@ OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
 
 
-def write_files(presentation: Presentation[Any], task: Task, theta: Params, folder: Path) -> None:
+def write_files(app: App, task: Task, theta: Params, folder: Path) -> None:
     """Write what a fit makes for its user, if anything, <folder>/<task>/<name>.png, 8 bits.
 
     Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    write_pictures(presentation.files(theta, task), folder / file_name(task.name))
+    write_pictures(app.pictures(theta, task), folder / file_name(task.name))
 
 
 def listed(folder: Path, names: Sequence[str]) -> str:
@@ -51,7 +51,7 @@ def listed(folder: Path, names: Sequence[str]) -> str:
 
 
 def write_outputs(
-    presentation: Presentation[Any],
+    app: App,
     outputs: Sequence[tuple[door.Output, object]],
     run: RunFolder,
     task: Task,
@@ -64,7 +64,7 @@ def write_outputs(
     """
     lines = []
     for output, value in outputs:
-        made: Rendered = door.load(output.output)(presentation, task, theta, value)
+        made: Rendered = door.load(output.output)(app, task, theta, value)
         write_pictures(made.files, run.path / OUTPUTS / file_name(task.name))
         lines += [f"{task.name}: {line}" for line in made.lines]
     return lines
@@ -88,24 +88,21 @@ def _write_picture(file: Path, picture: Picture) -> None:
     write_png(pixels, texts, file)
 
 
-def export_fit(
-    presentation: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Document
-) -> None:
+def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
     """Write one fit in a form; where that holds another network, the fit is distilled into it first.
 
     Args:
-        presentation: the presentation of the fit's application, at the size of surfaces.
+        app: the fit's application, at the size of surfaces.
         task: what was fitted.
         theta: parameters, without a task axis.
         path: where to, without suffix; its last part names an asset.
         name: of the form.
         settings: what the fit was made by, as records have it: an asset's provenance.
     """
-    app = presentation.app
     form = exports_of(app.name)[name]
     write = door.load(form.write)
     if form.of_surface:
-        surface = presentation.surface(theta, task)
+        surface = app.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
         write(surface, path, {"task": task.name, **settings})
         return
@@ -155,7 +152,7 @@ def export_run(
         inputs: what was fitted, for forms that are made of that, too.
         data: the data set whose test tasks were fitted, for the same.
         out: folder to write to; None: a folder of the form's name in the run's.
-        options: that the application's presentation takes, by name.
+        options: that are fields of the application, by name.
         quiet: no progress.
 
     Raises:
@@ -175,12 +172,12 @@ def export_run(
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            presentation, theta = plan_as(settings, options=options).presentation, read_theta(folder, name)
-            write = functools.partial(export_fit, presentation, theta=theta, path=target / file_name(name), name=form)
+            app, theta = plan_as(settings, options=options).app, read_theta(folder, name)
+            write = functools.partial(export_fit, app, theta=theta, path=target / file_name(name), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)
             except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
-                tasks = tasks_as(records, presentation.app, inputs, data) if tasks is None else tasks
+                tasks = tasks_as(records, app, inputs, data) if tasks is None else tasks
                 if name not in tasks:
                     raise ValueError(
                         f"{name}: {form} is made of the fit and its input ({missing}), expected both; "

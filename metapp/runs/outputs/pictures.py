@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
-from metapp.appearance.presentation import Presentation
-from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.requests.naming import factor_of, title_of
@@ -123,9 +121,9 @@ GIVEN = ("reference", "samples")  # pictures that are the task's, not of a fit
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
-def column_of_fit(presentation: Presentation[Any], task: Task, theta: Params) -> Column:
+def column_of_fit(app: App, task: Task, theta: Params) -> Column:
     """The reference of a task above its fit, parameters without a task axis."""
-    return Column(_shown(presentation.outputs(theta, task)), task.name)
+    return Column(_shown(app.preview(theta, task)), task.name)
 
 
 def picture_of_run(
@@ -180,7 +178,7 @@ def column_of(task: Task, fits: Sequence[tuple[str, App, Path, Document]]) -> Co
     rows: dict[str, np.ndarray] = {}
     for label, app, folder, record in fits:
         theta = read_theta(folder, task.name)
-        pictures = {"fit": theta[PICTURE]} if PICTURE in theta else presentation_of(app).outputs(theta, task)
+        pictures = {"fit": theta[PICTURE]} if PICTURE in theta else app.preview(theta, task)
         rows |= {} if rows else _shown({name: pictures[name] for name in GIVEN if name in pictures})
         rows[f"{label} {_label(record)}".rstrip()] = to_srgb(pictures["fit"])
     return Column(rows, task.name)

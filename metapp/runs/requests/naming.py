@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.apps import presentation_of, protocols_of
+from metapp.apps import protocols_of
 from metapp.learning.app import App
 
 
@@ -23,15 +23,14 @@ def name_of(app: App) -> str:
 
 def title_of(app: App) -> str:
     """The application's title in tables and pictures, with its protocol, if any."""
-    title = presentation_of(app).title
-    return f"{title} ({app.protocol})" if app.protocol else title
+    return f"{app.title} ({app.protocol})" if app.protocol else app.title
 
 
 def caption_of(app: App, measured: bool = True) -> str:
     """The caption of a table about its errors, or that there are none, as of photos without a reference."""
     protocol = {"fits see": app.protocol} if app.protocol else {}
     conditions = "".join(f"; {key}: {value}" for key, value in (protocol | app.conditions()).items())
-    error = f"error: {presentation_of(app).measure}{factor_of(app)}" if measured else "no error: there is no reference"
+    error = f"error: {app.measure}{factor_of(app)}" if measured else "no error: there is no reference"
     return error + conditions
 
 

@@ -37,7 +37,7 @@ def all_options() -> dict[str, door.Option]:
 
 
 def all_shown_options() -> dict[str, door.Option]:
-    """The options that presentations of applications take, by name."""
+    """The options that are fields of applications, by name."""
     applications = door.offers(door.Application)
     return {option.name: option for offer in applications for option in offer.options if not option.adapt}
 
@@ -133,8 +133,8 @@ def read_options(form: door.Format, options: Mapping[str, object]) -> dict[str, 
     return {door.keyword_of(option): converted(option, options[option.name]) for option in given}
 
 
-def shown_options(app: str, options: Mapping[str, object]) -> dict[str, object]:
-    """The values that the application's presentation takes, by keyword."""
+def shown_options(app: str, options: Mapping[str, object]) -> dict[str, Any]:
+    """The values of the application's fields, by name."""
     own = [option for option in application_of(app).options if option.name in options and not option.adapt]
     return {door.keyword_of(option): converted(option, options[option.name]) for option in own}
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
-from metapp.appearance.presentation import Presentation
-from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
+from metapp.apps import app_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
@@ -67,11 +66,6 @@ class Plan:
         return self.job.app
 
     @property
-    def presentation(self) -> Presentation[Any]:
-        """The application's presentation, by the options that it takes."""
-        return presentation_of(self.app, **shown_options(self.app.name, self.options))
-
-    @property
     def steps(self) -> int:
         """Gradient steps of a fit."""
         return self.paradigm.count(self.job)
@@ -87,7 +81,8 @@ class Plan:
         rule = rule or self.job.rule
         request = replace(self.request, paradigm=paradigm, rule=rule, steps=None)
         app = app_of(self.app.name, self.job.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
-        app = self.app if app.setup == self.app.setup else app  # which may hold compiled code
+        # the same where it may hold compiled code
+        app = self.app if app.setup == self.app.setup else replace(app, size=self.app.size)
         job = Job(app, self.job.recipe, rule, None)
         return replace(self, request=request, paradigm=paradigms()[paradigm], job=job, checkpoint=None)
 
@@ -170,12 +165,11 @@ def plan(request: Request) -> Plan:
     steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
     request = replace(request, recipe=name, rule=rule, steps=steps)
     _check(request, options)
-    planned = Plan(request, paradigm, Job(app, recipe, rule, steps), device, options)
     try:
-        planned.presentation  # noqa: B018  # which may refuse its options
+        app = replace(app, **shown_options(request.app, options))
     except ValueError as error:
         raise BadOption(str(error)) from None
-    return planned
+    return Plan(request, paradigm, Job(app, recipe, rule, steps), device, options)
 
 
 def _check(request: Request, options: Mapping[str, object]) -> None:

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.apps.brdf.app import Brdf
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
@@ -132,7 +132,7 @@ def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.Monkey
         value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
         return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
-    monkeypatch.setattr(BrdfPresentation, "image_errors", measured)
+    monkeypatch.setattr(Brdf, "image_errors", measured)
     shutil.rmtree(image_cell(subject).folder.path)
     run_cells(load_table("image").cells(subject), quiet=True)
     by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}

@@ -11,7 +11,7 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.apps import app_names, class_of, presentation_of, protocols_of
+from metapp.apps import app_names, class_of, protocols_of
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
 from metapp.evaluation.cell import run_cells
@@ -19,9 +19,9 @@ from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Allowed, DrawsAnswers, Training
+from metapp.extensions.baselines.baseline import Allowed, Training
 from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
-from metapp.learning.app import stack
+from metapp.learning.app import App, stack
 from metapp.learning.task import Task
 from metapp.runs.reporter import Reporter
 from metapp.runs.requests.plan import plan
@@ -101,14 +101,14 @@ def test_every_application_has_baselines_that_say_what_they_cannot_do(name: str,
 @pytest.mark.parametrize(("name", "protocol"), PLACED)
 def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, protocol: str, rng: Generator) -> None:
     app = app_by(name, protocol=protocol)
-    shown = presentation_of(app)
-    assert isinstance(shown, DrawsAnswers) == (name not in ("brdf", "transport"))
-    if isinstance(shown, DrawsAnswers) and (name, protocol) not in WITHOUT:
+    draws = type(app).answer_pictures is not App.answer_pictures
+    assert draws == (name not in ("brdf", "transport"))
+    if draws and (name, protocol) not in WITHOUT:
         tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
         first, allowed = baselines_of(app)[0], Allowed(64, 20_000)
         prepared = first.prepare(Training(app, tasks), allowed)
         answer = prepared.fit(stack(app, tasks[:1]), rng, allowed).answer()
-        for pixels, kind in shown.files_of(answer, tasks[0]).values():
+        for pixels, kind in app.answer_pictures(answer, tasks[0]).values():
             assert pixels.shape[2] in (1, 3)
             assert pixels.isfinite().all()
             assert kind in ("height", "radiance") or 0 <= float(pixels.min()) <= float(pixels.max()) <= 1

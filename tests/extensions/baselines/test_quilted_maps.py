@@ -9,7 +9,6 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, camera, relightings
-from metapp.apps import presentation_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training
@@ -104,10 +103,10 @@ def test_the_same_seed_makes_the_same_maps(app: SvbrdfStationary) -> None:
 
 def test_its_files_are_those_of_a_fit(app: SvbrdfStationary) -> None:
     task = task_of(app, material())
-    shown = presentation_of(app)
+    shown = app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    files = shown.files_of(quilting(app, stack(app, [task])).answer(), task)  # type: ignore[attr-defined]
+    files = shown.answer_pictures(quilting(app, stack(app, [task])).answer(), task)  # type: ignore[attr-defined]
     assert {name: each.kind for name, each in files.items()} == {
-        name: each.kind for name, each in shown.files(theta, task).items()
+        name: each.kind for name, each in shown.pictures(theta, task).items()
     }
     assert {each.pixels.shape[:2] for each in files.values()} == {(SIZE, SIZE)}

@@ -230,5 +230,5 @@ def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_p
     assert compared["measures"] == {}
     assert compared["picture"]
     view = load("metapp.extensions.viewer.pages.brdf:view")
-    assert "residual" not in view(fit.plan.presentation, fit.parameters, fit.task).arrays
-    assert "samples" in view(fit.plan.presentation, fit.parameters, fit.task).arrays
+    assert "residual" not in view(fit.app, fit.parameters, fit.task).arrays
+    assert "samples" in view(fit.app, fit.parameters, fit.task).arrays

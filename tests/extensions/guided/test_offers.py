@@ -17,7 +17,6 @@ from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
-from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.guided import GUIDED_NEE
 from metapp.learning.task import Task
@@ -35,13 +34,13 @@ def task_of(seed: int) -> Task:
 
 def test_the_captions_of_pictures_are_those_of_earlier_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are a part of the keys of records."""
-    assert TransportPresentation(Transport(RECIPES["quick"].setup)).image_measure == (
+    assert Transport(RECIPES["quick"].setup).image_measure == (
         "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
         "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
         "and counts the samples that a fit sees, the fit, its table and the picture"
     )
     monkeypatch.setenv("METAPP_WITHOUT", "guided")
-    assert "guided_path" not in TransportPresentation(Transport(TransportSetup(FLOW))).image_measure
+    assert "guided_path" not in Transport(TransportSetup(FLOW)).image_measure
 
 
 @pytest.mark.long
@@ -49,7 +48,7 @@ def test_the_captions_of_pictures_are_those_of_earlier_records(monkeypatch: pyte
 def test_the_integrator_has_a_row_in_the_table_of_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 64)
-    shown, task = TransportPresentation(Transport(TransportSetup(FLOW, picture=16))), task_of(0)
+    shown, task = Transport(TransportSetup(FLOW, picture=16)), task_of(0)
     assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, GUIDED_NEE]
 
 
@@ -59,8 +58,8 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(path_space, "BATCH", 2**16)
-    monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
-    monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
+    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE", 1)
     monkeypatch.setattr("metapp.extensions.guided.rendering.SPP", 16)
     (box,) = write_example("transport", Path())
     result = metapp("overfit", "transport", box, "--steps", "2", "--render", "24")

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from torch import Generator
 
-from metapp.appearance.presentation import Fitted
-from metapp.apps import presentation_of
+from metapp.appearance.picture_measures import image_errors
 from metapp.door import WITHOUT
 from metapp.evaluation.notes import text_table
 from metapp.evaluation.tables import image, load_table
 from metapp.learning.app import App
+from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task
 from tests.extensions.measures.test_measures import needs_weights
 from tests.paradigms.small import KINDS
@@ -38,14 +38,13 @@ FURTHER = {
 
 def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], str]:
     """The measures in the rows of a random fit, and the table with its notes."""
-    presentation, task = presentation_of(app), sources[0]
+    task = sources[0]
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
-    measures = presentation.image_errors({"meta": Fitted(theta, 0.1)}, task)
+    measures = image_errors(app, {"meta": Fitted(theta, 0.1)}, task)
     cell = SimpleNamespace(tasks=[task], records=lambda: [{"name": task.name, "error": None, "measures": measures}])
     subject: Any = SimpleNamespace(
         app=app,
-        presentation=presentation,
-        title=presentation.title,
+        title=app.title,
         tasks=[task],
         fits={},
         is_of_few=lambda name: False,
@@ -76,7 +75,7 @@ def test_without_the_extension_tables_have_the_rest(
     measures, text = printed(app, sources, monkeypatch)
     assert measures >= OWN.get(app.name, set())
     assert not measures & set().union(*FURTHER.values())
-    assert presentation_of(app).image_measure in text
+    assert app.image_measure in text
 
 
 @needs_weights

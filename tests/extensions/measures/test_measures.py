@@ -13,10 +13,11 @@ import torch
 from torch import Generator
 
 from metapp.appearance.features import load_features
-from metapp.appearance.presentation import Compared, picture_measures
+from metapp.appearance.picture_measures import further_errors, picture_measures
 from metapp.door import PictureMeasure, load, offers
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
+from metapp.learning.pictures import Compared
 
 PERCEPTUAL = (perceptual.lpips, perceptual.dists)
 needs_weights = pytest.mark.skipif(not importlib.util.find_spec("torchmetrics"), reason="no torchmetrics")
@@ -100,7 +101,7 @@ def lacks(app: str = "texture") -> dict[str, str]:
 @needs_weights
 def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lacks() == dict.fromkeys(("LPIPS", "DISTS"), "the weights of VGG-16 are missing: metapp data vgg")
-    assert waves().measures("texture").keys() <= {"sliced Wasserstein", "order"}
+    assert further_errors("texture", waves()).keys() <= {"sliced Wasserstein", "order"}
     (cache / "vgg16.safetensors").symlink_to(drawn_weights)
     assert lacks() == {}
     (note,) = (note for offer, note in picture_measures("texture")[0].items() if offer.name == "LPIPS")

@@ -11,7 +11,6 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import above_horizon
-from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.extensions.viewer.pages.anisotropic_residual import CELLS, gridded
@@ -90,7 +89,7 @@ def test_a_smooth_residual_is_found_between_its_samples() -> None:
 
 def errors_of(app: Brdf, theta: Params, task: Task, truth: Callable[[Tensor], Tensor], seed: int) -> list[float]:
     """Mean differences from the log of a material: of a fit, and of its reference by the page's grid."""
-    grid = view_of(presentation_of(app), theta, task).arrays["residual"]
+    grid = view_of(app, theta, task).arrays["residual"]
     angles = angles_above(20_000, seed).float()
     if not app.setup.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown

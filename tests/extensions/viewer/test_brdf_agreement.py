@@ -12,7 +12,6 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.geometry import directions_to_four_angles, rusinkiewicz_to_directions
-from metapp.apps import presentation_of
 from metapp.extensions.viewer.page import Shown
 from metapp.extensions.viewer.view import view_of
 from tests.extensions.viewer.test_brdf_page import APPS, lobe, material, open_page, theta_of, views
@@ -71,7 +70,7 @@ def test_the_shader_evaluates_what_python_does(browser: Any, tmp_path: Path) -> 
 def test_the_reference_is_the_material_whatever_the_fit(browser: Any, tmp_path: Path) -> None:
     """Of a fit that is not reciprocal, and of one that is, which has a smaller grid; up to interpolation."""
     black = {key: torch.zeros_like(value) for key, value in theta_of("nbrdf").items()}
-    reciprocal = Shown("black", "", view_of(presentation_of(APPS["nbrdf"]), black, material()))
+    reciprocal = Shown("black", "", view_of(APPS["nbrdf"], black, material()))
     page, rng = open_page(browser, tmp_path, [*views("nbrdf", task=material()), reciprocal]), Generator().manual_seed(3)
     angles = torch.rand(COUNT, 3, generator=rng, dtype=torch.float64)
     angles = angles * torch.tensor([1.2, 1.2, math.tau], dtype=torch.float64)

@@ -21,7 +21,6 @@ from metapp.appearance.geometry import (
     rusinkiewicz_to_directions,
 )
 from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
-from metapp.apps import presentation_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.extensions.few.network import Few
@@ -70,7 +69,7 @@ def theta_of(name: str) -> Params:
 def views(*names: str, task: Task | None = None) -> list[Shown]:
     shown = []
     for name in names:
-        view = view_of(presentation_of(APPS[name]), theta_of(name), task or Task("lobe", {}))
+        view = view_of(APPS[name], theta_of(name), task or Task("lobe", {}))
         shown.append(Shown(name, "", view))
     return shown
 
@@ -134,7 +133,7 @@ def test_samples_beyond_the_fit_are_on_the_grid() -> None:
 
 def test_a_reciprocal_fit_has_half_of_the_grid() -> None:
     theta = {key: torch.zeros_like(value) for key, value in theta_of("nbrdf").items()}
-    grid = view_of(presentation_of(APPS["nbrdf"]), theta, material()).arrays["residual"]
+    grid = view_of(APPS["nbrdf"], theta, material()).arrays["residual"]
     assert grid.shape == (CELLS[0] // 2, *CELLS[1:], 4)
 
 
@@ -197,7 +196,7 @@ def test_the_screen_shows_metapps_picture(browser: Any, tmp_path: Path) -> None:
     page.sized(96, 96)
     page.set(view="picture", paper="white", show="fit")
     page.settle()
-    pictures = presentation_of(APPS["nbrdf"]).outputs(theta_of("nbrdf"), material())
+    pictures = APPS["nbrdf"].preview(theta_of("nbrdf"), material())
     shown = {}
     for name in ("fit", "reference"):
         page.set(show=name)
@@ -238,7 +237,7 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(browser: Any, tmp_path: Pa
     task = brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
     theta = {key: torch.zeros_like(value) for key, value in theta_of("nbrdf").items()}
     theta["b3"] = torch.full_like(theta["b3"], math.log1p(0.3 / math.pi))
-    view = view_of(presentation_of(APPS["nbrdf"]), theta, task)
+    view = view_of(APPS["nbrdf"], theta, task)
     white = view._replace(shared=dict(view.shared) | {"light": torch.ones(8, 16, 3).half()})
     page = open_page(browser, tmp_path, [Shown("meta", "", white)])
     page.sized(64, 64)

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.apps import presentation_of
 from metapp.extensions.viewer.page import Shown
 from metapp.extensions.viewer.view import view_of
 from tests import anisotropic
@@ -43,7 +42,7 @@ def test_the_first_look_under_a_light_map_is_as_bright_as_the_last(
     if name == "nbrdf":
         shown = views(name, task=material())
     else:
-        view = view_of(presentation_of(anisotropic.APP), anisotropic.fitted(), anisotropic.task())
+        view = view_of(anisotropic.APP, anisotropic.fitted(), anisotropic.task())
         shown = [Shown(name, "", view)]
     page = open_page(browser, tmp_path, shown)
     page.sized(96, 48)

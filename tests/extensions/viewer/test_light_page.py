@@ -15,14 +15,13 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import mirror
-from metapp.appearance.presentation import Picture
 from metapp.apps.illumination.app import SMALL, Illumination, IlluminationSetup
 from metapp.apps.illumination.confidence import hatched
-from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import view_of
+from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from metapp.storage.html import write_page
@@ -60,31 +59,29 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> Tensor:
     return light
 
 
-def shown(protocol: str) -> tuple[IlluminationPresentation, Params]:
+def shown(protocol: str) -> tuple[Illumination, Params]:
     app = Illumination(IlluminationSetup(FIELD), protocol)
-    return IlluminationPresentation(app), {
-        key: each[0] for key, each in app.init(Generator().manual_seed(0), 1).items()
-    }
+    return app, {key: each[0] for key, each in app.init(Generator().manual_seed(0), 1).items()}
 
 
 def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> None:
-    presentation, theta = shown("reference")
-    view = view_of(presentation, theta, task_of(lamps(2)))
+    app, theta = shown("reference")
+    view = view_of(app, theta, task_of(lamps(2)))
     scale, light = view.facts["scale"], fitted.permute(1, 2, 0)
     kept = view.arrays["map"].float() * scale
     torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
     reference = view.arrays["reference"].float() * scale
     torch.testing.assert_close(reference, lamps(2).permute(1, 2, 0) / light.mean(), rtol=1e-3, atol=1e-6)
     assert (view.kind, dict(view.pictures)) == ("light", {})
-    assert set(view_of(presentation, theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
+    assert set(view_of(app, theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
 
 
 def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    presentation, theta = shown("reference")
+    app, theta = shown("reference")
     pixels = torch.full((256, 512, 3), 0.01)
     pixels[100, 200, 0] = 1e5
-    monkeypatch.setattr(presentation, "map_of", lambda theta, task: Picture(pixels, "radiance"))
-    view = view_of(presentation, theta, Task("sun", {}))
+    monkeypatch.setattr(Illumination, "map_picture", lambda app, theta, task: Picture(pixels, "radiance"))
+    view = view_of(app, theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
@@ -92,8 +89,8 @@ def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pages, "MOST", (16, 32))
-    presentation, theta = shown("reference")
-    view = view_of(presentation, theta, task_of(lamps(2)))
+    app, theta = shown("reference")
+    view = view_of(app, theta, task_of(lamps(2)))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
     torch.testing.assert_close(small, resample(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (
@@ -103,21 +100,21 @@ def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatc
 
 
 def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted: Tensor) -> None:
-    presentation, theta = shown("photo")
-    view = view_of(presentation, theta, task_of(fitted))
+    app, theta = shown("photo")
+    view = view_of(app, theta, task_of(fitted))
     inside = sphere_normals(64)[0][2] > 0.5
     assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
     with pytest.raises(KeyError, match="photos"):
-        view_of(presentation, theta, Task("lamps", {}))
+        view_of(app, theta, Task("lamps", {}))
 
 
 def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor) -> None:
-    presentation, theta = shown("photo")
+    app, theta = shown("photo")
     task = task_of(fitted)
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
-    ball = view_of(presentation, theta, task).pictures["ball"].permute(2, 0, 1)
-    target = presentation.app.ball({key: each[None] for key, each in theta.items()}, fitted[None], SMALL)[0]
+    ball = view_of(app, theta, task).pictures["ball"].permute(2, 0, 1)
+    target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], SMALL)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // SMALL)[0] > 0.999
     assert (avg_pool2d(ball, 64 // SMALL) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
 
@@ -130,14 +127,12 @@ def test_what_a_gloss_reflects_at_normal_incidence() -> None:
 # In a browser
 
 
-def open_page(
-    browser: Any, folder: Path, protocol: str, reference: Tensor
-) -> tuple[Page, IlluminationPresentation, Params]:
-    presentation, theta = shown(protocol)
-    group = Group("lamps", "Illumination", [Shown("meta", "", view_of(presentation, theta, task_of(reference)))])
+def open_page(browser: Any, folder: Path, protocol: str, reference: Tensor) -> tuple[Page, Illumination, Params]:
+    app, theta = shown(protocol)
+    group = Group("lamps", "Illumination", [Shown("meta", "", view_of(app, theta, task_of(reference)))])
     page = Page(browser, write_page(html(document("metapp", [group])), folder / "view.html"))
     page.set(paper="white")
-    return page, presentation, theta
+    return page, app, theta
 
 
 def coarse(picture: np.ndarray | Tensor) -> Tensor:
@@ -148,11 +143,11 @@ def coarse(picture: np.ndarray | Tensor) -> Tensor:
 
 @pytest.mark.long
 def test_the_flat_map_is_that_of_the_png(browser: Any, tmp_path: Path, fitted: Tensor, scene: Path) -> None:
-    page, presentation, theta = open_page(browser, tmp_path, "reference", lamps(2))
+    page, app, theta = open_page(browser, tmp_path, "reference", lamps(2))
     page.sized(2 * ROWS, ROWS)
     page.set(view="flat", show="fit")
     page.settle()
-    pixels = presentation.files(theta, task_of(lamps(2)))["map"].pixels
+    pixels = app.pictures(theta, task_of(lamps(2)))["map"].pixels
     toned = tone_map(pixels / pixels.mean())
     assert_alike(page.screenshot(), toned)
     page.set(exposure=2.0)
@@ -235,7 +230,7 @@ def test_spheres_are_lit_as_in_metapps_pictures(browser: Any, tmp_path: Path, fi
 def test_a_photo_stands_beside_the_fits_ball_and_doubts_are_hatched(
     browser: Any, tmp_path: Path, fitted: Tensor
 ) -> None:
-    page, presentation, theta = open_page(browser, tmp_path, "photo", fitted)
+    page, app, theta = open_page(browser, tmp_path, "photo", fitted)
     page.sized(2 * 64 + GAP, 64)
     page.set(view="ball")
     page.settle()
@@ -250,8 +245,8 @@ def test_a_photo_stands_beside_the_fits_ball_and_doubts_are_hatched(
     page.settle()
     one = {key: each[None] for key, each in theta.items()}
     task = task_of(fitted)
-    data = {"photo": task.data["photos"]} | {key: each[None] for key, each in presentation.app.mirrored(task).items()}
-    stripes = hatched(tone_map(fitted / fitted.mean()), presentation.app.spread(one, data))
+    data = {"photo": task.data["photos"]} | {key: each[None] for key, each in app.mirrored(task).items()}
+    stripes = hatched(tone_map(fitted / fitted.mean()), app.spread(one, data))
     means = (
         avg_pool2d(each[None], 32)
         for each in (stripes, torch.from_numpy(page.screenshot().copy()).float().permute(2, 0, 1))

@@ -16,21 +16,18 @@ from torch.nn.functional import interpolate
 from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
-from metapp.appearance.presentation import Picture
 from metapp.apps.texture.app import Texture
-from metapp.apps.texture.presentation import TexturePresentation
 from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
-from metapp.apps.transport.presentation import TransportPresentation
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.texture import QUILTED
 from metapp.extensions.viewer.view import View, view_of
+from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
-from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.exemplar import TILED, ExemplarSetup
 from metapp.networks.generators import UNet
-from metapp.networks.presentation import TILED
 from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
 from metapp.storage.html import write_page
@@ -39,11 +36,11 @@ from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
 WHOLE = TILED * SIZE
-SHOWN = TexturePresentation(Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), ("relu1_1",))))
+SHOWN = Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), ("relu1_1",)))
 
 
 def theta_of(seed: int = 0) -> Params:
-    return {key: value[0] for key, value in SHOWN.app.init(Generator().manual_seed(seed), 1).items()}
+    return {key: value[0] for key, value in SHOWN.init(Generator().manual_seed(seed), 1).items()}
 
 
 def coloured(height: int, width: int, seed: int = 0) -> Tensor:
@@ -99,7 +96,7 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
         ("fit", "whole"),
         ("image quilting", "seams"),
     ]
-    assert torch.equal(view.pictures["fit"], SHOWN.files(theta, task)["texture"].pixels)
+    assert torch.equal(view.pictures["fit"], SHOWN.pictures(theta, task)["texture"].pixels)
     exemplar, quilted = view.pictures["exemplar"], view.pictures["image quilting"]
     assert torch.equal((255 * exemplar).round().to(torch.uint8), task.data["image"].permute(1, 2, 0))
     assert quilted.shape == (QUILTED * SIZE, QUILTED * SIZE, 3)
@@ -123,7 +120,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
     flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
     app, task = Transport(TransportSetup(flow)), Task("room", {"scene": scene_bytes(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
-    view = view_of(TransportPresentation(app), theta, task)
+    view = view_of(app, theta, task)
     shown = {each["title"]: each for each in view.facts["pictures"]}
     names = ("reference", REGULAR, pages.GUIDED)
     worst = [f"worst region x4, {name}" for name in names]
@@ -137,7 +134,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
         assert float(mape(light[line["label"]], light["reference"])) == pytest.approx(errors[-1], rel=0.01)
     assert view.facts["notes"][0].startswith("To a MAPE of ")
     monkeypatch.setattr(pages, "_traced", lambda *_: pytest.fail("traced again"))
-    again = view_of(TransportPresentation(app), theta, task)
+    again = view_of(app, theta, task)
     assert (again.facts, list(again.arrays)) == (view.facts, list(view.arrays))
 
 
@@ -208,7 +205,7 @@ def assert_same_as_file(screen: np.ndarray, picture: Picture, folder: Path) -> N
 @pytest.mark.long
 def test_a_texture_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
     screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=0)
-    assert_same_as_file(screen, SHOWN.files(theta_of(), exemplar_of())["texture"], tmp_path)
+    assert_same_as_file(screen, SHOWN.pictures(theta_of(), exemplar_of())["texture"], tmp_path)
 
 
 @pytest.mark.long

@@ -19,9 +19,7 @@ from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, 
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
-from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import QUICK
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.surface import Lit, surface_view
@@ -43,17 +41,17 @@ def seeded(seed: int = 0) -> Generator:
 
 
 @functools.cache
-def stationary() -> tuple[SvbrdfStationaryPresentation, Params, Task]:
+def stationary() -> tuple[SvbrdfStationary, Params, Task]:
     """A random generator's maps."""
     setup = replace(QUICK.setup, height=SIDE, width=SIDE, network=UNet(4, 3, noise=4, code=4, outputs=6))
     app = SvbrdfStationary(ExemplarSetup(SIDE, SIDE, setup.network, ("relu1_1",)))
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     photo = (255 * torch.rand(3, SIDE, SIDE, generator=seeded(1))).to(torch.uint8)
-    return SvbrdfStationaryPresentation(app), theta, Task("cloth", {"image": photo})
+    return app, theta, Task("cloth", {"image": photo})
 
 
 @functools.cache
-def nonstationary() -> tuple[SvbrdfNonstationaryPresentation, Params, Task]:
+def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
     """A random field's maps of several photographs, which the fit places elsewhere than they say."""
     app = SvbrdfNonstationary(MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2), "photo")
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
@@ -64,7 +62,7 @@ def nonstationary() -> tuple[SvbrdfNonstationaryPresentation, Params, Task]:
     places = torch.tensor([[0.0, 0, 1], [0.3, 0.2, 1.1], [-0.4, 0.1, 0.9]]) * camera_distance()
     others = (255 * torch.rand(PHOTOS - 1, 3, 64, 64, generator=seeded(2))).to(torch.uint8)
     return (
-        SvbrdfNonstationaryPresentation(app),
+        app,
         theta,
         task._replace(data=task.data | {"others": others, "places": places[:, None].repeat(1, 2, 1)}),
     )
@@ -110,7 +108,7 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
 
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
-    view, files = view_of(shown, theta, task), shown.files(theta, task)
+    view, files = view_of(shown, theta, task), shown.pictures(theta, task)
     truth = rock(64, tiles=False).maps
     assert truth is not None
     assert_same(maps_in(view, "reference"), truth)
@@ -168,7 +166,7 @@ def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("which", [stationary, nonstationary])
 def test_the_screen_shows_metapps_pictures(which: Any, browser: Any, tmp_path: Path) -> None:
     shown, theta, task = which()
-    files = shown.files(theta, task)
+    files = shown.pictures(theta, task)
     page = open_page(browser, tmp_path, view_of(shown, theta, task))
     page.sized(*[len(files["normal"].pixels)] * 2)
     page.set(view="picture", show="fit")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
 from metapp.extensions.viewer.trying import try_app
 from metapp.extensions.viewer.view import View
@@ -207,10 +207,10 @@ def test_fits_that_cannot_be_shown_are_left_out(
     run, lacking = fitted("meta"), {"m0"}
     view = brdf.view
 
-    def some(presentation: BrdfPresentation, theta: Params, task: Task) -> View:
+    def some(app: Brdf, theta: Params, task: Task) -> View:
         if task.name in lacking:
             raise ValueError(f"{task.name}: no photo, expected one; give it by --input.")
-        return view(presentation, theta, task)
+        return view(app, theta, task)
 
     monkeypatch.setattr(brdf, "view", some)
     result = metapp("view", run, "--no-open", "--out", "some.html")

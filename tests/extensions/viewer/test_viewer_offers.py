@@ -33,10 +33,10 @@ def test_without_it_fits_work_and_its_command_and_method_are_refused(
 
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks, recipe="quick")
-    assert view_of(fit.plan.presentation, fit.parameters, fit.task).kind == "brdf"
+    assert view_of(fit.app, fit.parameters, fit.task).kind == "brdf"
     offers_of = door.offers_of
     monkeypatch.setattr(door, "offers_of", lambda kind, app: () if kind is door.Page else offers_of(kind, app))
-    view = view_of(fit.plan.presentation, fit.parameters, fit.task)
+    view = view_of(fit.app, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
 

@@ -32,7 +32,7 @@ def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
 class Line(App):
     """A stand-in for an application whose network is linear in W."""
 
-    name, solves, linear = "line", "W", staticmethod(linear)
+    name, linear_parameter, least_squares = "line", "W", staticmethod(linear)
 
 
 Line.__abstractmethods__ = frozenset()  # type: ignore[attr-defined]

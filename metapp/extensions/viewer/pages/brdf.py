@@ -14,8 +14,8 @@ from metapp.appearance.colour import to_srgb
 from metapp.appearance.lobes import fit_lobes
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
 from metapp.apps.brdf import anisotropic, featured
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.networks import network_of
-from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.extensions.viewer.pages import anisotropic_residual
 from metapp.extensions.viewer.surface import light_map
 from metapp.extensions.viewer.view import View, thumbnail
@@ -26,7 +26,7 @@ WIDENED = 4  # times that cells without samples look one cell farther
 PLOTTED = 8192  # samples of plots, at most
 
 
-def view(presentation: BrdfPresentation, theta: Params, task: Task) -> View:
+def view(app: Brdf, theta: Params, task: Task) -> View:
     """The fit, its samples where the task has some, and a reference where the material is known everywhere."""
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)

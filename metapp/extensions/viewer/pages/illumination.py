@@ -15,7 +15,6 @@ from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import doubt
 from metapp.apps.illumination.mirror import CLIPPED, DARK, is_mirror
-from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
 from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Batch, Params, Task
@@ -26,14 +25,14 @@ NODES = 32  # cosines that the albedos of lobes are known at
 
 
 @torch.no_grad()
-def view(presentation: IlluminationPresentation, theta: Params, task: Task) -> View:
-    """The map as `files` has it, to look around in, and spheres lit by it; of a photograph also the ball.
+def view(app: Illumination, theta: Params, task: Task) -> View:
+    """The map as `pictures` has it, to look around in, and spheres lit by it; of a photograph also the ball.
 
     Raises:
         KeyError: a fit of a photograph without it.
     """
-    app, one = presentation.app, {key: value[None] for key, value in theta.items()}
-    pixels = presentation.map_of(one, task).pixels
+    one = {key: value[None] for key, value in theta.items()}
+    pixels = app.map_picture(one, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     light = pixels.permute(2, 0, 1) / unit
     maps = {"map": resample(light, *MOST) if light.shape[1] > MOST[0] else light}

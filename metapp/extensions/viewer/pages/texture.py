@@ -6,17 +6,16 @@ import numpy as np
 import torch
 
 from metapp.appearance.quilting import block_of, quilted
-from metapp.apps.texture.presentation import TexturePresentation
+from metapp.apps.texture.app import Texture
 from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Params, Task
 
 QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
 
 
-def view(presentation: TexturePresentation, theta: Params, task: Task) -> View:
-    """The texture as `files` writes it, the exemplar where it is at hand, and one quilted of that, at one scale."""
-    app = presentation.app
-    fit = presentation.files(theta, task)["texture"].pixels
+def view(app: Texture, theta: Params, task: Task) -> View:
+    """The texture as `pictures` has it, the exemplar where it is at hand, and one quilted of that, at one scale."""
+    fit = app.pictures(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
         exemplar = pictures["exemplar"] = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)

@@ -15,12 +15,13 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import DARK, mape
-from metapp.appearance.presentation import REFERENCE
 from metapp.apps.transport import guide, images
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, Studio, studio_of
-from metapp.apps.transport.presentation import TransportPresentation, picture_of_flow, picture_of_samples
+from metapp.apps.transport.pictures import picture_of_flow, picture_of_samples
 from metapp.extensions.viewer.view import View, pictures_view, thumbnail
+from metapp.learning.pictures import REFERENCE
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.runs.torch_state import threads
@@ -45,9 +46,8 @@ class Progress(NamedTuple):
     spp: int
 
 
-def view(presentation: TransportPresentation, theta: Params, task: Task) -> View:
+def view(app: Transport, theta: Params, task: Task) -> View:
     """Pictures of the scene in equal time; densities where there is no scene."""
-    app = presentation.app
     if "scene" in task.data:
         return scene_view(app.flow, theta, task)
     shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.flow, theta)}

@@ -1,0 +1,71 @@
+"""Pictures that applications make of fits, as plain data."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, get_args
+
+from torch import Tensor
+
+from metapp.learning.task import Params
+
+Kind = Literal["srgb", "data", "height", "radiance"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+REFERENCE = "reference"  # among measures of pictures: what the references are off by themselves
+
+
+class Picture(NamedTuple):
+    """A file that a fit makes.
+
+    Attributes:
+        pixels: [H, W, 1 or 3].
+        kind: "srgb": colours, display values in [0, 1], kept as PNG. "data": linear and no colours, such as normals, in
+            [0, 1], kept as PNG. "height": heights in texels, of any range, kept as PNG, stretched to [0, 1], with both
+            ends as texts of the file. "radiance": linear RGB of any range, kept as EXR, and tone-mapped beside it.
+    """
+
+    pixels: Tensor
+    kind: Kind
+
+
+class Rendered(NamedTuple):
+    """Pictures of a task's scene.
+
+    Attributes:
+        files: by the file's name without its ending.
+        lines: what to say of them.
+    """
+
+    files: dict[str, Picture]
+    lines: list[str]
+
+
+class Compared(NamedTuple):
+    """Pictures of a fit and what they should be: display values [B, 3, H, W] in [0, 1].
+
+    The bool `mask` [H, W] says which pixels count; None: all.
+    """
+
+    pictures: Tensor
+    references: Tensor
+    mask: Tensor | None = None
+
+
+class Visible(NamedTuple):
+    """The part of a task that a fit may see.
+
+    Attributes:
+        samples: how many it draws from; 1 where each step sees all there is.
+        size: bytes of one, as data sets keep it.
+        encoder: samples that General's encoder reads of these.
+    """
+
+    samples: int
+    size: int
+    encoder: int
+
+
+class Fitted(NamedTuple):
+    """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
+
+    theta: Params
+    seconds: float
