@@ -62,7 +62,7 @@ def draw(size: Size, rng: Generator) -> Batch:
     where = (vectors / vectors.norm(dim=2, keepdim=True)).flatten(1, 2)
     cosine = torch.rand(size.tasks, 1, size.samples, generator=rng)
     other = APP.init(Generator().manual_seed(1), size.tasks)
-    reflectance = APP.setup.reflectance(other, where).clamp_min(0)
+    reflectance = APP.network.reflectance(other, where).clamp_min(0)
     return {"where": torch.cat([where, cosine], 1), "target": torch.log1p(reflectance * cosine)}
 
 

@@ -42,16 +42,16 @@ SIZES = {
 def at_size(name: str, side: int) -> App:
     """An application by its recipe full, at another size."""
     recipe = recipes_of(name)["full"]
-    setup = recipe.setup
+    app: Any = recipe.app
     if name == "illumination":
-        field = setup.field._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
-        setup = replace(setup, field=field)
+        field = app.network._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
+        app = replace(app, network=field)
     elif name == "svbrdf_nonstationary":
-        setup = replace(setup, field=setup.field._replace(height=side, width=side, rows=side, columns=side))
+        app = replace(app, network=app.network._replace(height=side, width=side, rows=side, columns=side))
     else:
         # from the beginning at all octaves, as the last steps of a fit are
-        setup = replace(setup, height=side, width=side, shares=())
-    return app_of(name, replace(recipe, setup=setup))
+        app = replace(app, height=side, width=side, shares=())
+    return app_of(name, replace(recipe, app=app))
 
 
 def noise(name: str, side: int) -> Task:

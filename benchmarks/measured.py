@@ -7,7 +7,7 @@ import hashlib
 import torch
 from torch import Generator
 
-from metapp.extensions.few.network import factors
+from metapp.extensions.few.app import factors
 from metapp.learning.task import Task
 
 

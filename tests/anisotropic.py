@@ -16,7 +16,6 @@ from data_tools.synthetic.brdf_anisotropic import turned
 from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
 from metapp.appearance.geometry import above_horizon, directions_to_four_angles, rusinkiewicz_to_directions
 from metapp.apps.brdf.anisotropic import axes_of
-from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import ANISOTROPIC
 from metapp.extensions.viewer.pages.anisotropic_residual import corners
 from metapp.learning.app import stack
@@ -24,7 +23,7 @@ from metapp.learning.task import Params, Task
 
 TURN = 0.7  # rad, azimuth of the axis along which the highlight reaches farthest
 ROUGHNESS = Roughness(0.4, 0.12)
-APP = Brdf(ANISOTROPIC.meta["ridge"].setup)
+APP = ANISOTROPIC.meta["ridge"].app
 VIEWERS = ((10, 0), (40, 70), (40, 200), (65, 310))  # degrees: theta, phi
 COLOUR = (0.9, 0.6, 0.3)
 
@@ -87,7 +86,7 @@ def fitted() -> Params:
     theta = APP.init(torch.Generator().manual_seed(0), 1)
     batch = APP.sample(tasks, torch.Generator().manual_seed(1), 4096)
     theta["turn"] = axes_of(batch)
-    features = APP.setup.features_of(theta, batch["where"]).double()
+    features = APP.network.features_of(theta, batch["where"]).double()
     cos = batch["where"][:, 6:7]
     target = torch.log1p(torch.expm1(batch["target"]) / cos.clamp_min(0.05)).double()
     gram = features @ features.mT + 0.1 * torch.eye(features.shape[1], dtype=torch.float64)

@@ -298,8 +298,8 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def shorten(recipes: dict[str, dict[str, Recipe]], quick: Any, full: Any) -> None:
         for of_protocol in recipes.values():
-            for name, setup in (("quick", quick), ("full", full)):
-                monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), setup=setup))
+            for name, app in (("quick", quick), ("full", full)):
+                monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), app=app))
         monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
 
     return shorten

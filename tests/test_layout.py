@@ -24,7 +24,8 @@ FILES = {
 }
 
 UNPICKLES = "metapp.extensions.vgg.weights"
-MANY_MEMBERS = {"App", "Request", "Evaluation"}  # the fields of the last two are options of commands
+# fields of the first two are sizes of networks, those of the last two options of commands
+MANY_MEMBERS = {"App", "ExemplarApp", "Request", "Evaluation"}
 
 
 @functools.cache

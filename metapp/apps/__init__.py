@@ -7,6 +7,7 @@ Nothing here is imported before it is asked for.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from metapp import door
@@ -61,7 +62,7 @@ def recipes_of(name: str, protocol: str = "") -> Mapping[str, Recipe]:
 
 
 def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> App:
-    """An application with the network of a recipe; of the subclass `app` of it where the setup has one.
+    """An application with the network of a recipe.
 
     Args:
         name: the application's.
@@ -69,6 +70,5 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
         protocol: what fits may see; "" for the default one.
         rule: a learned rule, which may have a network of its own.
     """
-    setup = (recipe.training(rule).setup if rule else None) or recipe.setup
-    app: type[App] = getattr(setup, "app", None) or class_of(name)
-    return app(setup, protocol or next(iter(protocols_of(name)), ""))
+    app = (recipe.training(rule).app if rule else None) or recipe.app
+    return replace(app, protocol=protocol or next(iter(protocols_of(name)), ""))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
@@ -12,7 +12,6 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.pictures import Compared, Fitted, Picture, Visible
-from metapp.learning.recipe import Setup
 from metapp.learning.task import RESERVED, Batch, Linear, Params, Task, Tasks, TensorSpec
 
 Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
@@ -20,16 +19,16 @@ Surface = Any  # metapp.appearance.surface.Surface
 Made = TypeVar("Made")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
     All methods but those of pictures are batched over tasks: parameters and batches have a leading task axis T.
-    Abstract methods are what every application has; the others have defaults that do nothing. Its recipes are a table
-    beside it.
+    Abstract methods are what every application has; the others have defaults that do nothing, or leave it to the
+    network. A recipe holds an application, with all sizes as its fields; two with the same fields are equal.
 
     Attributes:
-        setup: the sizes of its network, as a recipe has them; None where it has none.
+        network: the network of one task, which has `init`; None where the application has that itself.
         protocol: what a fit may see, one of the values of --observe; "" where there is but one.
         size: height and width of `pictures`, px; None for the application's own choice.
         name: as on the command line.
@@ -44,9 +43,9 @@ class App(ABC):
         deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
     """
 
-    setup: Setup = None
-    protocol: str = ""
-    size: tuple[int, int] | None = None
+    network: Any = None
+    protocol: str = field(default="", kw_only=True)
+    size: tuple[int, int] | None = field(default=None, kw_only=True)
     name: ClassVar[str]
     title: ClassVar[str]
     measure: ClassVar[str]
@@ -105,9 +104,10 @@ class App(ABC):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Prepare a task for fitting, once: tensors without a task axis."""
 
-    @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
         """Random network parameters for `count` tasks, each tensor [count, ...]."""
+        theta: Params = self.network.init(rng, count)
+        return theta
 
     def known(self, tasks: Tasks) -> Params:
         """The parameters that tasks give themselves, [T, ...]: what no step moves, or first values."""
@@ -141,17 +141,19 @@ class App(ABC):
         """The outer loss of each fit, [T]: that of fits, where training tasks know no more than a fit may see."""
         return self.loss(theta, batch, learned)
 
-    @abstractmethod
     def init_encoder(self, rng: Generator) -> Params:
         """Random parameters of General's encoder."""
+        encoder: Params = self.network.init_encoder(rng)
+        return encoder
 
     @abstractmethod
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         """The condition I that General's encoder reads of each task."""
 
-    @abstractmethod
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Network parameters from the condition, one forward pass; tensors [T, ...]."""
+        theta: Params = self.network.encode(encoder, condition)
+        return theta
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Data augmentation: as many other tasks, each changed at random, for training only."""

@@ -172,19 +172,18 @@ def learn(
 
 def task_loss(app: App, batch: int) -> Loss:
     """The loss of an application on samples of tasks (alg. 2), [T]."""
-    return _loss_of(app, app.loss, app.sample, batch)
+    return _loss_of(app, batch)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    return _loss_of(app, app.outer_loss, app.outer_sample, batch)
-
-
-Draw = Callable[[Tasks, Generator, int], Params]
+    return _loss_of(app, batch, outer=True)
 
 
 @functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
-def _loss_of(app: App, value: Callable[[Params, AnyBatch, Params], Tensor], sample: Draw, batch: int) -> Loss:
+def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
+    value, sample = (app.outer_loss, app.outer_sample) if outer else (app.loss, app.sample)
+
     def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
         return Drawn(tasks.picked_names, drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 

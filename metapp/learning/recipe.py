@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-Setup = Any  # the sizes of an application's network, of a class of its own
+if TYPE_CHECKING:
+    from metapp.learning.app import App
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class MetaTraining(OuterLoop):
         initialisation: the first one: "random"; "mean" of General's predictions; "encoder", General's own, which
             begins each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
             the same for an encoder that nothing has trained before.
-        setup: the sizes of this rule's own network; None for the recipe's.
+        app: the application with this rule's own network; None for the recipe's.
         guard: which fits by the rule are doubtful, by what validation tasks show; None: those that end above their
             initialisation.
     """
@@ -88,7 +89,7 @@ class MetaTraining(OuterLoop):
     order: int = 0
     clip: float = float("inf")
     initialisation: Initialisation = "mean"
-    setup: Setup = None
+    app: App | None = None
     guard: Guard | None = None
 
     @property
@@ -110,7 +111,7 @@ class Recipe:
         general: how General's encoder is trained.
         meta: how each rule's checkpoint is trained, by the rule's name.
         rule: the rule that is best on validation tasks: Meta's default.
-        setup: the sizes of the application's network; None where it has none.
+        app: the application, with the sizes of its network.
     """
 
     steps: int
@@ -123,7 +124,7 @@ class Recipe:
     general: OuterLoop
     meta: dict[str, MetaTraining]
     rule: str
-    setup: Setup = None
+    app: App
 
     def training(self, rule: str) -> MetaTraining:
         """The training of a rule, its network, and the guard of its fits after the recipe's number of steps.
@@ -133,7 +134,7 @@ class Recipe:
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
 
-def as_published(recipe: Recipe, setup: Setup, **changes: Any) -> Recipe:
+def as_published(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     """The recipe of Fischer & Ritschel 2022: MAML with Meta-SGD from a random initialisation, Overfit for 10,000 steps.
 
     Outer steps, rates and weight decay are those of the authors' code (config/*.yaml of mfischer-ucl/metappearance),
@@ -141,7 +142,7 @@ def as_published(recipe: Recipe, setup: Setup, **changes: Any) -> Recipe:
 
     Args:
         recipe: what it is like in all else.
-        setup: the sizes of the paper's network.
+        app: with the paper's network.
         changes: fields of the training where it is not of first order with a meta-batch of 5.
     """
     training = MetaTraining(
@@ -155,4 +156,4 @@ def as_published(recipe: Recipe, setup: Setup, **changes: Any) -> Recipe:
         initialisation="random",
     )
     meta = {"meta-sgd": replace(training, **changes)}
-    return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", setup=setup)
+    return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", app=app)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -17,6 +18,7 @@ from metapp.networks.field import LocalField, regridded
 CHEAP = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
 
 
+@dataclass(frozen=True)
 class CodedApp(App):
     """A `LocalField` a task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
 
@@ -25,38 +27,30 @@ class CodedApp(App):
     several sizes share what was trained at the smallest. Nothing that a fit sees is drawn at random.
 
     Attributes:
-        setup: holds the `field`, and the `encoder` that reads photographs for it.
+        network: of one task.
         image_titles: which `errors` are of pictures, and what tables of these call them.
     """
 
+    network: LocalField = field()
     image_titles: ClassVar[Mapping[str, str]]
 
     single_threaded = compiles = deterministic = True
 
     @property
     def periodic(self) -> bool:
-        return self.field.periodic
+        return self.network.periodic
 
     @property
     def cheap_fits(self) -> bool:
-        return self.field.height * self.field.width <= CHEAP
+        return self.network.height * self.network.width <= CHEAP
 
     @property
-    def field(self) -> LocalField:
-        """The network of one task."""
-        result: LocalField = self.setup.field
-        return result
-
-    def init(self, rng: Generator, count: int) -> Params:
-        return self.field.init(rng, count)
+    def encoder(self) -> Any:
+        """Reads photographs for the network: a task's own parameters, [T, ...] each."""
+        raise NotImplementedError
 
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(0.3))}
-
-    def init_reader(self, rng: Generator) -> Params:
-        """Random parameters of what reads a task's own parameters from its photograph."""
-        result: Params = self.setup.encoder.init(rng)
-        return result
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         """A task's own parameters, [T, ...] each, from its photograph."""
@@ -64,15 +58,14 @@ class CodedApp(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of photographs, and the parameters of the field that all tasks share."""
-        field = self.field.init(rng, 1)
-        return encoder_of(self.init_reader(rng), field, ("z",))
+        return encoder_of(self.encoder.init(rng), self.network.init(rng, 1), ("z",))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        own, field = self.read(reader_of(encoder), condition["photo"]), self.field
-        own["z"] = regridded(own["z"], field.rows, field.columns, periodic=field.periodic)
+        own, network = self.read(reader_of(encoder), condition["photo"]), self.network
+        own["z"] = regridded(own["z"], network.rows, network.columns, periodic=network.periodic)
         return with_decoder(own, encoder)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeVar
 
 import torch
@@ -16,7 +16,7 @@ from metapp.appearance.features import channels_of, describe_features, load_feat
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.pictures import Visible
-from metapp.learning.recipe import Recipe, Setup
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
@@ -33,13 +33,35 @@ LARGEST = 4096  # px
 Made = TypeVar("Made")
 
 
+def with_detail(recipe: Recipe, side: int) -> Recipe:
+    """A recipe for exemplars of another side in px: that of training, or where there is a layout twice that.
+
+    Raises:
+        ValueError: its application has no such choice.
+    """
+    app, sides = recipe.app, tuple[int, ...]()
+    assert isinstance(app, ExemplarApp)
+    if app.has_layout:
+        trained = app.width >> app.finer
+        sides = (trained, 2 * trained)
+    if side not in sides:
+        expected = f"one of {', '.join(map(str, sides))}" if sides else "no choice; take another recipe"
+        raise ValueError(f"expected {expected}")
+    finer = sides.index(side)
+    height = (app.height >> app.finer) << finer
+    return replace(recipe, app=replace(app, height=height, width=side, finer=finer))
+
+
 @dataclass(frozen=True)
-class ExemplarSetup:
-    """The size of everything.
+class ExemplarApp(App):
+    """A generator of pictures from noise, fitted to the statistics of one photograph a task.
+
+    General's encoder is a network from a summary of the photograph's features to the generator's code z; the
+    generator's other parameters are then the same for all tasks.
 
     Attributes:
-        height, width: texels of the exemplar and of what is generated in training.
         network: the generator.
+        height, width: texels of the exemplar and of what is generated in training.
         taps: the layers of VGG-16 whose statistics are compared.
         octaves: sizes at which they are, each half of the one before (Snelgrove 2017); each finer one leaves out the
             deepest layer of the one below, so that deep layers see large structures at little cost.
@@ -51,14 +73,20 @@ class ExemplarSetup:
             structures that are larger in texels then, stay as they are.
     """
 
-    height: int
-    width: int
-    network: UNet | Pyramid
-    taps: tuple[str, ...]
+    network: UNet | Pyramid = field()
+    height: int = field()
+    width: int = field()
+    taps: tuple[str, ...] = field()
     octaves: int = 1
     shares: tuple[float, ...] = ()
     prior: float = 0.0
     finer: int = 0
+    reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
+    described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
+
+    @property
+    def read_size(self) -> int:
+        return self.width if self.finer else 0
 
     def taps_of(self, octave: int) -> int:
         """The number of layers that are compared at an octave, 0 the finest."""
@@ -79,49 +107,14 @@ class ExemplarSetup:
         return isinstance(self.network, Pyramid) and self.network.layout > 0
 
     @property
-    def laid_out(self) -> tuple[int, int]:
+    def layout_size(self) -> tuple[int, int]:
         """Height and width of layouts: twice those of the coarsest pictures in training, where there are finer ones."""
         octave = max(0, self.octaves - 2) + self.finer
         return self.height >> octave, self.width >> octave
 
-    def times(self, octave: int) -> float:
+    def layout_ratio(self, octave: int) -> float:
         """The ratio of the sides of an octave's pictures to those of their layouts."""
-        return (self.height >> octave) / self.laid_out[0]
-
-
-def with_detail(recipe: Recipe, side: int) -> Recipe:
-    """A recipe for exemplars of another side in px: that of training, or where there is a layout twice that.
-
-    Raises:
-        ValueError: its setup has no such choice.
-    """
-    setup: Setup = recipe.setup
-    sides: tuple[int, ...] = ()
-    if isinstance(setup, ExemplarSetup) and setup.has_layout:
-        trained = setup.width >> setup.finer
-        sides = (trained, 2 * trained)
-    if side not in sides:
-        expected = f"one of {', '.join(map(str, sides))}" if sides else "no choice; take another recipe"
-        raise ValueError(f"expected {expected}")
-    finer = sides.index(side)
-    height = (setup.height >> setup.finer) << finer
-    return replace(recipe, setup=replace(setup, height=height, width=side, finer=finer))
-
-
-class ExemplarApp(App):
-    """A generator of pictures from noise, fitted to the statistics of one photograph a task.
-
-    General's encoder is a network from a summary of the photograph's features to the generator's code z; the
-    generator's other parameters are then the same for all tasks.
-    """
-
-    setup: ExemplarSetup
-    reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
-    described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
-
-    @property
-    def read_size(self) -> int:
-        return self.setup.width if self.setup.finer else 0
+        return (self.height >> octave) / self.layout_size[0]
 
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features()}
@@ -132,12 +125,12 @@ class ExemplarApp(App):
         Those of what a fit descends are in reduced precision where the application's are, and those of the finest
         octave, which take the longest, of what `crop` makes of the images.
         """
-        features, maps = load_features(self.setup.taps, images), []
-        for coarser in reversed(range(octave, self.setup.octaves)):
+        features, maps = load_features(self.taps, images), []
+        for coarser in reversed(range(octave, self.octaves)):
             times = 2 ** (coarser - octave)
             some = avg_pool2d(images, times) if times > 1 else images
             some = crop(some) if crop and coarser == 0 else some
-            maps += features(some, self.setup.taps_of(coarser), reduced=self.reduced)
+            maps += features(some, self.taps_of(coarser), reduced=self.reduced)
         return maps
 
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
@@ -154,24 +147,24 @@ class ExemplarApp(App):
 
     def summary(self, maps: list[Tensor], octave: int) -> Tensor:
         """The encoder's input [B, S]: means and root mean squares of features."""
-        return moments(self.setup.parts(maps, octave))
+        return moments(self.parts(maps, octave))
 
     def summary_size(self) -> int:
         """S, the length of the encoder's input."""
-        channels = channels_of(self.setup.taps)
-        return 2 * sum(sum(channels[: self.setup.taps_of(octave)]) for octave in range(self.setup.octaves))
+        channels = channels_of(self.taps)
+        return 2 * sum(sum(channels[: self.taps_of(octave)]) for octave in range(self.octaves))
 
     def octave(self, data: Mapping[str, Tensor]) -> int:
         """The finest octave that data of tasks describe, 0 for the whole size."""
-        counts = [self.setup.maps_from(octave) for octave in range(self.setup.octaves)]
+        counts = [self.maps_from(octave) for octave in range(self.octaves)]
         return counts.index(sum(key.startswith("gram") for key in data))
 
     def stage(self, tasks: Tasks, done: float) -> Tasks:
         """From coarse to fine: at first what describes the coarsest octave alone."""
-        coarse = sum(done < share for share in self.setup.shares)
+        coarse = sum(done < share for share in self.shares)
         if not coarse:
             return tasks
-        finer = range(self.setup.maps_from(coarse), self.setup.maps_from(0))
+        finer = range(self.maps_from(coarse), self.maps_from(0))
         left_out = {f"{name}{i}" for name in self.described for i in finer}
         return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
@@ -181,11 +174,11 @@ class ExemplarApp(App):
         Raises:
             ValueError: the picture is smaller than finer exemplars than those of training.
         """
-        image, side = task.data["image"], self.setup.width
-        if self.setup.finer and image.shape[-1] < side:
+        image, side = task.data["image"], self.width
+        if self.finer and image.shape[-1] < side:
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = self.exemplar(image[None].float() / 255)
-        described = self.describe(exemplar) | self.laid_out(exemplar) | _fine(self.setup, exemplar)
+        described = self.describe(exemplar) | self.laid_out(exemplar) | _fine(self, exemplar)
         return {"image": image} | {key: value[0] for key, value in described.items()}
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
@@ -193,46 +186,46 @@ class ExemplarApp(App):
 
         It is quilted of the exemplar itself.
         """
-        if not self.setup.has_layout:
+        if not self.has_layout:
             return {}
-        return {"layout": torch.stack([quilted_layout(each, self.setup.laid_out) for each in exemplars])}
+        return {"layout": torch.stack([quilted_layout(each, self.layout_size) for each in exemplars])}
 
     def known(self, tasks: Tasks) -> Params:
         """The layouts, where the network reads one."""
-        return {"layout": tasks.data["layout"][tasks.rows]} if self.setup.has_layout else {}
+        return {"layout": tasks.data["layout"][tasks.rows]} if self.has_layout else {}
 
     def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
         """The network's output from noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
-        network = self.setup.network
+        network = self.network
         if not isinstance(network, Pyramid):
             return network(theta, noise)
         network = network._replace(finest=octave)
-        if not self.setup.has_layout:
+        if not self.has_layout:
             return network(theta, noise)
-        return network(theta, noise, as_input(layouts(theta["layout"], noise, self.setup.times(octave)), noise))
+        return network(theta, noise, as_input(layouts(theta["layout"], noise, self.layout_ratio(octave)), noise))
 
     def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
         """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""
-        rows = round(images.shape[-1] * self.setup.height / self.setup.width)
+        rows = round(images.shape[-1] * self.height / self.width)
         top = (images.shape[-2] - rows) // 2
-        size = (self.setup.height >> octave, self.setup.width >> octave)
+        size = (self.height >> octave, self.width >> octave)
         part = images[..., top : top + rows, :]
         return interpolate(part, size=size, mode="area" if part.shape[-2] >= size[0] else "bilinear")
 
     def init(self, rng: Generator, count: int) -> Params:
-        theta = self.setup.network.init(rng, count)
-        if self.setup.has_layout:
-            theta["layout"] = torch.zeros(count, 3, *self.setup.laid_out, device=rng.device)
+        theta = self.network.init(rng, count)
+        if self.has_layout:
+            theta["layout"] = torch.zeros(count, 3, *self.layout_size, device=rng.device)
         return theta
 
     def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
         """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
-        size = (self.setup.height >> octave, self.setup.width >> octave)
-        return normal(rng, tasks, count, self.setup.network.noise, *size)
+        size = (self.height >> octave, self.width >> octave)
+        return normal(rng, tasks, count, self.network.noise, *size)
 
     def init_encoder(self, rng: Generator) -> Params:
-        encoder = encoder_of({}, self.setup.network.init(rng, 1), ("z",))
-        sizes = (self.summary_size(), HIDDEN, HIDDEN, self.setup.network.code)
+        encoder = encoder_of({}, self.network.init(rng, 1), ("z",))
+        sizes = (self.summary_size(), HIDDEN, HIDDEN, self.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]
             noise = normal(rng, outputs, inputs)
@@ -265,7 +258,7 @@ class ExemplarApp(App):
         channels = uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        described = self.describe(images, octave) | self.laid_out(images) | _fine(self.setup, images)
+        described = self.describe(images, octave) | self.laid_out(images) | _fine(self, images)
         return tasks.variants(described | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
@@ -277,21 +270,21 @@ class ExemplarApp(App):
         return Visible(1, task.data["image"].nbytes, 1)
 
     def size_refusal(self, height: int, width: int) -> str:
-        step = 2 ** (self.setup.network.levels - 1)
+        step = 2 ** (self.network.levels - 1)
         fits = all(2 * step <= side <= LARGEST and side % step == 0 for side in (height, width))
         return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST}"
 
     @property
     def picture_size(self) -> tuple[int, int]:
         """The size of `pictures`: the one asked for, else TILED times the exemplar's."""
-        return self.size or (TILED * self.setup.height, TILED * self.setup.width)
+        return self.size or (TILED * self.height, TILED * self.width)
 
     @torch.no_grad()
     def shown(self, theta: Params, make: Callable[[Params, Tensor], Made], size: tuple[int, int] | None = None) -> Made:
         """Call `make` with theta [1, ...] and the noise [1, 1, ...] of pictures, of a size in px or the exemplar's."""
         one = {key: value[None] for key, value in theta.items()}
-        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.setup.network.noise
-        return make(one, normal(rng, 1, 1, channels, *(size or (self.setup.height, self.setup.width))))
+        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.network.noise
+        return make(one, normal(rng, 1, 1, channels, *(size or (self.height, self.width))))
 
 
 def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
@@ -308,9 +301,9 @@ def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, oct
     return app.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
 
 
-def _fine(setup: ExemplarSetup, exemplars: Tensor) -> dict[str, Tensor]:
+def _fine(app: ExemplarApp, exemplars: Tensor) -> dict[str, Tensor]:
     """`detail` [B, 3, N] of exemplars [B, 3, H, W]; {} without layouts."""
-    return {"detail": detail(exemplars)} if setup.has_layout else {}
+    return {"detail": detail(exemplars)} if app.has_layout else {}
 
 
 def softness_of(app: ExemplarApp, pictures: Tensor, batch: Batch) -> Tensor:
@@ -318,6 +311,6 @@ def softness_of(app: ExemplarApp, pictures: Tensor, batch: Batch) -> Tensor:
 
     0 of pictures of coarser octaves, and where networks read no layout.
     """
-    if not app.setup.has_layout or app.octave(batch):
+    if not app.has_layout or app.octave(batch):
         return pictures.new_zeros(len(pictures))
     return SOFTNESS * softness(detail(pictures), batch["detail"][:, None]).mean(1)

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, Setup, as_published
-from metapp.networks.exemplar import ExemplarSetup
+from metapp.learning.app import App
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+from metapp.networks.exemplar import ExemplarApp
 from metapp.networks.generators import Pyramid, UNet
 
 PIXELS = {"": 3e-3, "encoder.mlp": 1e-3}  # General's rates where it learns a generator of pictures
 
 
-def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Adam, general: OuterLoop) -> Recipe:
+def generator(
+    app: type[ExemplarApp], *, steps: int, outputs: int, tasks: int, rate: float, searched: Adam, general: OuterLoop
+) -> Recipe:
     """The recipe of pictures of 64 texels that are generated from noise.
 
     Args:
+        app: the application.
         steps: gradient steps of a fit.
         outputs: channels of a picture.
         tasks: of each outer step of a rule.
@@ -51,7 +55,7 @@ def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Ad
             "meta-basis": tuned,
         },
         rule="meta-basis",
-        setup=ExemplarSetup(64, 64, UNet(16, outputs=outputs), ("relu1_1", "relu2_1", "relu3_1")),
+        app=app(UNet(16, outputs=outputs), 64, 64, ("relu1_1", "relu2_1", "relu3_1")),
     )
 
 
@@ -70,11 +74,12 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: flo
         steps: gradient steps of a fit.
         searched: an Adam where searches begin.
         tasks: of each outer step of General.
-        prior: as of `ExemplarSetup`.
+        prior: as of `ExemplarApp`.
     """
-    tuned = replace(quick.meta["meta-basis"], first=searched)
+    app, tuned = quick.app, replace(quick.meta["meta-basis"], first=searched)
+    assert isinstance(app, ExemplarApp)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=quick.setup.network.outputs, layout=3)
+    network = Pyramid(16, outputs=app.network.outputs, layout=3)
     return replace(
         quick,
         steps=steps,
@@ -82,34 +87,26 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: flo
         general=pixels(2400, tasks, validate_every=400),
         meta={"meta-encoder": quick.meta["meta-encoder"], "meta-axes": tuned},
         rule="meta-axes",
-        setup=ExemplarSetup(
-            256,
-            256,
-            network,
-            taps,
-            octaves=3,
-            shares=(0.2, 0.6),
-            prior=prior,
-        ),
+        app=replace(app, network=network, height=256, width=256, taps=taps, octaves=3, shares=(0.2, 0.6), prior=prior),
     )
 
 
-def smaller(paper: Recipe, setup: Callable[[int], Setup]) -> dict[str, Recipe]:
-    """The paper's recipe at sides in texels that take hours on CPUs, by name; `setup` gives the setup of a side."""
-    return {f"paper-{side}": replace(paper, setup=setup(side)) for side in (64, 128)}
+def smaller(paper: Recipe, app: Callable[[int], App]) -> dict[str, Recipe]:
+    """The paper's recipe at sides in texels that take hours on CPUs, by name; `app` makes the application of a side."""
+    return {f"paper-{side}": replace(paper, app=app(side)) for side in (64, 128)}
 
 
-def by_protocol(quick: Recipe, photo: Recipe, *, full: Setup, paper: Setup) -> dict[str, dict[str, Recipe]]:
+def by_protocol(quick: Recipe, photo: Recipe, *, full: App, paper: App) -> dict[str, dict[str, Recipe]]:
     """The recipes of an application whose fits see the thing itself, "reference", or one photograph of it, "photo".
 
     Args:
         quick: of fits that see the thing itself.
-        photo: of fits of photographs, at the same setup.
-        full, paper: setups of the size that people use and of the paper's.
+        photo: of fits of photographs, of the same size.
+        full, paper: the application at the size that people use and at the paper's.
     """
     published = as_published(quick, paper)
     of_photos = replace(published, overfit=photo.overfit, finetune=photo.finetune, quickft=photo.quickft)
     return {
-        "reference": {"paper": published, "quick": quick, "full": replace(quick, setup=full)},
-        "photo": {"paper": of_photos, "quick": photo, "full": replace(photo, setup=full)},
+        "reference": {"paper": published, "quick": quick, "full": replace(quick, app=full)},
+        "photo": {"paper": of_photos, "quick": photo, "full": replace(photo, app=full)},
     }

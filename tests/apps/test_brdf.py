@@ -75,13 +75,13 @@ def test_init() -> None:
 def test_init_of_the_papers_recipe() -> None:
     """Weights uniform in +-0.05 and biases 0 (Sztrajman et al. 2021), also in what an untrained General predicts."""
     recipe = recipes_of("brdf")["paper"]
-    app = Brdf(recipe.setup)
+    app = recipe.app
     theta = app.init(Generator().manual_seed(0), 2000)
     for layer in (1, 2, 3):
         assert 0.0499 < theta[f"w{layer}"].abs().max() <= 0.05
         torch.testing.assert_close(theta[f"w{layer}"].var(), torch.tensor(0.1**2 / 12), rtol=0.02, atol=0)
         assert not theta[f"b{layer}"].any()
-    assert app.setup.init_encoder(Generator().manual_seed(0))["out.b"].abs().max() <= 0.05
+    assert app.init_encoder(Generator().manual_seed(0))["out.b"].abs().max() <= 0.05
     training = recipe.meta["meta-sgd"]
     assert (recipe.steps, recipe.batch, training.tasks, training.order) == (10, 512, 1, 2)
     assert (training.steps, training.rates, training.decay, training.first.rate) == (1_000_000, {"": 1e-4}, 1e-6, 1e-3)

@@ -114,7 +114,7 @@ def test_recipes_of_another_size_ship_only_where_they_have_a_folder() -> None:
     for name in app_names():
         recipes = recipes_of(name)
         if FULL in recipes:
-            same = recipes[FULL].setup == recipes[QUICK].setup
+            same = recipes[FULL].app == recipes[QUICK].app
             assert ships(name, FULL) == (same or name in FULL_ONES)
     assert FULL_ONES == ["illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture"]
 

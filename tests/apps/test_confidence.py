@@ -10,7 +10,7 @@ import torch
 from torch import Generator
 
 from data_tools.readers.svbrdf_task import svbrdf_task
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.confidence import COARSE, PARTS, deviations, scales, surprise, unknown
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -21,7 +21,7 @@ CHANNELS = (3, 3, 1, 3)  # of each map
 
 @pytest.fixture
 def app() -> SvbrdfNonstationary:
-    return SvbrdfNonstationary(MaterialSetup(field_of(64, 8), 4, sure=True), "photo")
+    return SvbrdfNonstationary(field_of(64, 8), encoder_width=4, sure=True, protocol="photo")
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_general_is_taught_how_sure_it_is_and_nothing_else_by_that(
 ) -> None:
     theta = {key: value.detach().requires_grad_() for key, value in predicted(app, tasks, rng).items()}
     batch = app.sample(tasks, rng, 1)
-    without = SvbrdfNonstationary(replace(app.setup, sure=False), "photo")
+    without = replace(app, sure=False)
     grads, others = (
         torch.autograd.grad(each.outer_loss(theta, batch, {}).sum(), list(theta.values()), materialize_grads=True)
         for each in (app, without)

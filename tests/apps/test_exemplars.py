@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -18,7 +18,7 @@ from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import SOFTNESS, ExemplarApp, ExemplarSetup, softness_of
+from metapp.networks.exemplar import SOFTNESS, ExemplarApp, softness_of
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
@@ -31,8 +31,8 @@ SHARE = 0.6  # of the steps at half the size
 def tiny(name: str) -> Recipe:
     """The recipe full with a small network, of two octaves."""
     full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
-    network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs, layout=3)
-    return replace(full, setup=ExemplarSetup(side, side, network, TAPS, octaves=2, shares=(SHARE,)))
+    network = Pyramid(4, 3, code=8, outputs=full.app.network.outputs, layout=3)
+    return replace(full, app=type(full.app)(network, side, side, TAPS, octaves=2, shares=(SHARE,)))
 
 
 @pytest.fixture(scope="module", params=["texture", "svbrdf_stationary"])
@@ -83,7 +83,7 @@ def test_fits_are_doubted_each_for_itself_where_networks_read_layouts(app: Exemp
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
-    images = torch.rand(2, 3, app.setup.height, app.setup.width, generator=Generator().manual_seed(0))
+    images = torch.rand(2, 3, app.height, app.width, generator=Generator().manual_seed(0))
     whole, cropped = (
         app.features(images, 0),
         app.features(images, 0, lambda some: some[..., : some.shape[-2] // 2, :]),
@@ -140,7 +140,7 @@ def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None
             seen.append(batch["noise"].shape[-1])
             return batch
 
-    watched = Watched(app.setup)
+    watched = Watched(**{each.name: getattr(app, each.name) for each in fields(app)})
     theta, rule = watched.init(rng, 3), sgd(dict.fromkeys(("rate",), torch.zeros(1)))
     learn(theta, rule, tasks, task_loss(watched, 1), steps=5, rng=rng)
     assert seen == [16, 16, 16, 32, 32]
@@ -178,7 +178,7 @@ def paved(app: ExemplarApp) -> Tasks:
 
 def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, paved: Tasks) -> None:
     layout = paved.data["layout"]
-    assert layout.shape == (2, 3, *app.setup.laid_out)
+    assert layout.shape == (2, 3, *app.layout_size)
     assert layout[0].std() > 0.1
     rng, recipe = Generator().manual_seed(0), tiny(app.name)
     theta = paradigms()["overfit"].fit(Job(app, recipe, recipe.rule, 2), MetaParameters(), paved, rng)
@@ -189,7 +189,7 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
 
 
 def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: ExemplarApp, paved: Tasks) -> None:
-    rng, (height, width) = Generator().manual_seed(0), app.setup.laid_out
+    rng, (height, width) = Generator().manual_seed(0), app.layout_size
     layout = paved.data["layout"]
     moved = layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
     assert moved.shape == (2, 2, 3, height, width)
@@ -203,7 +203,7 @@ def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: Exempla
 
 
 def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, paved: Tasks) -> None:
-    noise = torch.randn(2, 1, 8, *(2 * side for side in app.setup.laid_out))
+    noise = torch.randn(2, 1, 8, *(2 * side for side in app.layout_size))
     layout = paved.data["layout"][:, None]
     read = as_input(layout, noise)
     assert read.shape == (2, 1, 3, *noise.shape[-2:])

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.latlong import directions
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination.app import Illumination, IlluminationSetup
+from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import (
     COLUMNS,
     ROWS,
@@ -37,7 +37,7 @@ from metapp.runs.requests.request import Request
 from tests.marked import long
 
 pytestmark = pytest.mark.usefixtures("scene")
-SMALL = IlluminationSetup(LocalField(16, 32, rows=4, columns=8, code=3, hidden=8, layers=2))
+SMALL = Illumination(LocalField(16, 32, rows=4, columns=8, code=3, hidden=8, layers=2))
 
 
 def maps_of(seed: int, count: int = 2) -> Tensor:
@@ -126,7 +126,7 @@ def test_stripes_are_where_a_map_is_not_sure() -> None:
 
 
 def test_records_and_pictures_of_photographs_say_it() -> None:
-    app = Illumination(SMALL, "photo")
+    app = replace(SMALL, protocol="photo")
     light = maps_of(3, 1)[0]
     photo = (photograph(light[None], Generator().manual_seed(1)) * 255).to(torch.uint8)
     alone = Task("alone", {"photos": photo})
@@ -138,7 +138,7 @@ def test_records_and_pictures_of_photographs_say_it() -> None:
     assert (picture.kind, picture.pixels.shape) == ("srgb", (256, 512, 3))
     assert 0 <= picture.pixels.min() <= picture.pixels.max() <= 1
     known = Task("known", {"photos": photo, "map": light})
-    reference = Illumination(SMALL, "reference")
+    reference = replace(SMALL, protocol="reference")
     assert reference.remarks(known, theta) == {}
     assert "confidence" not in reference.pictures(theta, known)
 
@@ -156,7 +156,7 @@ def fitted(paradigm: str, recipe: str, tasks: Callable[[Illumination], Tasks]) -
 
 
 def drawn(app: Illumination, count: int) -> Tasks:
-    return stack(app, list(synthetic_tasks("test", count, 9, app.field.height)))
+    return stack(app, list(synthetic_tasks("test", count, 9, app.network.height)))
 
 
 @pytest.mark.parametrize(

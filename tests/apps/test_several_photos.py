@@ -12,7 +12,7 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash import Maps, camera, camera_distance, unpack
 from metapp.appearance.several import held_places
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
 from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
@@ -35,7 +35,7 @@ def several(seed: int, count: int = COUNT) -> Task:
 
 @pytest.fixture
 def app() -> SvbrdfNonstationary:
-    return SvbrdfNonstationary(MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2), "photo")
+    return SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
 
 
 @pytest.fixture
@@ -105,11 +105,11 @@ def test_general_reads_the_first_and_begins_as_bright_as_each_photo(app: SvbrdfN
     alone = app.encode(weights, {"photo": batch["photo"]})
     assert torch.equal(theta["z"], alone["z"])
     darker = batch | {"others": torch.stack([0.25 * batch["others"][:, 0], batch["others"][:, 1]], 1)}
-    change = app.field.gain * (app.encode(weights, darker)["flash"] - theta["flash"])
+    change = app.network.gain * (app.encode(weights, darker)["flash"] - theta["flash"])
     assert change[:, :3].abs().max() == 0
     assert change[:, 3, [0, 2]].abs().max() == 0
     assert (change[:, 3, 1] < -2).all()  # log(1/4) = -4.6 times 0.3, less where it clipped
-    flash = flashes_of(app.field.gain * theta["flash"], batch["places"])
+    flash = flashes_of(app.network.gain * theta["flash"], batch["places"])
     shown = photographed(app.maps_of(theta, batch["photo"]), flash)
     photos = torch.cat([batch["photo"][:, None], batch["others"]], 1)
     whole = photos < 0.95

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
-from metapp.apps.illumination.app import Illumination, IlluminationSetup
+from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.suns import COUNT, WIDEST, joined, parted, suns_of, with_suns
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -90,10 +90,10 @@ def test_there_are_as_many_as_count_the_brightest() -> None:
 
 
 def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generator) -> None:
-    setup = IlluminationSetup(LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2))
+    field = LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2)
     light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
-    app = Illumination(setup, "reference")
+    app = Illumination(field, protocol="reference")
     tasks = stack(app, [task])
     how, encoder = encoding(app), app.init_encoder(rng)
     predicted, theta = (each.encode(encoder, each.condition(tasks, rng)) for each in (app, how))
@@ -109,6 +109,6 @@ def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generato
     larger = app.sized(128, 256).radiance_of(theta)  # a sun stays as wide and bright as it is
     at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_of(theta)))
     assert at[0] == pytest.approx(at[1], rel=0.05)
-    photo = Illumination(setup, "photo")
+    photo = Illumination(field, protocol="photo")
     condition = encoding(photo).condition(stack(photo, [task]), rng)
     assert not [key for key in encoding(photo).encode(encoder, condition) if key.startswith("suns")]

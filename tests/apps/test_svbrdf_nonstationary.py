@@ -14,7 +14,7 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, unpack
 from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary.app import HIDDEN, INPUTS, STEEP, MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import HIDDEN, INPUTS, STEEP, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
@@ -40,7 +40,7 @@ from metapp.learning.task import Params, Tasks
 from metapp.networks import field as fields
 
 SIDE = 16
-RECIPE = replace(QUICK, setup=MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
+RECIPE = replace(QUICK, app=SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2))
 
 
 def material(seed: int, size: int = 32) -> Tensor:
@@ -53,7 +53,7 @@ def material(seed: int, size: int = 32) -> Tensor:
 
 @pytest.fixture
 def app() -> SvbrdfNonstationary:
-    return SvbrdfNonstationary(RECIPE.setup, "reference")
+    return replace(RECIPE.app, protocol="reference")
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
     truth = unpack(tasks.data["maps"])
     monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: truth)
-    return SvbrdfNonstationary(RECIPE.setup, "reference").init(Generator().manual_seed(0), 4)
+    return replace(RECIPE.app, protocol="reference").init(Generator().manual_seed(0), 4)
 
 
 # What is seen of a photograph
@@ -240,7 +240,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
 
 
 def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -> None:
-    photo = SvbrdfNonstationary(RECIPE.setup, "photo")
+    photo = replace(RECIPE.app, protocol="photo")
     white = {"photo": torch.ones(4, 3, SIDE, SIDE)}
     brighter = exact | {"flash": torch.tensor([[0.0, 0.0, 0.0, 20.0]]).expand(4, -1)}
     assert photo.loss(brighter, white, {}).max() < 1e-4
@@ -248,7 +248,7 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -
 
 
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
-    reference, photo = SvbrdfNonstationary(RECIPE.setup, "reference"), SvbrdfNonstationary(RECIPE.setup, "photo")
+    reference, photo = replace(RECIPE.app, protocol="reference"), replace(RECIPE.app, protocol="photo")
     theta = reference.init(Generator().manual_seed(0), 4)
     batch = reference.sample(tasks, Generator(), 1)
     for app, changed in ((reference, "maps"), (reference, "lit"), (photo, "photo")):
@@ -264,7 +264,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     """What is seen of a row depends on others, and the last rows are fewer: the same to rounding, at any size."""
     theta = {key: value.double() for key, value in app.init(Generator().manual_seed(0), 1).items()}
     photo = torch.rand(1, 3, 150, 150, generator=Generator().manual_seed(1), dtype=torch.float64)
-    field = app.field._replace(height=150, width=150)
+    field = app.network._replace(height=150, width=150)
     whole = decoded(field(theta, inputs_of(photo)))
     pictures = relit(whole)
     monkeypatch.setattr(fields, "TEXELS", 150 * 64)
@@ -300,7 +300,7 @@ def test_outer_losses_count_flat_normals_and_blots(
     batch = app.sample(tasks, rng, 1)
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
-    monkeypatch.setattr(app, "maps_of", lambda theta, photo: unpack(half))
+    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: unpack(half))
     whole = app.outer_loss(exact, batch, {})
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.app.STEEP", 0.0)
     without_steep = app.outer_loss(exact, batch, {})

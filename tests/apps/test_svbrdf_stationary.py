@@ -36,16 +36,16 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.exemplar import TILED, ExemplarSetup
+from metapp.networks.exemplar import TILED
 from metapp.networks.generators import UNet
 
 SIZE = 32
-TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), ("relu1_1",)))
+TINY = replace(QUICK, app=SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), SIZE, SIZE, ("relu1_1",)))
 WINDOWS = range(GRID * GRID)
 
 
 def tiny() -> SvbrdfStationary:
-    return SvbrdfStationary(TINY.setup)
+    return TINY.app
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -296,7 +296,7 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
 
 def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
     """Maps of one value each: its part of the loss is the mean square of what is off, and quick fits have none."""
-    kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
+    kept = replace(TINY.app, prior=2.0)
     tasks = stack(kept, sources[:1])
     found = []
     for specular, roughness in ((0.0, 0.0), (0.5, 0.0), (0.0, -1.5)):
@@ -304,7 +304,7 @@ def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
         batch = kept.sample(tasks, seeded(), 1)
         found.append(kept.loss(theta, batch, {}) - tiny().loss(theta, batch, {}))
     torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * OF_ROUGHNESS * 2.25]))
-    assert (QUICK.setup.prior, PAPER.setup.prior, FULL.setup.prior) == (0, 0, PRIOR)
+    assert (QUICK.app.prior, PAPER.app.prior, FULL.app.prior) == (0, 0, PRIOR)
 
 
 def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
@@ -335,7 +335,7 @@ def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
 
 def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> None:
     """Uniform maps of any gloss are as expected where General made them, and no step moves what is expected."""
-    kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
+    kept = replace(TINY.app, prior=2.0)
     tasks, rng = stack(kept, sources[:1]), seeded()
     predicted = flat(kept, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
     encoder = kept.init_encoder(rng)
@@ -355,7 +355,7 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
 @pytest.mark.parametrize("specular_before", [0.5, -12.0])  # a General whose specular is 3e-7 everywhere, too
 def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: float) -> None:
     """Of a photo of polished stone it is the photo's, of one of cloth General's."""
-    kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
+    kept = replace(TINY.app, prior=2.0)
     one, up = torch.ones(1, 1, 128, 128), torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, 128, 128)
     photos = [
         photo_of(Maps(0.2 * one.expand(1, 3, -1, -1), specular * one, roughness * one, up), (0.0, 0.0))

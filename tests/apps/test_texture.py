@@ -15,15 +15,15 @@ from metapp.apps.texture.recipes import QUICK
 from metapp.learning.app import stack
 from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarSetup
+from metapp.networks.exemplar import JUDGED
 from metapp.networks.generators import UNet
 
 SIZE, LEVELS = 32, 3
-TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), ("relu1_1", "relu2_1")))
+TINY = replace(QUICK, app=Texture(UNet(8, LEVELS, noise=4, code=8), SIZE, SIZE, ("relu1_1", "relu2_1")))
 
 
 def tiny() -> Texture:
-    return Texture(TINY.setup)
+    return TINY.app
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -82,15 +82,15 @@ class Seen(Texture):
     """Keeps exemplars instead of what describes them."""
 
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.setup.maps_from(octave))}
+        return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.maps_from(octave))}
 
 
 def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
     """Variants [count, 3, 16, 16] of an image [3, S, S]."""
-    setup = replace(TINY.setup, height=16, width=16)
+    some = app(TINY.app.network, 16, 16, TINY.app.taps)
     task = Task("a", {"image": (255 * image).round().to(torch.uint8)})
-    tasks = stack(app(setup), [task]).select([0] * count)
-    return app(setup).augment(tasks, seeded()).data["exemplar"]
+    tasks = stack(some, [task]).select([0] * count)
+    return some.augment(tasks, seeded()).data["exemplar"]
 
 
 def test_variants_permute_the_channels_and_no_more() -> None:
@@ -123,7 +123,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
     image = torch.stack([at.expand(64, 64), at[:, None].expand(64, 64), torch.zeros(64, 64)])
     rng, sides, corners = seeded(), [], []
     for _ in range(200):
-        part = Texture(QUICK.setup).crop(image, rng)
+        part = QUICK.app.crop(image, rng)
         side = part.shape[1]
         assert part.shape == (3, side, side)
         left, top = int(part[0, 0, 0]), int(part[1, 0, 0])
@@ -141,7 +141,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 
 def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
-    app = Texture(replace(TINY.setup, height=64, width=64))
+    app = replace(TINY.app, height=64, width=64)
     fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):

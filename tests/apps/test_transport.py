@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps.transport import spline
-from metapp.apps.transport.app import Transport, TransportSetup
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.recipes import QUICK
@@ -22,7 +22,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.paths.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-RECIPE = replace(QUICK, setup=TransportSetup(FLOW))
+RECIPE = replace(QUICK, app=Transport(FLOW))
 
 
 def rng(seed: int = 0) -> Generator:
@@ -184,7 +184,7 @@ def room(seed: int, count: int = 4096) -> Task:
 
 @pytest.fixture
 def app() -> Transport:
-    return Transport(RECIPE.setup)
+    return RECIPE.app
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from metapp.apps.brdf import app as brdf
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
@@ -330,7 +329,8 @@ def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch
         return value * float("nan") if len(calls) > 2 else value
 
     # a class of its own, whose loss is not the one in C
-    monkeypatch.setattr(brdf, "Brdf", type("Exploding", (Brdf,), {"loss": staticmethod(exploding)}))
+    app = type("Exploding", (Brdf,), {"loss": staticmethod(exploding)})()
+    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], app=app))
     refuse(fit("overfit"), "m4", "not finite at step")
 
 

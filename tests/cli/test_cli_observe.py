@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.tables.results import closing
@@ -24,7 +24,7 @@ STEPS = ("--train", "--train-steps", "2", "--quiet")
 def on_data(metapp: Callable, short_by_protocol: Callable) -> Callable:
     """A command on ten small materials, eight of them for training, with small networks and a few steps."""
     field = field_of(16, hidden=8)._replace(code=3)
-    short_by_protocol(RECIPES, MaterialSetup(field, width=2), MaterialSetup(field, width=2))
+    short_by_protocol(RECIPES, SvbrdfNonstationary(field, encoder_width=2), SvbrdfNonstationary(field, encoder_width=2))
     assert metapp("data", "synth", SVBRDF, "--count", "10", "--size", "32", "--out", "set", "--quiet").code == 0
     return lambda command, *more: metapp(command, SVBRDF, *more, "--recipe", "quick", "--data", "set")
 

@@ -20,9 +20,9 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination.app import IlluminationSetup
+from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.networks.field import LocalField
 from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
@@ -104,10 +104,10 @@ def photo(app: str) -> Path:
 def small(scene: Path, short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
     local = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-    setups = [IlluminationSetup(field) for field in (local, local._replace(height=16, width=32))]
+    setups = [Illumination(field) for field in (local, local._replace(height=16, width=32))]
     short_by_protocol(RECIPES["illumination"], *setups)
     fields = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
-    short_by_protocol(RECIPES[SVBRDF], *(MaterialSetup(field, width=2) for field in fields))
+    short_by_protocol(RECIPES[SVBRDF], *(SvbrdfNonstationary(field, encoder_width=2) for field in fields))
 
 
 def luminance_of(path: Path) -> float:

@@ -19,7 +19,6 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import normal_from_height, unpack
 from metapp.learning.task import Task
-from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.storage.records import read_records
 from tests.appearance.test_features import made_up
@@ -51,11 +50,12 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The applications, at a size that takes no time, with a search of two looks."""
     recipes = door.load(f"metapp.apps.{request.param}.recipes:RECIPES")
     quick = recipes["quick"]
-    outputs = quick.setup.network.outputs
-    setup = ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), ("relu1_1", "relu2_1"))
+    outputs = quick.app.network.outputs
+    network = UNet(4, levels=2, noise=2, code=4, outputs=outputs)
+    app = replace(quick.app, network=network, height=16, width=16, taps=("relu1_1", "relu2_1"))
     short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
-    quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
+    quick = replace(quick, app=app, steps=3, overfit_steps=3, general=general, meta=short)
     monkeypatch.setitem(recipes, "quick", quick)
     monkeypatch.setitem(recipes, "full", quick)
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))

@@ -16,7 +16,7 @@ import torch
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport_task import transport_task
 from metapp.apps.transport import images
-from metapp.apps.transport.app import Transport, TransportSetup
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.recipes import RECIPES
@@ -45,8 +45,8 @@ def uniform(app: Transport) -> Params:
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
-    setup = TransportSetup(Flow(code=3, hidden=8, bins=4))
-    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, setup=setup))
+    app = Transport(Flow(code=3, hidden=8, bins=4))
+    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, app=app))
     monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN", 4)
     monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))

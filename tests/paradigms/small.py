@@ -20,9 +20,11 @@ from metapp.apps import app_names, app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF
-from metapp.apps.illumination.app import IlluminationSetup
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
-from metapp.apps.transport.app import TransportSetup
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.apps.texture.app import Texture
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, last
@@ -31,7 +33,6 @@ from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
-from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.paradigms import Job, Paradigm
@@ -49,10 +50,10 @@ PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in rule_names() if rule n
 
 
 class Small(NamedTuple):
-    """What makes an application small enough for its contract: other settings than the quick recipe's, and tasks."""
+    """What makes an application small enough for its contract: small networks, and tasks."""
 
     tasks: Callable[[], list[Task]]
-    setup: Any = None
+    app: App
 
 
 def brdf_tasks() -> list[Task]:
@@ -116,21 +117,17 @@ def path_tasks() -> list[Task]:
     return tasks
 
 
-def small_setup(outputs: int) -> ExemplarSetup:
-    return ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), ("relu1_1",))
-
-
 SMALL: dict[str, Small] = {
-    "brdf": Small(brdf_tasks, NBRDF),
-    "illumination": Small(
-        map_tasks, IlluminationSetup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+    "brdf": Small(brdf_tasks, Brdf(NBRDF)),
+    "illumination": Small(map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))),
+    "svbrdf_nonstationary": Small(
+        material_tasks, SvbrdfNonstationary(field_of(16, hidden=8)._replace(code=3), encoder_width=2)
     ),
-    "svbrdf_nonstationary": Small(material_tasks, MaterialSetup(field_of(16, hidden=8)._replace(code=3), width=2)),
-    "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
-    "texture": Small(picture_tasks, small_setup(3)),
-    "transport": Small(
-        path_tasks, TransportSetup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))
+    "svbrdf_stationary": Small(
+        picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), 16, 16, ("relu1_1",))
     ),
+    "texture": Small(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), 16, 16, ("relu1_1",))),
+    "transport": Small(path_tasks, Transport(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))),
 }
 
 
@@ -138,7 +135,7 @@ def small_app(kind: str) -> App:
     """An application, or its second network, small."""
     if kind == FEATURED:
         return Brdf(Featured(width=8, features=5, code=3, encoder=8))
-    return app_of(kind, replace(recipes_of(kind)["quick"], setup=SMALL[kind].setup))
+    return app_of(kind, replace(recipes_of(kind)["quick"], app=SMALL[kind].app))
 
 
 def small_recipe(app: App) -> Recipe:
@@ -150,7 +147,7 @@ def small_recipe(app: App) -> Recipe:
     def short(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
         # a guard's shares are of trained rules
-        return replace(training, **few, rates=rates, tuned=False, setup=None, guard=None)
+        return replace(training, **few, rates=rates, tuned=False, app=None, guard=None)
 
     return replace(
         recipe,
@@ -160,7 +157,7 @@ def small_recipe(app: App) -> Recipe:
         finetune_steps=8,
         general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
-        setup=app.setup,
+        app=app,
         rule="ridge" if app.linear_parameter else recipe.rule,
     )
 

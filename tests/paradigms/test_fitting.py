@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import pytest
@@ -198,13 +198,13 @@ def test_made_up_tasks_do_what_tasks_do(job: Job, tasks: Tasks) -> None:
 
 
 def test_a_recipe_is_no_part_of_the_application(app: App) -> None:
-    """An application is frozen, and what errors depend on is said, at the setup of every recipe."""
+    """An application is frozen, and what errors depend on is said, by every recipe."""
     recipes = recipes_of(app.name)
     assert {"paper", "quick"} <= set(recipes)
     for recipe in recipes.values():
         again = app_of(app.name, recipe)
-        assert (again.name, again.setup) == (app.name, recipe.setup)
+        assert again == replace(recipe.app, protocol=again.protocol)
         with pytest.raises(FrozenInstanceError):
-            again.setup = None
+            again.network = None
         assert recipe.rule in recipe.meta
         assert all(isinstance(value, str) and value for value in again.conditions().values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ APPS = [
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
     planned = plan(Request(name, observe=observe, recipe="full", out=tmp_path))
     prepared = find_checkpoint(planned).prepared
-    field = planned.app.setup.field
+    field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.job.rule}{'-photo' if observe == 'photo' else ''}"
     learned = load_checkpoint(shipped_path(name, file, "full"))[0].alpha
@@ -45,7 +46,7 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
     planned = plan(Request(name, observe=observe, recipe="full"))
-    assert planned.app.setup == planned.job.recipe.setup
+    assert planned.app == replace(planned.job.recipe.app, protocol=observe)
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

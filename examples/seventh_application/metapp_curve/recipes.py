@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+from metapp_curve.app import Curve
 
 QUICK = Recipe(
     steps=10,
@@ -15,7 +16,8 @@ QUICK = Recipe(
     general=OuterLoop(steps=500, tasks=4, rates={"": 1e-3}, validate_every=100),
     meta={"adam+loss": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
     rule="adam+loss",
+    app=Curve(),
 )
-PAPER = as_published(QUICK, None)
+PAPER = as_published(QUICK, Curve())
 
 RECIPES = {"paper": PAPER, "quick": QUICK}

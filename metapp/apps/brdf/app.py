@@ -18,8 +18,7 @@ from metapp.appearance.sphere import environment_scene, reference_scene, shade_s
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf, sample_weights
+from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, samples_at
 from metapp.apps.brdf.networks import network_of
 from metapp.apps.brdf.pictures import dots, on_white
@@ -33,14 +32,17 @@ EXCESSIVE = 1.01  # the share of light that a fit may be said to reflect without
 SPARSE = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class Brdf(App):
     """One measured or modelled material a task; of an anisotropic one a network without phi_h fits what it can.
 
     Attributes:
-        setup: the network.
+        network: evaluates materials; it has an encoder of its own.
+        conserve: whether fits are brought to reflect no more than they receive.
     """
 
+    network: BrdfNetwork = NBRDF
+    conserve: bool = False
     name = "brdf"
     title = "BRDF"
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
@@ -55,32 +57,28 @@ class Brdf(App):
 
     scale = 100.0
     single_threaded = compiles = cheap_fits = True
-    setup: BrdfNetwork = NBRDF
 
     @property
     def task_parameters(self) -> tuple[str, ...]:
-        return self.setup.task_parameters
+        return self.network.task_parameters
 
     @property
     def linear_parameter(self) -> str:
-        return self.setup.linear_parameter
+        return self.network.linear_parameter
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
         angles = task.data["angles"]
-        if self.setup.anisotropic:
+        if self.network.anisotropic:
             phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(angles)).to(angles))
             angles = torch.cat([angles, phi_h[:, None]], 1)
         where = half_difference_incident(angles)
-        data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
-        return self.setup.prepare(data)
-
-    def init(self, rng: Generator, count: int) -> Params:
-        return self.setup.init(rng, count)
+        return {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples."""
-        return self.setup.sample(tasks, rng, count)
+        half = tasks.data["where"].shape[1] // 2
+        return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """From the half that fits do not see, which is without noise and complete."""
@@ -95,7 +93,7 @@ class Brdf(App):
         """
         where = batch["where"]
         # without the clamp at 0 a network that is too dark still has a gradient; the clamp only ever helps
-        d = torch.log1p(self.setup.reflectance(theta, where) * where[:, 6:7]) - batch["target"]
+        d = torch.log1p(self.network.reflectance(theta, where) * where[:, 6:7]) - batch["target"]
         if not learned:
             return d.abs().mean((1, 2))
         s = torch.exp(learned["smoothing"])[:, None, None]
@@ -105,35 +103,38 @@ class Brdf(App):
     outer_loss = loss  # the same function, by which compiled code is found
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        return self.setup.least_squares(theta, batch, learned)
+        """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
+        where, target = batch["where"], batch["target"]
+        cos = where[:, 6:7]
+        features = self.network.features_of(theta, where)
+        residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
+        # the derivative of log(1 + f cos theta_i) in log(1 + f)
+        slope = 1 - (1 - cos) * torch.exp(-target)
+        d = slope * residual
+        s = torch.exp(learned["smoothing"])[:, None]
+        weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
+        return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
 
     def loss_parameters(self, steps: int) -> Params:
-        return self.setup.loss_parameters(steps)
-
-    def init_encoder(self, rng: Generator) -> Params:
-        return self.setup.init_encoder(rng)
+        """Smoothing, and log weights of samples where these are not those of least squares."""
+        parameters = {"smoothing": torch.full((steps,), math.log(0.05))}
+        return parameters if self.linear_parameter else parameters | {"weights": torch.zeros(steps, KNOTS)}
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return self.sample(tasks, rng, CONDITION)
 
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        return self.setup.encode(encoder, condition)
-
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, with samples as the network learns from them."""
-        return tasks.variants(self.setup.augment(mixed(tasks, rng), rng))
+        return tasks.variants(self.network.augment(mixed(tasks, rng), rng))
 
     def finish(self, theta: Params) -> Params:
         """Limited to reflecting no more than all, where that is asked for."""
-        network = self.setup
-        return network.conserved(theta) if isinstance(network, Nbrdf | Featured) and network.conserve else theta
+        return self.network.conserved(theta) if self.conserve else theta
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
-        errors = self.errors_of(self.setup.reflectance(theta, where).clamp_min(0), tasks)
-        expected = self.setup.expected_errors(theta, tasks)
-        return errors | {name: self.scale * values for name, values in expected.items()}
+        return self.errors_of(self.network.reflectance(theta, where).clamp_min(0), tasks)
 
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
         """That no sample was held out, where a measurement has few; that phi_h counts for nothing; energy.
@@ -144,10 +145,10 @@ class Brdf(App):
         notes, half = [], len(task.data["angles"]) // 2
         if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
             notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
-        if "phi_h" in task.data and not self.setup.anisotropic:
+        if "phi_h" in task.data and not self.network.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take metapp meta --recipe anisotropic")
         remarks: dict[str, object] = {}
-        if not self.setup.anisotropic:
+        if not self.network.anisotropic:
             here = {key: value.cpu() for key, value in theta.items()}
             shares = albedo(functools.partial(self.reflectance, here)).amax(1)
             remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
@@ -177,7 +178,7 @@ class Brdf(App):
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Reflectance as of `BrdfNetwork.evaluate`."""
-        return self.setup.evaluate(theta, angles)
+        return self.network.evaluate(theta, angles)
 
     def require_isotropic(self, subject: str | Path, form: str) -> None:
         """Refuse to write a fit in a form that has no phi_h.
@@ -185,7 +186,7 @@ class Brdf(App):
         Raises:
             ValueError: the fit is anisotropic.
         """
-        if self.setup.anisotropic:
+        if self.network.anisotropic:
             raise ValueError(
                 f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
                 "mitsuba, or fit by --recipe full."

@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -104,9 +105,12 @@ def with_conservation(recipe: Recipe, value: object) -> Recipe:
     Raises:
         ValueError: its networks have no such choice.
     """
-    setups = [setup for setup in (recipe.setup, *(each.setup for each in recipe.meta.values())) if setup]
-    if any(not hasattr(setup, "conserve") or setup.anisotropic for setup in setups):
+    apps = [recipe.app, *(each.app for each in recipe.meta.values() if each.app)]
+    if not all(app.network.can_conserve for app in apps):
         raise ValueError("expected networks of isotropic BRDFs, as of --recipe full or quick")
-    own = {name: each.setup and replace(each.setup, conserve=value) for name, each in recipe.meta.items()}
-    meta = {name: replace(each, setup=own[name]) for name, each in recipe.meta.items()}
-    return replace(recipe, setup=replace(recipe.setup, conserve=value), meta=meta)
+
+    def conserving_app(app: Any) -> Any:
+        return app and replace(app, conserve=value)
+
+    meta = {name: replace(each, app=conserving_app(each.app)) for name, each in recipe.meta.items()}
+    return replace(recipe, app=conserving_app(recipe.app), meta=meta)

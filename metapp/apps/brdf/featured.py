@@ -21,7 +21,7 @@ from metapp.apps.brdf.energy import conserving, places
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
 from metapp.learning.draws import normal, uniform
-from metapp.learning.task import Batch, Linear, Params
+from metapp.learning.task import Batch, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 INPUTS = 15
@@ -40,7 +40,6 @@ class Featured(BrdfNetwork):
         code: numbers of the code.
         encoder: width of the set encoder.
         anisotropic: whether it reads phi_h, in axes that it finds in the samples (`metapp.apps.brdf.anisotropic`).
-        conserve: whether fits are brought to reflect no more than they receive.
     """
 
     width: int = 96
@@ -48,7 +47,6 @@ class Featured(BrdfNetwork):
     code: int = 12
     encoder: int = 64
     anisotropic: bool = False
-    conserve: bool = False
 
     @property
     def inputs(self) -> int:
@@ -110,18 +108,9 @@ class Featured(BrdfNetwork):
         """exp(last layer) - 1."""
         return torch.expm1(torch.bmm(theta["last"], self.features_of(theta, where)))
 
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
-        where, target = batch["where"], batch["target"]
-        cos = where[:, 6:7]
-        features = self.features_of(theta, where)
-        residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
-        # the derivative of log(1 + f cos theta_i) in log(1 + f)
-        slope = 1 - (1 - cos) * torch.exp(-target)
-        d = slope * residual
-        s = torch.exp(learned["smoothing"])[:, None]
-        weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
-        return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
+    @property
+    def can_conserve(self) -> bool:
+        return not self.anisotropic
 
     def conserved(self, theta: Params) -> Params:
         """With a last layer that reflects no more than all."""

@@ -26,11 +26,10 @@ class Nbrdf(BrdfNetwork):
 
     Attributes:
         bound: random weights are uniform within this of 0, as Sztrajman et al. 2021 draw them; 0: Kaiming-normal.
-        conserve: whether fits are brought to reflect no more than they receive.
     """
 
     bound: float = 0.0
-    conserve: bool = False
+    can_conserve = True
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights and zero biases, [count, ...]."""
@@ -68,10 +67,6 @@ class Nbrdf(BrdfNetwork):
         layers = torch.cat([theta["w3"], theta["b3"]], 2)
         last = torch.stack([conserving(*each) for each in zip(features, layers, strict=True)])
         return theta | {"w3": last[..., :-1].contiguous(), "b3": last[..., -1:].contiguous()}
-
-    def loss_parameters(self, steps: int) -> Params:
-        """Smoothing and log weights of samples."""
-        return super().loss_parameters(steps) | {"weights": torch.zeros(steps, KNOTS)}
 
     def folded(self, theta: Params) -> Folded:
         theta = {key: value.detach().double() for key, value in theta.items()}

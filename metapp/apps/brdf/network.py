@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import functools
-import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_incident
-from metapp.learning.task import Batch, Linear, Params, Tasks
+from metapp.learning.task import Batch, Params, Tasks
 
 
 class Folded(NamedTuple):
@@ -36,7 +34,7 @@ class BrdfNetwork(ABC):
     """A network of BRDFs; an instance holds its size.
 
     `where` [T, 7, N] is half vector, difference vector and cos theta_i; `target` [T, 3, N] is log(1 + f cos theta_i).
-    `reflectance`, `least_squares`, `evaluate` and `folded` go by the sizes of the parameters: any instance will do.
+    `reflectance`, `evaluate` and `folded` go by the sizes of the parameters: any instance will do.
     """
 
     @property
@@ -52,6 +50,11 @@ class BrdfNetwork(ABC):
     @property
     def anisotropic(self) -> bool:
         """True if it reads phi_h."""
+        return False
+
+    @property
+    def can_conserve(self) -> bool:
+        """True if its fits can be brought to reflect no more than they receive."""
         return False
 
     @abstractmethod
@@ -85,34 +88,21 @@ class BrdfNetwork(ABC):
         where = half_difference_incident(flat if self.anisotropic else flat[:, :3])
         return self.reflectance(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        """Least squares near the loss, in `linear_parameter`."""
+    def features_of(self, theta: Params, where: Tensor) -> Tensor:
+        """What `linear_parameter` multiplies, [T, F, N] of places [T, 7, N]."""
         raise NotImplementedError
 
-    def loss_parameters(self, steps: int) -> Params:
-        """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
-        return {"smoothing": torch.full((steps,), math.log(0.05))}
+    def conserved(self, theta: Params) -> Params:
+        """Materials whose last layer is such that they reflect no more than all, where `can_conserve`."""
+        raise NotImplementedError
 
     @abstractmethod
     def folded(self, theta: Params) -> Folded:
         """One material as plain layers, of parameters without a task axis."""
 
-    def prepare(self, data: Params) -> Params:
-        """Prepare one task's `where` [N, 7] and `target` [N, 3], of which fits see the first half."""
-        return data
-
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`where` [T, 7, count] and `target` [T, 3, count] of random samples that fits may see."""
-        half = tasks.data["where"].shape[1] // 2
-        return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
-
     def augment(self, data: Params, rng: Generator) -> Params:
         """Change the samples `where` [T, N, 7] and `target` [T, N, 3] of materials for training."""
         return data
-
-    def expected_errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """Errors [T] that a fit's own samples let expect, unscaled, by name; {} where it has no such measure."""
-        return {}
 
 
 def samples_at(tasks: Tasks, rows: Tensor) -> Batch:

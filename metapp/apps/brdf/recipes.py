@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, as_published
@@ -30,7 +31,7 @@ RIDGE = MetaTraining(
     clip=1e-2,
     validate_every=500,
     initialisation="untrained",
-    setup=Featured(),
+    app=Brdf(Featured()),
 )
 # doubtful: what ends at twice the share of its initialisation's loss that any validation material does
 GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final=0.1), fall=0.13)
@@ -58,24 +59,24 @@ QUICK = Recipe(
         "ridge": RIDGE,
     },
     rule="meta-curvature",
-    setup=NBRDF,
+    app=Brdf(NBRDF),
 )
 
 # where paradigms need not fit the same network, the rule that is best on validation tasks
 FULL = replace(QUICK, rule="ridge")
 # for materials whose reflectance depends on phi_h, too, which takes more features; one network for all paradigms
-AZIMUTHS = Featured(features=96, code=16, anisotropic=True)
+AZIMUTHS = Brdf(Featured(features=96, code=16, anisotropic=True))
 ANISOTROPIC = replace(
     FULL,
-    meta={"ridge": replace(RIDGE, steps=4_000, warmup=50, validate_every=100, setup=AZIMUTHS)},
-    setup=AZIMUTHS,
+    meta={"ridge": replace(RIDGE, steps=4_000, warmup=50, validate_every=100, app=AZIMUTHS)},
+    app=AZIMUTHS,
 )
 
 # Fischer & Ritschel 2022, section 4.1.2: 10 inner steps of 512 samples. Weights begin as in Sztrajman et al. 2021 and
 # the authors' code (models/brdfmodel.py): from Kaiming-normal ones the rule hardly learns. From there Overfit needs the
 # low rate of Sztrajman et al., too: at 1e-2 a quarter of the fits of training materials ends at black.
 PAPER = replace(
-    as_published(replace(QUICK, quickft=Adam(5e-3)), Nbrdf(bound=0.05), tasks=1, order=2, augment=False),
+    as_published(replace(QUICK, quickft=Adam(5e-3)), Brdf(Nbrdf(bound=0.05)), tasks=1, order=2, augment=False),
     overfit=Adam(5e-4, final=0.0),
     overfit_steps=100_000,
     finetune_steps=10_000,

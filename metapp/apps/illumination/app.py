@@ -27,7 +27,6 @@ from metapp.learning.draws import uniform
 from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
-from metapp.networks.field import LocalField
 from metapp.rendering.second_scene import relighting
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
@@ -45,30 +44,18 @@ MIRRORS = 1 / 3  # of the photographs of training tasks
 
 
 @dataclass(frozen=True)
-class IlluminationSetup:
-    """The size of everything.
-
-    Attributes:
-        field: the network of one map.
-        read: rows and columns of the code that the encoder reads.
-    """
-
-    field: LocalField
-    read: tuple[int, int] = (16, 32)
-
-    @property
-    def encoder(self) -> Encoder:
-        """The encoder that fits it."""
-        return Encoder(2 * self.read[0], 2 * self.read[1], self.field.code, BODY)
-
-
 class Illumination(CodedApp):
     """One environment map a task, of mean luminance 1.
 
     Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
     alone, and is what a sphere of some material must be lit by to look so through some camera. Where that sphere is a
     mirror, the task may hold what it shows (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
+
+    Attributes:
+        encoder_size: rows and columns of the code that the encoder reads.
     """
+
+    encoder_size: tuple[int, int] = (16, 32)
 
     name = "illumination"
     title = "Illumination"
@@ -91,11 +78,14 @@ class Illumination(CodedApp):
         "certain": TensorSpec((2, "h", "w"), low=0.0, high=1.0, optional=True),
     }
     scale = 100.0
-    setup: IlluminationSetup
+
+    @property
+    def encoder(self) -> Encoder:
+        return Encoder(2 * self.encoder_size[0], 2 * self.encoder_size[1], self.network.code, BODY)
 
     @property
     def read_size(self) -> int:
-        return self.field.height if self.field.height > READ else 0
+        return self.network.height if self.network.height > READ else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.
@@ -116,7 +106,7 @@ class Illumination(CodedApp):
 
     def mirrored(self, task: Task) -> dict[str, Tensor]:
         """The light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits see the map."""
-        height, width = self.field.height, self.field.width
+        height, width = self.network.height, self.network.width
         if self.protocol != "photo":
             return {}
         if not {"seen", "certain"} <= task.data.keys():
@@ -124,20 +114,20 @@ class Illumination(CodedApp):
         return resampled(task.data["seen"].float(), task.data["certain"].float(), height, width)
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
-        maps = resample(maps, self.field.height, self.field.width)
+        maps = resample(maps, self.network.height, self.network.width)
         suns = {"suns": suns_of(maps)} if self.protocol == "reference" else {}
         return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T} | suns
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """Transport of light to surfaces, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
-        return surfaces(self.field.height, self.field.width, like.device).to(like)
+        return surfaces(self.network.height, self.network.width, like.device).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
         return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
 
     def radiance_of(self, theta: Params) -> Tensor:
         """The fitted maps, linear radiance [T, 3, H, W]."""
-        field, z = self.field, theta["z"]
+        field, z = self.network, theta["z"]
         towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
         maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
         return with_suns(maps, joined(theta)) if "suns.light" in theta else maps
@@ -148,7 +138,7 @@ class Illumination(CodedApp):
 
     def sized(self, height: int, width: int) -> Illumination:
         """The application with maps of another size: its networks can be evaluated anywhere."""
-        return replace(self, setup=replace(self.setup, field=self.field._replace(height=height, width=width)))
+        return replace(self, network=self.network._replace(height=height, width=width))
 
     def answer(self, theta: Params, data: Batch) -> Tensor:
         """The same as they are judged and shown, of mean luminance 1; `data` as of `prepare`, [T, ...]."""
@@ -206,8 +196,8 @@ class Illumination(CodedApp):
         return super().loss_parameters(steps) | light
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
-        return {"z": code / self.field.gain, "body": body / BODY_GAIN}
+        code, body = self.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
+        return {"z": code / self.network.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Augmented maps, and new photographs under them, some of mirrors where fits see photographs."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.illumination.app import IlluminationSetup
+from metapp.apps.illumination.app import Illumination
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.field import LocalField
 from metapp.networks.recipes import by_protocol
@@ -36,7 +36,7 @@ QUICK = Recipe(
     general=OuterLoop(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
-    setup=IlluminationSetup(LocalField(32, 64)),
+    app=Illumination(LocalField(32, 64)),
 )
 # from photographs slowly and for long: the encoder has much to learn, such as to leave to the steps what they can find
 FROM_PHOTOS = replace(
@@ -59,6 +59,6 @@ RECIPES = by_protocol(
     QUICK,
     PHOTO,
     # at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
-    full=IlluminationSetup(LocalField(128, 256, rows=32, columns=64)),
-    paper=IlluminationSetup(LocalField(64, 128, hidden=64)),  # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
+    full=Illumination(LocalField(128, 256, rows=32, columns=64)),
+    paper=Illumination(LocalField(64, 128, hidden=64)),  # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
 )

@@ -58,31 +58,6 @@ LARGEST = 256  # px of the maps that are shown
 LOOSE = 0.25  # the deviation of a map that is white in its picture
 
 
-@dataclass(frozen=True)
-class MaterialSetup:
-    """The size of everything.
-
-    Attributes:
-        field: the network of one material.
-        width: channels of the encoder's level of 64 texels.
-        read: side of the photograph that the encoder reads, 0 for the field's.
-        finer: channels of the encoder's levels above that.
-        sure: whether General says how sure it is of its maps.
-    """
-
-    field: LocalField
-    width: int = 16
-    read: int = 0
-    finer: tuple[int, ...] = ()
-    sure: bool = False
-
-    @property
-    def encoder(self) -> Encoder:
-        """The encoder that fits it."""
-        deviations = len(PARTS) if self.sure else 0
-        return Encoder(INPUTS, self.width, self.field.code, FLASH, finer=self.finer, deviations=deviations)
-
-
 def field_of(side: int, hidden: int) -> LocalField:
     """The network of maps of side x side texels, with so many hidden units."""
     return LocalField(
@@ -101,13 +76,25 @@ def field_of(side: int, hidden: int) -> LocalField:
     )
 
 
+@dataclass(frozen=True)
 class SvbrdfNonstationary(CodedApp):
     """One flat material a task, photographed from straight above with the flash beside the lens.
 
     The field makes maps of what the photograph shows in a place and of the code there. Under the protocol "reference"
     a fit sees the material's maps and pictures under RIG lights; under "photo" the photograph alone, whose flash it
     looks for, too; or several, from places that it looks for about those given.
+
+    Attributes:
+        encoder_width: channels of the encoder's level of 64 texels.
+        encoder_size: side of the photograph that the encoder reads, 0 for the network's.
+        encoder_finer: channels of the encoder's levels above that.
+        sure: whether General says how sure it is of its maps.
     """
+
+    encoder_width: int = 16
+    encoder_size: int = 0
+    encoder_finer: tuple[int, ...] = ()
+    sure: bool = False
 
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
@@ -127,11 +114,16 @@ class SvbrdfNonstationary(CodedApp):
         "predicted": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
         "places": TensorSpec(("N", 2, 3), low=-1e3, high=1e3, optional=True),
     }
-    setup: MaterialSetup
+
+    @property
+    def encoder(self) -> Encoder:
+        deviations = len(PARTS) if self.sure else 0
+        widths = self.encoder_width, self.network.code
+        return Encoder(INPUTS, *widths, FLASH, finer=self.encoder_finer, deviations=deviations)
 
     @property
     def read_size(self) -> int:
-        return FINEST if self.setup.read or self.setup.finer else 0
+        return FINEST if self.encoder_size or self.encoder_finer else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
@@ -139,14 +131,14 @@ class SvbrdfNonstationary(CodedApp):
         And `fine`, the maps that augmented ones are made of; `predicted`, another method's maps, which no fit sees;
         where fits see photographs, `others` and `places`.
         """
-        size = (self.field.height, self.field.width)
+        size = (self.network.height, self.network.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
         if self.protocol == "photo":
             photo |= prepared(task, size)
         if "maps" in task.data:
             maps = task.data["maps"].float()
             described = self.described(pooled(maps, size)[None])
-            fine = min(maps.shape[-1], 2 * self.finer)  # twice as large, to have room for crops
+            fine = min(maps.shape[-1], 2 * self.shot_size)  # twice as large, to have room for crops
             kept = pooled(maps, (fine, fine)).half()
             if "predicted" in task.data:
                 photo["predicted"] = pooled(task.data["predicted"].float(), size)
@@ -159,9 +151,9 @@ class SvbrdfNonstationary(CodedApp):
         return photo
 
     @property
-    def finer(self) -> int:
+    def shot_size(self) -> int:
         """Side in texels of augmented materials when they are photographed."""
-        return max(self.field.height, min(FINER * self.field.height, FINEST_SHOT))
+        return max(self.network.height, min(FINER * self.network.height, FINEST_SHOT))
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         """Maps [T, 10, H, W]; where fits see them, RIG lights, `rig`, and the log of what these make of them, `lit`."""
@@ -172,7 +164,7 @@ class SvbrdfNonstationary(CodedApp):
 
     def init(self, rng: Generator, count: int) -> Params:
         theta = super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
-        return theta | unknown(count, rng.device) if self.setup.sure else theta
+        return theta | unknown(count, rng.device) if self.sure else theta
 
     def known(self, tasks: Tasks) -> Params:
         """Where to begin to look for the flashes of several photographs."""
@@ -182,7 +174,7 @@ class SvbrdfNonstationary(CodedApp):
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
         height, width = photo.shape[-2:]
-        return self.maps_from(self.field._replace(height=height, width=width)(theta, inputs_of(photo)))
+        return self.maps_from(self.network._replace(height=height, width=width)(theta, inputs_of(photo)))
 
     def maps_from(self, raw: Tensor) -> Maps:
         """The maps [T, C, h, w] of what fields make, [T, sum(RAW), h, w]."""
@@ -217,7 +209,7 @@ class SvbrdfNonstationary(CodedApp):
         hidden = blots(apart[0], batch["photo"])
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
-        return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
+        return loss + SURE * surprise(apart, theta) if self.sure else loss
 
     def _logs(self, maps: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
@@ -232,7 +224,7 @@ class SvbrdfNonstationary(CodedApp):
 
     def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
-        photos, flash = all_photos(batch), self.field.gain * theta["flash"]  # as far to go as the code
+        photos, flash = all_photos(batch), self.network.gain * theta["flash"]  # as far to go as the code
         taken_by = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
         seen = photographed(maps, taken_by, batch.get("place"))
         short = (photos + DARK).log() - (seen + DARK).log()
@@ -249,18 +241,18 @@ class SvbrdfNonstationary(CodedApp):
         """Of several photographs the code of the first: General knows none from aside, the mean of codes is worse."""
         theta = super().encode(encoder, condition)
         if several(condition):
-            theta["flash"] = first_flashes(self.maps_of(theta, condition["photo"]), condition) / self.field.gain
+            theta["flash"] = first_flashes(self.maps_of(theta, condition["photo"]), condition) / self.network.gain
         return theta
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
-        parameters = self.setup.encoder(reader, photos)
-        return parameters | {"z": parameters["z"] / self.field.gain, "flash": parameters["flash"] / self.field.gain}
+        photos = adaptive_avg_pool2d(photos, self.encoder_size or photos.shape[-1])
+        parameters = self.encoder(reader, photos)
+        return parameters | {"z": parameters["z"] / self.network.gain, "flash": parameters["flash"] / self.network.gain}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
-        size = (self.field.height, self.field.width)
-        fine = varied(tasks.data["fine"][tasks.rows].float(), self.finer, rng)
+        size = (self.network.height, self.network.width)
+        fine = varied(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
         data = self.described(pooled(fine, size))
         if not several(tasks.data):
             return tasks.variants({"photo": adaptive_avg_pool2d(photographs(fine, rng), size)} | data)
@@ -275,7 +267,7 @@ class SvbrdfNonstationary(CodedApp):
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Clipped highlights, and maps that General is not sure of; only of photographs, where it says so."""
-        if not self.setup.sure or self.protocol != "photo":
+        if not self.sure or self.protocol != "photo":
             return [[] for _ in range(len(tasks))]
         photos = all_photos(self.condition(tasks, Generator()))
         photos = (255 * (photos.amin(1) if photos.ndim > 4 else photos)).floor()  # what clips in all of them
@@ -347,7 +339,7 @@ class SvbrdfNonstationary(CodedApp):
             for number, flash in enumerate(self.flashes(theta, task), 1):
                 radiance = photographed(maps, Flash(*(part[None] for part in flash)))[0]
                 pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
-        if self.setup.sure:
+        if self.sure:
             for name, part in deviations({"deviation": theta["deviation"][None]}).items():
                 pictures[f"deviation_{name}"] = Picture((part[0, ..., None] / LOOSE).clamp(0, 1), "data")
         return pictures
@@ -371,13 +363,13 @@ class SvbrdfNonstationary(CodedApp):
 
         Made by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB.
         """
-        field = self.field._replace(height=photo.shape[-2], width=photo.shape[-1])
+        field = self.network._replace(height=photo.shape[-2], width=photo.shape[-1])
         parts = [self.maps_from(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
         return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
         """The flash of each photograph that a fit saw, both without task axis, as the fit places it."""
-        description = self.field.gain * theta["flash"][None]
+        description = self.network.gain * theta["flash"][None]
         if "places" not in task.data or self.protocol != "photo":
             flash = flash_of(description)
             return [Flash(flash.place[0], flash.gain[0], flash.eye)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.recipes import by_protocol, smaller
 
@@ -33,7 +33,7 @@ QUICK = Recipe(
     general=OuterLoop(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
-    setup=MaterialSetup(field_of(64, 32)),
+    app=SvbrdfNonstationary(field_of(64, 32)),
 )
 # a photograph says little that General has not read from it: small steps, and hardly any training through them
 GENTLE = replace(
@@ -51,16 +51,19 @@ RECIPES = by_protocol(
     QUICK,
     PHOTO,
     # where fits see the material: the code that is read at 64 texels, and what rules learned there, on a finer grid
-    full=MaterialSetup(field_of(128, 32), read=64),
-    paper=MaterialSetup(field_of(256, 64), 64),  # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
+    full=SvbrdfNonstationary(field_of(128, 32), encoder_size=64),
+    # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
+    paper=SvbrdfNonstationary(field_of(256, 64), encoder_width=64),
 )
-RECIPES["reference"] |= smaller(RECIPES["reference"]["paper"], lambda side: MaterialSetup(field_of(side, 64), 64))
+RECIPES["reference"] |= smaller(
+    RECIPES["reference"]["paper"], lambda side: SvbrdfNonstationary(field_of(side, 64), encoder_width=64)
+)
 # Photographs at the size that people use, by an encoder with levels for it. 20 outer steps through the steps of fits
 # raised validation errors, so that the rule is a searched Adam.
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
 RECIPES["photo"]["full"] = replace(
     PHOTO,
-    setup=MaterialSetup(field_of(256, 32), finer=FINER, sure=True),
+    app=SvbrdfNonstationary(field_of(256, 32), encoder_finer=FINER, sure=True),
     quickft=SEARCHED,
     general=OuterLoop(steps=12_000, tasks=4, rates={"": 5e-4}, warmup=50, final=0.0, validate_every=1000),
     meta={"meta-encoder": replace(GENTLE, steps=0, tasks=0, rates={"": 0.0}, first=SEARCHED, tuned=True)},

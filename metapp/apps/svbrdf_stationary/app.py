@@ -87,7 +87,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def summary(self, maps: list[Tensor], octave: int) -> Tensor:
         """Means and root mean squares of features where the light is strong, at medium strength, and weak."""
-        rings = [[_ring(each, low, high) for each in self.setup.parts(maps, octave)] for low, high in RINGS]
+        rings = [[_ring(each, low, high) for each in self.parts(maps, octave)] for low, high in RINGS]
         return torch.cat([moments(ring) for ring in rings], 1)
 
     def light_of(self, photos: Tensor) -> Tensor:
@@ -112,7 +112,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def init(self, rng: Generator, count: int) -> Params:
         theta = super().init(rng, count)
-        return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.setup.prior else theta
+        return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.prior else theta
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return super().condition(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
@@ -120,19 +120,19 @@ class SvbrdfStationary(ExemplarApp):
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """As for all exemplars, and where fits have a prior, `gloss` [T, 2], what is expected of it."""
         theta = super().encode(encoder, condition)
-        return self._as_glossy(theta, condition["shine"]) if self.setup.prior else theta
+        return self._as_glossy(theta, condition["shine"]) if self.prior else theta
 
     def _as_glossy(self, theta: Params, shine: Tensor) -> Params:
         """Theta whose maps have the mean gloss that a clear highlight says, else General's, and that as `gloss`."""
         expected, sure = self._expected(theta), shine[:, :1]
         change = sure * (shine[:, 1:] - expected)
-        offset = self.setup.network.offset
+        offset = self.network.offset
         return theta | {"gloss": expected + change, offset: theta[offset] + pad(change, (3, 1))}
 
     @torch.no_grad()
     def _expected(self, theta: Params) -> Tensor:
         """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
-        coarsest = self.setup.octaves - 1
+        coarsest = self.octaves - 1
         noise = same_noise(self, theta["z"], 1, octave=coarsest)
         return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
 
@@ -142,7 +142,7 @@ class SvbrdfStationary(ExemplarApp):
         diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
         specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
         roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
-        height = RELIEF * (self.setup.width >> octave) * raw[:, :, 5:]
+        height = RELIEF * (self.width >> octave) * raw[:, :, 5:]
         return Maps(diffuse, specular, roughness, normal_from_height(height)), height
 
     def photograph(self, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
@@ -160,7 +160,7 @@ class SvbrdfStationary(ExemplarApp):
         rows = tasks.rows
         named = [key for key in tasks.data if key in ("light", "pooled", "chroma", "detail", "truth")]
         targets = {key: tasks.data[key][rows] for key in named}
-        for i in range(self.setup.maps_from(self.octave(tasks.data))):
+        for i in range(self.maps_from(self.octave(tasks.data))):
             targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
             targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
         return targets
@@ -168,11 +168,11 @@ class SvbrdfStationary(ExemplarApp):
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T].
 
-        And how unusual the maps are, by the setup's `prior`.
+        And how unusual the maps are, by `prior`.
         """
         maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
         loss = torch.stack(list(self._distances(theta, maps, batch).values())).sum(0)
-        return loss + self.setup.prior * _unusual(maps, theta["gloss"]) if self.setup.prior else loss
+        return loss + self.prior * _unusual(maps, theta["gloss"]) if self.prior else loss
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """The same, but how far the maps are from the truth, or how unusual where that is unknown, [T].
@@ -186,7 +186,7 @@ class SvbrdfStationary(ExemplarApp):
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
             return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
-        level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
+        level = sum(self.width >> octave < size for size in STATISTICS_AT[:-1])
         truth = batch["truth"][:, level]
         specular, roughness = (truth[:, 0, 3] ** GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
         gloss_of_truth = _raw_specular(specular), _raw_roughness(roughness)
@@ -197,19 +197,19 @@ class SvbrdfStationary(ExemplarApp):
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
         distances = self._distances_of(pictures, batch, cropped=True)
-        if self.setup.has_layout:
+        if self.has_layout:
             colours = (
                 _chroma(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2]) - batch["chroma"][:, None]
             ).abs()
             distances["colour"] = COLOUR * colours.mean((1, 2))
-            even, times = evenly_lit(pictures, batch["light"][:, None]), self.setup.times(self.octave(batch))
+            even, times = evenly_lit(pictures, batch["light"][:, None]), self.layout_ratio(self.octave(batch))
             distances["astray"] = astray(theta, batch["noise"], even, times)
             distances["softness"] = softness_of(self, pictures, batch)
         return distances
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
         """Layouts of photos as if the light were the same everywhere."""
-        return super().laid_out(evenly_lit(exemplars, self.light_of(exemplars))) if self.setup.has_layout else {}
+        return super().laid_out(evenly_lit(exemplars, self.light_of(exemplars))) if self.has_layout else {}
 
     def _distances_of(self, pictures: Tensor, batch: Batch, *, cropped: bool = False) -> dict[str, Tensor]:
         """Of pictures [T, S, 3, H, W]; `cropped`: of their finest octave the first window alone, not its spectra."""
@@ -217,10 +217,10 @@ class SvbrdfStationary(ExemplarApp):
         pooled = adaptive_avg_pool2d(flat, POOLED).unflatten(0, leading)
         windows = batch["windows"].tolist()
         first = [own[0] for own in windows for _ in range(leading[1])]
-        cropped = cropped and octave == 0 and self.setup.octaves > 1
+        cropped = cropped and octave == 0 and self.octaves > 1
         crop = (lambda images: torch.stack(list(map(_window, images, first)))) if cropped else None
         found = self.features(flat, octave, crop)
-        whole = self.setup.maps_from(1) if cropped else len(found)
+        whole = self.maps_from(1) if cropped else len(found)
         grams, spectra = [], []
         for i, maps in enumerate(found):
             wanted = batch[f"gram{i}"][:, None]
@@ -267,7 +267,7 @@ class SvbrdfStationary(ExemplarApp):
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Regular structure that was lost, clipped highlights, blobs; only where networks read layouts."""
-        if not self.setup.has_layout:
+        if not self.has_layout:
             return [[] for _ in range(len(tasks))]
         images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
         noise = same_noise(self, tasks.rows, 1, seed=SHOWN)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.learning.recipe import Adam, as_published
-from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.recipes import generator, pixels, pyramid, smaller
 
 PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
 QUICK = generator(
+    SvbrdfStationary,
     steps=20,
     outputs=6,
     tasks=3,
@@ -20,7 +21,7 @@ QUICK = generator(
 )
 FULL = pyramid(QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR)
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
-SETUP = ExemplarSetup(256, 256, UNet(32, outputs=6), ("relu1_2", "relu2_2", "relu3_3", "relu4_3"))
-PAPER = as_published(QUICK, SETUP, tasks=3, validate_every=50)
+PUBLISHED = SvbrdfStationary(UNet(32, outputs=6), 256, 256, ("relu1_2", "relu2_2", "relu3_3", "relu4_3"))
+PAPER = as_published(QUICK, PUBLISHED, tasks=3, validate_every=50)
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
-RECIPES |= smaller(PAPER, lambda side: replace(SETUP, height=side, width=side))
+RECIPES |= smaller(PAPER, lambda side: replace(PUBLISHED, height=side, width=side))

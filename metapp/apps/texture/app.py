@@ -56,11 +56,11 @@ class Texture(ExemplarApp):
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
         apart = self._distance(images, batch, self._strip)
-        return apart + astray(theta, noise, images, self.setup.times(octave)) + softness_of(self, images, batch)
+        return apart + astray(theta, noise, images, self.layout_ratio(octave)) + softness_of(self, images, batch)
 
     def _strip(self, images: Tensor) -> Tensor:
         """As many rows as the coarsest octave has; noise and layouts are moved at each step, and so what they show."""
-        return images[..., : self.setup.height >> self.setup.octaves - 1, :]
+        return images[..., : self.height >> self.octaves - 1, :]
 
     def _distance(self, images: Tensor, batch: Batch, crop: Crop | None = None) -> Tensor:
         maps = self.features(images.flatten(0, 1), self.octave(batch), crop)
@@ -81,7 +81,7 @@ class Texture(ExemplarApp):
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Regular structure that the picture of tables has lost; only where networks read layouts."""
-        if not self.setup.has_layout:
+        if not self.has_layout:
             return [[] for _ in range(len(tasks))]
         exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
         made = self.generate(theta, same_noise(self, tasks.rows, 1, seed=SHOWN))[:, 0]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.texture.app import Texture
 from metapp.learning.recipe import Adam, as_published
-from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.recipes import generator, pixels, pyramid, smaller
 
 QUICK = generator(
+    Texture,
     steps=15,
     outputs=3,
     tasks=4,
@@ -19,7 +20,7 @@ QUICK = generator(
 )
 FULL = pyramid(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
-SETUP = ExemplarSetup(192, 256, UNet(32), ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"))
-PAPER = as_published(QUICK, SETUP, validate_every=50)
+PUBLISHED = Texture(UNet(32), 192, 256, ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"))
+PAPER = as_published(QUICK, PUBLISHED, validate_every=50)
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}
-RECIPES |= smaller(PAPER, lambda side: replace(SETUP, height=side, width=side))
+RECIPES |= smaller(PAPER, lambda side: replace(PUBLISHED, height=side, width=side))

@@ -23,26 +23,16 @@ NOTE = "paths have next-event estimation from the second surface on, since few o
 
 
 @dataclass(frozen=True)
-class TransportSetup:
-    """The size of everything.
+class Transport(App):
+    """One scene a task: samples of its light paths in proportion to the luminance that they carry.
 
     Attributes:
-        flow: the network of one scene.
         picture: side of the pictures that fits are judged by, px; no training depends on it, so that checkpoints
             are the same for all sizes.
     """
 
-    flow: Flow
-    picture: int = field(default=64, compare=False, repr=False)
-
-    @property
-    def encoder(self) -> Encoder:
-        """The encoder that fits it."""
-        return Encoder(self.flow)
-
-
-class Transport(App):
-    """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
+    network: Flow = field()
+    picture: int = field(default=64, compare=False)
 
     name = "transport"
     title = "Transport"
@@ -55,12 +45,11 @@ class Transport(App):
         "scene": TensorSpec(("L",), "uint8", optional=True),
         "next_event": TensorSpec((1,), "uint8", optional=True),
     }
-    setup: TransportSetup
 
     @property
-    def flow(self) -> Flow:
-        """The network of one task."""
-        return self.setup.flow
+    def encoder(self) -> Encoder:
+        """Reads pictures of scenes."""
+        return Encoder(self.network)
 
     def remarks(self, task: Task, theta: Params) -> dict[str, str]:
         return {"note": NOTE} if "next_event" in task.data else {}
@@ -68,9 +57,6 @@ class Transport(App):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`samples` [N, 4] and `held` [M, 4] of primary sample space, and `image` [3, 32, 32], linear."""
         return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
-
-    def init(self, rng: Generator, count: int) -> Params:
-        return self.flow.init(rng, count)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`points` [T, 4, count]."""
@@ -80,7 +66,7 @@ class Transport(App):
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Mean negative log-likelihood, [T]."""
-        film, directions = self.flow.log_density(theta, batch["points"])
+        film, directions = self.network.log_density(theta, batch["points"])
         return -(film + directions).mean(1)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -89,14 +75,13 @@ class Transport(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
-        flow = self.flow.init(rng, 1)
-        return encoder_of(self.setup.encoder.init(rng), flow, ("z", "film.x", "film.y"))
+        return encoder_of(self.encoder.init(rng), self.network.init(rng, 1), ("z", "film.x", "film.y"))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        return with_decoder(self.setup.encoder(reader_of(encoder), condition["image"]), encoder)
+        return with_decoder(self.encoder(reader_of(encoder), condition["image"]), encoder)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same scenes, some mirrored left to right, their pictures a little noisier.
@@ -120,7 +105,7 @@ class Transport(App):
         """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
         if "held" not in tasks.data:
             return {}
-        return self.errors_of(self.flow.log_density(theta, tasks.data["held"][tasks.rows].mT), tasks)
+        return self.errors_of(self.network.log_density(theta, tasks.data["held"][tasks.rows].mT), tasks)
 
     def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
         """Of log q(film) and log q(directions | film), [T, M] each, of held-out samples."""
@@ -135,7 +120,7 @@ class Transport(App):
 
         notes = "".join(f"{plugin.note}; " for plugin in integrators())
         return (
-            f"pictures of {self.setup.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
+            f"pictures of {self.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
             f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "
             "samples that a fit sees, the fit, its table and the picture"
         )
@@ -151,10 +136,10 @@ class Transport(App):
         reference = guided = None
         if "scene" in task.data:
             studio = images.studio_of(task)
-            reference, guided = studio.glance, studio.guided(self.flow, theta, pictures.GLANCE).picture
+            reference, guided = studio.glance, studio.guided(self.network, theta, pictures.GLANCE).picture
         return {
             "reference": pictures.picture_of_samples(task.data["samples"], reference),
-            "fit": pictures.picture_of_flow(self.flow, theta, guided),
+            "fit": pictures.picture_of_flow(self.network, theta, guided),
         }
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -164,14 +149,14 @@ class Transport(App):
         if "scene" not in task.data:
             return {}
         studio, spp = images.studio_of(task), pictures.SHOWN
-        shots = {"guided": studio.guided(self.flow, theta, spp), "regular": studio.regular(spp)}
+        shots = {"guided": studio.guided(self.network, theta, spp), "regular": studio.regular(spp)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
         from metapp.apps.transport.images import image_errors
 
-        return image_errors(self.flow, fits, task, self.setup.picture) if "scene" in task.data else {}
+        return image_errors(self.network, fits, task, self.picture) if "scene" in task.data else {}
 
     def visible(self, task: Task) -> Visible:
         """All samples but the held-out ones; General's encoder sees none of them, only the picture."""

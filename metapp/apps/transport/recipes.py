@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.transport.app import TransportSetup
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
 
@@ -32,10 +32,10 @@ QUICK = Recipe(
     general=OuterLoop(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
     meta={"meta-encoder": LEARNED},
     rule="meta-encoder",
-    setup=TransportSetup(Flow()),
+    app=Transport(Flow()),
 )
 # the same fits, judged by pictures of the size that people render
-FULL = replace(QUICK, setup=replace(QUICK.setup, picture=256))
+FULL = replace(QUICK, app=Transport(Flow(), picture=256))
 # Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
-PAPER = replace(as_published(QUICK, TransportSetup(Flow(hidden=64, bins=16))), batch=10_000)
+PAPER = replace(as_published(QUICK, Transport(Flow(hidden=64, bins=16))), batch=10_000)
 RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL}

@@ -29,7 +29,7 @@ INITIALISATION_ALONE = Paradigm("ablation-start", META.needs, META.initialisatio
 
 def learned(subject: Subject) -> list[str]:
     """The rows of the results by a learned rule, with the network that General predicts."""
-    return [name for name, fit in subject.fits.items() if fit.paradigm.name == "meta" and fit.app is subject.app]
+    return [name for name, fit in subject.fits.items() if fit.paradigm.name == "meta" and fit.app == subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:

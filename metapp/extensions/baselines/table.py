@@ -39,7 +39,7 @@ def cells(subject: Subject) -> list[Cell]:
 
 def _larger(subject: Subject) -> list[str]:
     """Meta's rules that have a network of their own."""
-    return [name for name, fit in subject.fits.items() if fit.app is not subject.app and name not in SHOWN]
+    return [name for name, fit in subject.fits.items() if fit.app != subject.app and name not in SHOWN]
 
 
 def _able(subject: Subject) -> list[Baseline]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.brdf.recipes import FULL, RIDGE
-from metapp.extensions.few.network import MOST, NETWORK
+from metapp.extensions.few.app import MOST, FewSamples
 
 FEW = replace(
     FULL,
@@ -17,7 +17,7 @@ FEW = replace(
             tasks=12,
             rates=RIDGE.rates | {f"encoder.encoder.{own}": 1e-2 for own in ("last", "deviation", "noise")},
             validate_every=1000,
-            setup=NETWORK,
+            app=FewSamples(),
         )
     },
 )

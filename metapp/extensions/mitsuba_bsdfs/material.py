@@ -63,7 +63,7 @@ def _parameters(path: Path) -> Params:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
     recipes = recipes_of("brdf").values()
-    networks = {app_of("brdf", recipe, rule=rule).setup for recipe in recipes for rule in recipe.meta}
+    networks = {app_of("brdf", recipe, rule=rule).network for recipe in recipes for rule in recipe.meta}
     if shapes not in [shapes_of(network) for network in networks]:
         names = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take a file of its params/.")

@@ -107,7 +107,7 @@ def _written(options: Options) -> Written:
     if app.conditions():
         about |= {"features": FEATURES, "license": f"MIT; of the features: {FEATURES}"}
     any_size = write_photographs(app, checkpoint.prepared.encoder, about, options.out)
-    return Written(app.field.height, STEP if any_size else None, "features" in about)
+    return Written(app.network.height, STEP if any_size else None, "features" in about)
 
 
 def _runtime(quiet: bool) -> dict[str, bytes]:

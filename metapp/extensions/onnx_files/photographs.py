@@ -41,8 +41,8 @@ class Material(torch.nn.Module):
         inputs = inputs_of(linear)
         encoder = {name: self.encoder[short] for short, name in self.names.items()}
         theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
-        code = self.app.field.gain * theta["z"]  # one in each pixel
-        maps = self.app.maps_from(self.app.field.decoded(theta, code, inputs))
+        code = self.app.network.gain * theta["z"]  # one in each pixel
+        maps = self.app.maps_from(self.app.network.decoded(theta, code, inputs))
         return tuple(getattr(maps, name) for name in OUTPUTS)
 
     def any_size(self) -> bool:
@@ -63,7 +63,7 @@ def write_photographs(app: SvbrdfNonstationary, encoder: Params, about: dict[str
     Raises:
         ValueError: packages are missing.
     """
-    model, side = Material(app, encoder), app.field.height
+    model, side = Material(app, encoder), app.network.height
     any_size = model.any_size()
     shape = (side, side - 8 * STEP) if any_size else (side, side)  # of two numbers, so that they are told apart
     largest = 4096 // STEP

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -16,7 +15,6 @@ from metapp.apps.svbrdf_nonstationary.app import (
     SEEN,
     SURE,
     WANTED,
-    MaterialSetup,
     SvbrdfNonstationary,
     blots,
 )
@@ -34,6 +32,7 @@ FLAT = 0.05  # of the slopes of untrained fields
 OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
 
 
+@dataclass(frozen=True)
 class FromFeatures(SvbrdfNonstationary):
     """The same materials and fits; General reads features of VGG-16 and draws no relief that a photograph hides.
 
@@ -41,7 +40,7 @@ class FromFeatures(SvbrdfNonstationary):
     it is made up.
     """
 
-    setup: PretrainedSetup
+    sure: bool = True  # always
 
     @property
     def read_size(self) -> int:
@@ -62,10 +61,15 @@ class FromFeatures(SvbrdfNonstationary):
         return super().prepare(task) | {"known": known.float()}
 
     @property
-    def field(self) -> LocalField:
-        """The network of one task, as wide as General's and the smaller one's together."""
-        own, other = self.setup.field, SMALLER.field
-        return own._replace(code=own.code + other.code, hidden=own.hidden + other.hidden)
+    def general_network(self) -> LocalField:
+        """General's part of the network of one task, which is as wide as that and the smaller one together."""
+        code, hidden = self.network.code - SMALLER.network.code, self.network.hidden - SMALLER.network.hidden
+        return self.network._replace(code=code, hidden=hidden)
+
+    @property
+    def encoder(self) -> FeatureEncoder:  # type: ignore[override]
+        """A decoder over features of VGG-16."""
+        return FeatureEncoder(self.general_network.code)
 
     def init(self, rng: Generator, count: int) -> Params:
         """Of maps that are nearly flat: fits hold their normals."""
@@ -73,12 +77,12 @@ class FromFeatures(SvbrdfNonstationary):
 
     def init_encoder(self, rng: Generator) -> Params:
         """Its own part, of maps that are nearly flat: training begins where nothing is known of relief."""
-        return encoder_of(self.init_reader(rng), _flat(self.setup.field.init(rng, 1)), ("z",))
+        return encoder_of(self.encoder.init(rng), _flat(self.general_network.init(rng, 1)), ("z",))
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Windows of the same materials of half the field's side, photographed anew."""
         fine, known = (tasks.data[key][tasks.rows].float() for key in ("fine", "known"))
-        return tasks.variants(variants(fine, known, self.field.height // 2, rng))
+        return tasks.variants(variants(fine, known, self.network.height // 2, rng))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         """The photographs; of windows the field's inputs, too, which say where they are, and what is read of it all."""
@@ -91,8 +95,8 @@ class FromFeatures(SvbrdfNonstationary):
         if "inputs" not in condition:
             return super().encode(encoder, condition)
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
-        own = self.setup.encoder(reader_of(encoder), condition["photo"], place, patch or None)
-        own |= {key: own[key] / self.field.gain for key in ("z", "flash")}
+        own = self.encoder(reader_of(encoder), condition["photo"], place, patch or None)
+        own |= {key: own[key] / self.network.gain for key in ("z", "flash")}
         return with_decoder(own, encoder)
 
     def maps_from(self, raw: Tensor) -> Maps:
@@ -110,7 +114,7 @@ class FromFeatures(SvbrdfNonstationary):
 
         So normals stay those of General: a photograph under one light says less of them than General has read.
         """
-        own, inputs = self.setup.field, inputs_of(batch["photo"])
+        own, inputs = self.general_network, inputs_of(batch["photo"])
         field = {key: value if key == "z" else value.detach() for key, value in theta.items()}
         held, moved = halves_of(field, own.code, own.hidden)
         with torch.no_grad():
@@ -151,7 +155,13 @@ class FromFeatures(SvbrdfNonstationary):
 
     def _raw(self, theta: Params, inputs: Tensor) -> Tensor:
         """What maps are made of, [T, sum(RAW), h, w], of the field or of one of its halves."""
-        return self.field.decoded(theta, self.field.gain * theta["z"], inputs)
+        return self.network.decoded(theta, self.network.gain * theta["z"], inputs)
+
+
+def wide_field(own: LocalField) -> LocalField:
+    """The network of one task, of General's own and the smaller one."""
+    other = SMALLER.network
+    return own._replace(code=own.code + other.code, hidden=own.hidden + other.hidden)
 
 
 def _flat(theta: Params) -> Params:
@@ -159,16 +169,3 @@ def _flat(theta: Params) -> Params:
     factor = theta["out.shift"].new_tensor([FLAT] * RAW[0] + [1.0] * sum(RAW[1:]))
     last = {name: value for name, value in theta.items() if name.startswith("out.")}
     return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last.items()}
-
-
-@dataclass(frozen=True)
-class PretrainedSetup(MaterialSetup):
-    """The sizes of fits whose General reads features of VGG-16; always says how sure it is."""
-
-    sure: bool = True
-    app: ClassVar[type[FromFeatures]] = FromFeatures
-
-    @property
-    def encoder(self) -> FeatureEncoder:  # type: ignore[override]
-        """The encoder that fits it."""
-        return FeatureEncoder(self.field.code)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, cast
 
 import torch
 from torch import Generator, Tensor
@@ -40,7 +41,7 @@ OVERVIEW = 32  # side in px of the overview: highlights have the same size in it
 COARSER = 4  # how many times as coarse its second level is
 OVERVIEWS = (32, 48)  # channels of its levels
 GUESS, DARK = 3, 0.01  # channels of what the smaller network makes of a photograph; what is added before logs
-SMALLER = RECIPES["photo"][FULL].setup
+SMALLER = cast("SvbrdfNonstationary", RECIPES["photo"][FULL].app)
 SHARE = 0.5  # the smaller network's share of diffuse colour, roughness and specular colour; it has none of slopes
 DECODER = "decoder."
 
@@ -143,15 +144,15 @@ def patch_of(photos: Tensor) -> Params:
 
     Returns:
         `overview`, as of `overview_of`; of what General by "full" makes of them, S its side: `guess` [T, GUESS, S, S],
-        roughness and the logs of mean specular and diffuse reflectance, `code` [T, SMALLER.field.code, S, S], `flash`
+        roughness and the logs of mean specular and diffuse reflectance, `code` [T, SMALLER.network.code, S, S], `flash`
         [T, FLASH], as numbers of any size.
     """
     app, encoder = _smaller(photos.device)
-    small = interpolate(photos, (app.field.height, app.field.width), mode="bilinear")
+    small = interpolate(photos, (app.network.height, app.network.width), mode="bilinear")
     theta = app.encode(encoder, {"photo": small})
     maps = app.maps_of(theta, small)
     shades = [(each.mean(1, keepdim=True) + DARK).log() for each in (maps.specular, maps.diffuse)]
-    own = {"code": app.field.gain * theta["z"], "flash": app.field.gain * theta["flash"]}
+    own = {"code": app.network.gain * theta["z"], "flash": app.network.gain * theta["flash"]}
     return own | {"overview": overview_of(photos), "guess": torch.cat([maps.roughness, *shades], 1)}
 
 
@@ -203,7 +204,7 @@ def halves_of(theta: Params, code: int, hidden: int) -> tuple[Params, Params]:
 @functools.cache
 def _smaller(device: torch.device) -> tuple[SvbrdfNonstationary, Params]:
     """The application of the recipe "full", and the encoder of its General that ships."""
-    app = SvbrdfNonstationary(SMALLER, "photo")
+    app = replace(SMALLER, protocol="photo")
     general, _ = load_checkpoint(shipped_path(app.name, "general-photo", FULL), device)
     return app, general.encoder
 

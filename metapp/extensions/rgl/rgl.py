@@ -150,7 +150,7 @@ def export_spectral(app: Brdf, theta: Params, path: Path) -> None:
 
 def write_fit(app: Brdf, theta: Params, file: Path, name: str, *, spectral: bool = False) -> None:
     """Write a fitted network as `write_rgl`, with its name in the description."""
-    evaluate, anisotropic = partial(app.reflectance, theta), app.setup.anisotropic
+    evaluate, anisotropic = partial(app.reflectance, theta), app.network.anisotropic
     write_rgl(file, evaluate, f"{name}: a fit of metapp", azimuths=anisotropic, spectral=spectral)
 
 

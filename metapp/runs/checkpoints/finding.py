@@ -75,7 +75,8 @@ def checkpoint_name(app: App, name: str) -> str:
 
     General's is without it, too, where the network is one of the first protocol's: it learns nothing of what fits see.
     """
-    shared = name == "general" and any(app.setup == recipe.setup for recipe in recipes_of(app.name).values())
+    plain = replace(app, protocol="", size=None)
+    shared = name == "general" and any(plain == recipe.app for recipe in recipes_of(app.name).values())
     return name if is_first_protocol(app) or shared else f"{name}-{app.protocol}"
 
 

@@ -37,8 +37,7 @@ def ships(app: str, recipe: str, protocol: str = "") -> bool:
 def full_fits_as_quick(app: str) -> bool:
     """True if networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
     recipes = recipes_of(app)
-    result: bool = recipes[FULL].setup == recipes[QUICK].setup
-    return result
+    return recipes[FULL].app == recipes[QUICK].app
 
 
 def usual_recipe(app: str) -> str:

@@ -81,9 +81,7 @@ class Plan:
         rule = rule or self.job.rule
         request = replace(self.request, paradigm=paradigm, rule=rule, steps=None)
         app = app_of(self.app.name, self.job.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
-        # the same where it may hold compiled code
-        app = self.app if app.setup == self.app.setup else replace(app, size=self.app.size)
-        job = Job(app, self.job.recipe, rule, None)
+        job = Job(replace(app, size=self.app.size), self.job.recipe, rule, None)
         return replace(self, request=request, paradigm=paradigms()[paradigm], job=job, checkpoint=None)
 
     def settings(self, label: str) -> Document:

@@ -12,6 +12,7 @@ from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import inputs_of
+from metapp.extensions.few.app import MOST, TABLE, FewSamples, few_of
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.gaussian import (
     DARKEST,
@@ -24,11 +25,11 @@ from metapp.extensions.few.gaussian import (
     reflectance_of,
     slope_of,
 )
-from metapp.extensions.few.network import MOST, TABLE, Few
+from metapp.extensions.few.network import Few
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params
 
-APP = Brdf(Few(width=12, features=7))
+APP = FewSamples(Few(width=12, features=7))
 NOTHING = torch.zeros(0, 3)
 
 
@@ -154,10 +155,10 @@ def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
 def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
     one = {key: value[0] for key, value in theta.items()}
     x = inputs_of(where)[0]
-    for weights, bias in (layers := APP.setup.folded(one).layers)[:2]:
+    for weights, bias in (layers := APP.network.folded(one).layers)[:2]:
         x = torch.nn.functional.silu(weights @ x + bias[:, None])
     x = layers[2][0] @ x + layers[2][1][:, None]
-    torch.testing.assert_close((x.exp() - DARKEST) / cosine_product(where)[0], APP.setup.reflectance(theta, where)[0])
+    torch.testing.assert_close((x.exp() - DARKEST) / cosine_product(where)[0], APP.network.reflectance(theta, where)[0])
 
 
 # What a fit sees
@@ -167,10 +168,10 @@ def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
 def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> None:
     task = brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
     data = Brdf().prepare(task)
-    assert float(APP.setup.prepare(data)["count"]) == TABLE
+    assert float(APP.prepare(task)["count"]) == TABLE
     rows = torch.arange(2048) % 40 + 100
-    cut = {key: torch.cat([value[rows], value[2048:]]) for key, value in data.items()}
-    found = APP.setup.prepare(cut)
+    cut = {key: torch.cat([task.data[key][rows], task.data[key][2048:]]) for key in ("angles", "reflectance")}
+    found = APP.prepare(task._replace(data=cut))
     assert float(found["count"]) == 40
     assert torch.equal(found["where"][:40].unique(dim=0), data["where"][100:140].unique(dim=0))
     assert torch.equal(found["where"][2048:], data["where"][2048:])
@@ -180,7 +181,7 @@ def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> N
 
 def test_training_draws_few_samples_of_each_material() -> None:
     where = places_of(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
-    data = APP.setup.augment({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
+    data = few_of({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
     assert data["where"].shape == where.shape
     assert bool(((data["count"] >= 4) & (data["count"] <= MOST)).all())
     assert len(data["count"].unique()) > 1

@@ -31,8 +31,8 @@ def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
     known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
     values = known.expand(1200, 3).numpy()
     many, *some = (api.fit("brdf", (wi[:count], wo[:count], values[:count])) for count in (1200, 20, 4))
-    assert many.app.setup != NETWORK
-    assert all(fit.app.setup == NETWORK for fit in some)
+    assert many.app.network != NETWORK
+    assert all(fit.app.network == NETWORK for fit in some)
     angles = many.task.data["angles"]
     assert float((some[0].app.reflectance(some[0].parameters, angles) - known).abs().median()) < 0.01
 
@@ -64,4 +64,4 @@ def test_without_the_extension_its_inputs_and_command_are_refused_by_its_name(
         api.fit("brdf", file)
     assert "'few'" in metapp("meta", "brdf", "--recipe", "few").misuse
     pairs = measured(20, anisotropic=False)
-    assert api.fit("brdf", tuple(pairs)).app.setup != NETWORK
+    assert api.fit("brdf", tuple(pairs)).app.network != NETWORK

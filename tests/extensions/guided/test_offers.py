@@ -14,7 +14,7 @@ from torch import Generator
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
 from metapp.apps.transport import images
-from metapp.apps.transport.app import Transport, TransportSetup
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
 from metapp.apps.transport.recipes import RECIPES
@@ -34,13 +34,13 @@ def task_of(seed: int) -> Task:
 
 def test_the_captions_of_pictures_are_those_of_earlier_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are a part of the keys of records."""
-    assert Transport(RECIPES["quick"].setup).image_measure == (
+    assert RECIPES["quick"].app.image_measure == (
         "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
         "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
         "and counts the samples that a fit sees, the fit, its table and the picture"
     )
     monkeypatch.setenv("METAPP_WITHOUT", "guided")
-    assert "guided_path" not in Transport(TransportSetup(FLOW)).image_measure
+    assert "guided_path" not in Transport(FLOW).image_measure
 
 
 @pytest.mark.long
@@ -48,7 +48,7 @@ def test_the_captions_of_pictures_are_those_of_earlier_records(monkeypatch: pyte
 def test_the_integrator_has_a_row_in_the_table_of_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 64)
-    shown, task = Transport(TransportSetup(FLOW, picture=16)), task_of(0)
+    shown, task = Transport(FLOW, picture=16), task_of(0)
     assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, GUIDED_NEE]
 
 

@@ -15,7 +15,7 @@ from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.features import BLOCKS
 from metapp.apps import app_of
 from metapp.apps.svbrdf_nonstationary.app import field_of
-from metapp.extensions.pretrained.app import FromFeatures, PretrainedSetup
+from metapp.extensions.pretrained.app import FromFeatures, wide_field
 from metapp.extensions.pretrained.recipe import PRETRAINED
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
@@ -23,7 +23,7 @@ from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
 SIDE = 32
-RECIPE = replace(PRETRAINED, setup=PretrainedSetup(field_of(SIDE, 8)))
+RECIPE = replace(PRETRAINED, app=FromFeatures(wide_field(field_of(SIDE, 8))))
 
 
 @pytest.fixture(scope="module")

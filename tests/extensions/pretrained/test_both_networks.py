@@ -28,13 +28,13 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     inputs = inputs_of(photo)
     theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **patch_of(photo)})
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
-    own = app.setup.field._replace(**size)
+    own = app.general_network._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
     first = own(alone | {"z": theta["z"][:, : own.code]}, inputs)
     _, smaller = _smaller(torch.device("cpu"))
     beside = {key.removeprefix("decoder."): value[None] for key, value in smaller.items() if "decoder." in key}
-    second = SMALLER.field._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
-    joined = app.field._replace(**size)(theta, inputs)
+    second = SMALLER.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
+    joined = app.network._replace(**size)(theta, inputs)
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
     assert set(beside_smaller(encoder)) == set(encoder)
@@ -68,7 +68,7 @@ def test_training_sees_what_the_network_makes_and_fits_what_is_made_of_it(
     """Else training would undo it."""
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     photo = tasks.data["photo"]
-    raw = app.field(theta, inputs_of(photo))
+    raw = app.network(theta, inputs_of(photo))
     for maps, wanted in (
         (app._made_of(theta, inputs_of(photo)), decoded(raw)),
         (app.maps_of(theta, photo), app.maps_from(raw)),
@@ -84,7 +84,7 @@ def test_a_step_by_a_photo_is_that_of_the_whole_field_but_for_what_is_held(
 ) -> None:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
-    batch, own = app.sample(tasks, rng, 1), app.setup.field.code
+    batch, own = app.sample(tasks, rng, 1), app.general_network.code
     loss = app.loss(theta, batch, {})
     whole = SvbrdfNonstationary.loss(app, theta, batch, {})
     torch.testing.assert_close(loss, whole)

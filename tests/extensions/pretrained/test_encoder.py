@@ -35,7 +35,7 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
     parameters = encoder.init(rng)
     for side in (32, 64):
         read = encoder(parameters, torch.rand(2, 3, side, side, generator=rng))
-        assert read["z"].shape == (2, 5 + SMALLER.field.code, side, side)
+        assert read["z"].shape == (2, 5 + SMALLER.network.code, side, side)
         assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
         assert read["flash"].shape == (2, FLASH)
     with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
@@ -48,10 +48,10 @@ def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> 
     encoder = FeatureEncoder(5)
     parameters, photos = encoder.init(rng), torch.rand(2, 3, 32, 32, generator=rng) ** 2
     smaller, its = _smaller(photos.device)
-    side = smaller.field.height
+    side = smaller.network.height
     large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
     with torch.no_grad():
-        seen = smaller.field.gain * smaller.encode(its, {"photo": large})["flash"]
+        seen = smaller.network.gain * smaller.encode(its, {"photo": large})["flash"]
     torch.testing.assert_close(encoder(parameters, photos)["flash"], seen)
     window = photos[..., :16, :16], positions(32, 32)[None, :, :16, :16]
     torch.testing.assert_close(encoder(parameters, *window, patch_of(photos))["flash"], seen)

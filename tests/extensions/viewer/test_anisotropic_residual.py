@@ -91,7 +91,7 @@ def errors_of(app: Brdf, theta: Params, task: Task, truth: Callable[[Tensor], Te
     """Mean differences from the log of a material: of a fit, and of its reference by the page's grid."""
     grid = view_of(app, theta, task).arrays["residual"]
     angles = angles_above(20_000, seed).float()
-    if not app.setup.anisotropic:
+    if not app.network.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown
     fit = torch.log1p(app.reflectance(theta, angles))
     reference = (fit + interpolated(grid, angles, float(theta.get("turn", 0.0)))).clamp_min(0)

@@ -56,7 +56,7 @@ def test_the_shader_evaluates_what_python_does(browser: Any, tmp_path: Path) -> 
         wanted = app.reflectance(theta_of(name), directions_to_four_angles(wi, wo).float())
         for which in (0, 1):
             found = torch.tensor(page.page.evaluate(SHADER, [column, directions, which]))
-            told = azimuth | (not app.setup.anisotropic)
+            told = azimuth | (not app.network.anisotropic)
             assert error(found[told], wanted[told]) < 1e-3, name
             assert found.isfinite().all()
         assert float(wanted.amax()) > 0.1

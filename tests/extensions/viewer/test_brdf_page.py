@@ -81,7 +81,7 @@ def open_page(browser: Any, folder: Path, fits: list[Shown]) -> Page:
 @pytest.mark.parametrize("name", APPS)
 def test_packed_weights_are_the_network(name: str) -> None:
     """Unpacked as the shader reads them, they give its outputs."""
-    layers = APPS[name].setup.folded(theta_of(name)).layers
+    layers = APPS[name].network.folded(theta_of(name)).layers
     (w1, b1), (w2, b2), (w3, b3) = layers
     rng = Generator().manual_seed(0)
     x = torch.randn(w1.shape[1], generator=rng, dtype=torch.float64)
@@ -155,7 +155,7 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(browser: 
     angles[100:150, 0] = 1e-4
     wi, wo = rusinkiewicz_to_directions(angles[above_horizon(angles)].double())
     angles = directions_to_four_angles(wi, wo).float()
-    base = app.reflectance(theta, angles if app.setup.anisotropic else folded(angles))
+    base = app.reflectance(theta, angles if app.network.anisotropic else folded(angles))
     more = anisotropic.interpolated(shown[0].view.arrays["residual"], angles, turn)
     wanted = torch.expm1(torch.log1p(base) + more).clamp_min(0)
     script = "pairs => metapp.viewer.evaluate(0, pairs)[1]"

@@ -15,7 +15,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import mirror
-from metapp.apps.illumination.app import SMALL, Illumination, IlluminationSetup
+from metapp.apps.illumination.app import SMALL, Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
 from metapp.extensions.viewer.page import Group, Shown, document, html
@@ -60,7 +60,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> Tensor:
 
 
 def shown(protocol: str) -> tuple[Illumination, Params]:
-    app = Illumination(IlluminationSetup(FIELD), protocol)
+    app = Illumination(FIELD, protocol=protocol)
     return app, {key: each[0] for key, each in app.init(Generator().manual_seed(0), 1).items()}
 
 

@@ -17,7 +17,7 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.apps.texture.app import Texture
-from metapp.apps.transport.app import Transport, TransportSetup
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
 from metapp.extensions.viewer.page import Group, Shown, document, html
@@ -26,7 +26,7 @@ from metapp.extensions.viewer.pages.texture import QUILTED
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
-from metapp.networks.exemplar import TILED, ExemplarSetup
+from metapp.networks.exemplar import TILED
 from metapp.networks.generators import UNet
 from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
@@ -36,7 +36,7 @@ from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
 WHOLE = TILED * SIZE
-SHOWN = Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), ("relu1_1",)))
+SHOWN = Texture(UNet(8, 3, noise=4, code=8), SIZE, SIZE, ("relu1_1",))
 
 
 def theta_of(seed: int = 0) -> Params:
@@ -118,7 +118,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
     monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.2)
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-    app, task = Transport(TransportSetup(flow)), Task("room", {"scene": scene_bytes(random_scene(0))})
+    app, task = Transport(flow), Task("room", {"scene": scene_bytes(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
     view = view_of(app, theta, task)
     shown = {each["title"]: each for each in view.facts["pictures"]}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,13 @@ from torch.nn.functional import normalize
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
 from metapp.appearance.surface import Surface, fitted_planes
-from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.svbrdf_stationary.recipes import QUICK
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.surface import Lit, surface_view
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
-from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.storage.html import write_page
 from tests.browser import Page, assert_alike
@@ -43,8 +40,7 @@ def seeded(seed: int = 0) -> Generator:
 @functools.cache
 def stationary() -> tuple[SvbrdfStationary, Params, Task]:
     """A random generator's maps."""
-    setup = replace(QUICK.setup, height=SIDE, width=SIDE, network=UNet(4, 3, noise=4, code=4, outputs=6))
-    app = SvbrdfStationary(ExemplarSetup(SIDE, SIDE, setup.network, ("relu1_1",)))
+    app = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), SIDE, SIDE, ("relu1_1",))
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     photo = (255 * torch.rand(3, SIDE, SIDE, generator=seeded(1))).to(torch.uint8)
     return app, theta, Task("cloth", {"image": photo})
@@ -53,7 +49,7 @@ def stationary() -> tuple[SvbrdfStationary, Params, Task]:
 @functools.cache
 def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
     """A random field's maps of several photographs, which the fit places elsewhere than they say."""
-    app = SvbrdfNonstationary(MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2), "photo")
+    app = SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     theta["flash"] = 0.02 * torch.randn(4, PHOTOS, generator=seeded(1))
     maps = rock(64, tiles=False).maps

@@ -26,7 +26,7 @@ FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
 
 
 def small_app() -> illumination.Illumination:
-    return illumination.Illumination(illumination.IlluminationSetup(FIELD), "reference")
+    return illumination.Illumination(FIELD, protocol="reference")
 
 
 @pytest.fixture(scope="module")

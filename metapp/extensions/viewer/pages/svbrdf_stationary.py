@@ -14,6 +14,6 @@ def view(app: SvbrdfStationary, theta: Params, task: Task) -> View:
     photographed = []
     if "image" in task.data:
         photo = app.exemplar(task.data["image"][None].float() / 255)
-        light, part = app.light_of(photo)[0], app.setup.width / app.picture_size[1]
+        light, part = app.light_of(photo)[0], app.width / app.picture_size[1]
         photographed = [Lit(light, light, photo=photo[0] ** GAMMA, part=part)]
     return surface_view(app.surface(theta, task), photographed, falloff=FALLOFF)

@@ -49,8 +49,8 @@ class Progress(NamedTuple):
 def view(app: Transport, theta: Params, task: Task) -> View:
     """Pictures of the scene in equal time; densities where there is no scene."""
     if "scene" in task.data:
-        return scene_view(app.flow, theta, task)
-    shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.flow, theta)}
+        return scene_view(app.network, theta, task)
+    shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.network, theta)}
     return pictures_view(shown)._replace(thumbnail=thumbnail(shown["fit"][:, : len(shown["fit"])]))
 
 
