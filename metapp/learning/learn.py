@@ -182,7 +182,9 @@ def task_outer_loss(app: App, batch: int) -> Loss:
 
 @functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
 def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
-    value, sample = (app.outer_loss, app.outer_sample) if outer else (app.loss, app.sample)
+    sample = app.outer_sample if outer else app.sample
+    # one function for one loss: engines know by it what they have compiled
+    value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
     def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
         return Drawn(tasks.picked_names, drawn(lambda some, own: sample(some, own, batch), tasks, rng))

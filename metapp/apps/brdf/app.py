@@ -54,7 +54,6 @@ class Brdf(App):
         "render": TensorSpec(("H", "W", 4), optional=True),
         "environment": TensorSpec(("h", "w", 4), optional=True),
     }
-
     scale = 100.0
     single_threaded = compiles = cheap_fits = True
 
@@ -99,8 +98,6 @@ class Brdf(App):
         s = torch.exp(learned["smoothing"])[:, None, None]
         norm = ((d * d + s * s).sqrt() - s).mean(1)
         return (norm * sample_weights(where, learned) if "weights" in learned else norm).mean(1)
-
-    outer_loss = loss  # the same function, by which compiled code is found
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
         """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""

@@ -1,4 +1,4 @@
-"""The protocol of the networks that BRDFs are fitted with: a recipe's setup, which knows its own parameters."""
+"""The base class of the networks that BRDFs are fitted with, which know their own parameters."""
 
 from __future__ import annotations
 

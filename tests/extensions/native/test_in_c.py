@@ -19,7 +19,7 @@ from metapp.extensions.native.compiler import compiler
 from metapp.extensions.native.fastest import FASTEST
 from metapp.extensions.native.packing import Layout
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
-from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread
+from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread, task_outer_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
 from metapp.learning.rules.descent import sgd_step
@@ -228,6 +228,7 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
     assert in_c.stepper(rule, loss, theta, 1) is not None
+    assert in_c.loss_in_c(task_outer_loss(APP, 8), theta) is not None  # the same loss of other samples
     for name, case in cases.items():
         assert in_c.stepper(*case, 1) is None, name
 
