@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import pickle
 from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
@@ -197,8 +199,20 @@ def test_made_up_tasks_do_what_tasks_do(job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(tasks.data[key], value) for key, value in before.items())
 
 
-def test_a_recipe_is_no_part_of_the_application(app: App) -> None:
-    """An application is frozen, and what errors depend on is said, by every recipe."""
+def test_augmentation_sees_the_tasks_of_its_view_alone(app: App, tasks: Tasks) -> None:
+    """Those that validate must not get into training."""
+    hidden = {key: value.clone() if value.stride(0) else value for key, value in tasks.data.items()}
+    for value in (each for each in hidden.values() if each.stride(0)):  # others are the same tensor for all tasks
+        value[3:] = math.nan if value.is_floating_point() else 0
+    for seed in range(3):
+        made, plain = (
+            app.augment(replace(tasks, data=data).select([0, 1, 2]), rng(seed)) for data in (hidden, tasks.data)
+        )
+        assert all(torch.equal(made.data[key], value) for key, value in plain.data.items())
+
+
+def test_an_application_is_plain_data(app: App) -> None:
+    """By every recipe: frozen, equal where its fields are, pickled; and what errors depend on is said."""
     recipes = recipes_of(app.name)
     assert {"paper", "quick"} <= set(recipes)
     for recipe in recipes.values():
@@ -206,5 +220,6 @@ def test_a_recipe_is_no_part_of_the_application(app: App) -> None:
         assert again == replace(recipe.app, protocol=again.protocol)
         with pytest.raises(FrozenInstanceError):
             again.network = None
+        assert pickle.loads(pickle.dumps(again)) == again
         assert recipe.rule in recipe.meta
         assert all(isinstance(value, str) and value for value in again.conditions().values())
