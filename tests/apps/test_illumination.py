@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Generator, Tensor
@@ -13,7 +11,6 @@ from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, body_of
 from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import LOST
-from metapp.apps.illumination.recipes import QUICK
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -21,7 +18,7 @@ from metapp.networks.field import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-RECIPE = replace(QUICK, app=Illumination(FIELD))
+REFERENCE, PHOTO = (Illumination(FIELD, protocol=protocol) for protocol in ("reference", "photo"))
 
 
 def lamps(seed: int, height: int = 64) -> Tensor:
@@ -42,7 +39,7 @@ def task_of(light: Tensor, name: str = "lamps") -> Task:
 
 @pytest.fixture
 def app() -> Illumination:
-    return replace(RECIPE.app, protocol="reference")
+    return REFERENCE
 
 
 @pytest.fixture
@@ -93,7 +90,7 @@ def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks, monkeypatch: 
 def test_the_true_map_sphere_and_camera_look_like_the_photo(
     app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, rng: Generator
 ) -> None:
-    photo = replace(RECIPE.app, protocol="photo")
+    photo = PHOTO
     theta = exact(photo, tasks, monkeypatch) | {"body": 0.5 / BODY_GAIN * torch.randn(4, BODY, generator=rng)}
     material, camera = body_of(BODY_GAIN * theta["body"])
     seen = develop(shade(tasks.data["map"], material, 64, GLOSSES), camera).clamp_max(1)
@@ -104,7 +101,7 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(
 
 
 def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
-    photo = replace(RECIPE.app, protocol="photo")
+    photo = PHOTO
     theta = photo.init(Generator().manual_seed(0), 4)
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
     bright = {**theta, "body": theta["body"] + 12 / BODY_GAIN * torch.eye(BODY)[7]}
@@ -114,9 +111,7 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
 
 
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
-    small = replace(RECIPE.app, protocol="reference").init(Generator().manual_seed(0), 4)
-    reference, photo = replace(RECIPE.app, protocol="reference"), replace(RECIPE.app, protocol="photo")
-    assert (reference.protocol, photo.protocol) == ("reference", "photo")
+    small, reference, photo = REFERENCE.init(Generator().manual_seed(0), 4), REFERENCE, PHOTO
     batch = reference.sample(tasks, Generator(), 1)
     for app, seen, unseen in ((reference, "map", "photo"), (photo, "photo", "map")):
         before = app.loss(small, batch, {})
@@ -142,7 +137,7 @@ def mirrored(light: Tensor, clip: float = 1e9) -> Task:
 
 
 def test_what_a_mirror_shows_is_taken_as_it_is(rng: Generator) -> None:
-    app, light = replace(RECIPE.app, protocol="photo"), lamps(2)
+    app, light = PHOTO, lamps(2)
     tasks = stack(app, [mirrored(light)])
     theta = app.init(rng, 1)
     made, target = app.answer(theta, tasks.data)[0], app.described(light[None])["map"][0]
@@ -155,7 +150,7 @@ def test_what_a_mirror_shows_is_taken_as_it_is(rng: Generator) -> None:
 
 
 def test_the_light_of_a_network_is_raised_to_that_of_a_mirror(monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
-    app, light = replace(RECIPE.app, protocol="photo"), lamps(2)
+    app, light = PHOTO, lamps(2)
     tasks = stack(app, [mirrored(light)])
     theta = exact(app, tasks, monkeypatch)
     torch.testing.assert_close(app.answer(theta, tasks.data), tasks.data["map"] / mean_luminance(tasks.data["map"]))
@@ -163,7 +158,7 @@ def test_the_light_of_a_network_is_raised_to_that_of_a_mirror(monkeypatch: pytes
 
 
 def test_what_clips_in_a_mirror_is_as_bright_or_brighter(monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
-    app, light = replace(RECIPE.app, protocol="photo"), torch.ones(3, 64, 128)
+    app, light = PHOTO, torch.ones(3, 64, 128)
     light[:, :, 64:72] = 20.0  # the texels of a column of the field's
     light /= mean_luminance(light)
     tasks = stack(app, [mirrored(light, clip=2.0)])
@@ -242,7 +237,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
 
 
 def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
-    app = replace(RECIPE.app, protocol="reference")
+    app = REFERENCE
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
     files = app.pictures(theta, task_of(lamps(0)))
     fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]

@@ -26,7 +26,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     photographed,
 )
 from metapp.apps.svbrdf_nonstationary.pictures import relit
-from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROPPED,
     _cropped,
@@ -40,7 +39,8 @@ from metapp.learning.task import Params, Tasks
 from metapp.networks import field as fields
 
 SIDE = 16
-RECIPE = replace(QUICK, app=SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2))
+REFERENCE = SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="reference")
+PHOTO = replace(REFERENCE, protocol="photo")
 
 
 def material(seed: int, size: int = 32) -> Tensor:
@@ -53,7 +53,7 @@ def material(seed: int, size: int = 32) -> Tensor:
 
 @pytest.fixture
 def app() -> SvbrdfNonstationary:
-    return replace(RECIPE.app, protocol="reference")
+    return REFERENCE
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
     truth = unpack(tasks.data["maps"])
     monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: truth)
-    return replace(RECIPE.app, protocol="reference").init(Generator().manual_seed(0), 4)
+    return REFERENCE.init(Generator().manual_seed(0), 4)
 
 
 # What is seen of a photograph
@@ -240,7 +240,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
 
 
 def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -> None:
-    photo = replace(RECIPE.app, protocol="photo")
+    photo = PHOTO
     white = {"photo": torch.ones(4, 3, SIDE, SIDE)}
     brighter = exact | {"flash": torch.tensor([[0.0, 0.0, 0.0, 20.0]]).expand(4, -1)}
     assert photo.loss(brighter, white, {}).max() < 1e-4
@@ -248,7 +248,7 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -
 
 
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
-    reference, photo = replace(RECIPE.app, protocol="reference"), replace(RECIPE.app, protocol="photo")
+    reference, photo = REFERENCE, PHOTO
     theta = reference.init(Generator().manual_seed(0), 4)
     batch = reference.sample(tasks, Generator(), 1)
     for app, changed in ((reference, "maps"), (reference, "lit"), (photo, "photo")):

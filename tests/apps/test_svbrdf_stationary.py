@@ -40,12 +40,9 @@ from metapp.networks.exemplar import TILED
 from metapp.networks.generators import UNet
 
 SIZE = 32
-TINY = replace(QUICK, app=SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), SIZE, SIZE, ("relu1_1",)))
+TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), SIZE, SIZE, ("relu1_1",))
+KEPT = replace(TINY, prior=2.0)
 WINDOWS = range(GRID * GRID)
-
-
-def tiny() -> SvbrdfStationary:
-    return TINY.app
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -78,7 +75,7 @@ def sources() -> list[Task]:
 
 @pytest.fixture(scope="module")
 def tasks(sources: list[Task]) -> Tasks:
-    return stack(tiny(), sources)
+    return stack(TINY, sources)
 
 
 def flat(app: SvbrdfStationary, *raw: float, count: int = 1) -> Params:
@@ -117,7 +114,7 @@ def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
 def test_a_photo_is_at_no_distance_from_itself(
     sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    app, theta = tiny(), tiny().init(seeded(), 3)
+    app, theta = TINY, TINY.init(seeded(), 3)
     photos = torch.stack([task.data["image"] for task in sources]).float()[:, None] / 255
 
     def show(pictures: Tensor) -> None:
@@ -151,7 +148,7 @@ def test_the_light_is_where_the_highlight_is(
     lights = tasks.data["light"]
     torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
     torch.testing.assert_close(lights[:, 2], camera()[2].expand(3))
-    app, used = tiny(), []
+    app, used = TINY, []
     photograph = app.photograph
 
     def spied(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
@@ -173,7 +170,7 @@ def test_the_light_is_where_the_highlight_is(
 
 @pytest.mark.parametrize("scale", [0.0, 1.0, 30.0])
 def test_maps_stay_in_their_ranges(scale: float) -> None:
-    app, theta = tiny(), tiny().init(seeded(), 2)
+    app, theta = TINY, TINY.init(seeded(), 2)
     theta["out.kernel"] = scale * theta["out.kernel"]
     maps, height = app.maps(theta, app.noise(seeded(), 2, 3))
     leading = (2, 3)
@@ -197,7 +194,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
 
 
 def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
-    app = tiny()
+    app = TINY
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     made = app.pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
@@ -231,7 +228,7 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
 
 def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """To where they mirror each other in a flat material."""
-    app = tiny()
+    app = TINY
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
     made = app.pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
@@ -249,7 +246,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
 
 
 def test_references_under_other_lights_are_compared_where_there_are_any(sources: list[Task]) -> None:
-    app = tiny()
+    app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
     (maps, _), place = app.maps(theta, app.noise(seeded(), 1, 1)), camera()
     whole = Maps(*(part[0] for part in maps))
@@ -270,7 +267,7 @@ def test_references_under_other_lights_are_compared_where_there_are_any(sources:
 
 
 def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task]) -> None:
-    app = tiny()
+    app = TINY
     theta = app.init(seeded(), 1)
     noise = app.noise(seeded(), 1, 1)
     own = statistics(app.maps(theta, noise)[0])[0]
@@ -296,32 +293,31 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
 
 def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
     """Maps of one value each: its part of the loss is the mean square of what is off, and quick fits have none."""
-    kept = replace(TINY.app, prior=2.0)
-    tasks = stack(kept, sources[:1])
+    tasks = stack(KEPT, sources[:1])
     found = []
     for specular, roughness in ((0.0, 0.0), (0.5, 0.0), (0.0, -1.5)):
-        theta = flat(kept, 0.5, -0.5, 0.0, specular, roughness, 0.0)
-        batch = kept.sample(tasks, seeded(), 1)
-        found.append(kept.loss(theta, batch, {}) - tiny().loss(theta, batch, {}))
+        theta = flat(KEPT, 0.5, -0.5, 0.0, specular, roughness, 0.0)
+        batch = KEPT.sample(tasks, seeded(), 1)
+        found.append(KEPT.loss(theta, batch, {}) - TINY.loss(theta, batch, {}))
     torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * OF_ROUGHNESS * 2.25]))
     assert (QUICK.app.prior, PAPER.app.prior, FULL.app.prior) == (0, 0, PRIOR)
 
 
 def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
     truth = torch.arange(36.0).view(3, 2, 6) / 36
-    tasks = stack(tiny(), [Task("known", {"image": sources[0].data["image"], "truth": truth})])
-    found = tiny().carried(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
+    tasks = stack(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
+    found = TINY.carried(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
-    assert tiny().augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
+    assert TINY.augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
     # photographs without it go beside those with it
     known = Task("known", {**sources[0].data, "truth": truth})
     for both in ([known, sources[1]], [sources[1], known]):
-        assert "truth" not in stack(tiny(), both).data
+        assert "truth" not in stack(TINY, both).data
 
 
 def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
     """Mirrored and transposed, never cropped: the light stays as far from the centre, and in the picture."""
-    app, lights = tiny(), []
+    app, lights = TINY, []
     for seed in range(12):
         made = app.augment(tasks.select([1]), seeded(seed))
         lights.append(made.data["light"][0, :2])
@@ -335,38 +331,36 @@ def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
 
 def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> None:
     """Uniform maps of any gloss are as expected where General made them, and no step moves what is expected."""
-    kept = replace(TINY.app, prior=2.0)
-    tasks, rng = stack(kept, sources[:1]), seeded()
-    predicted = flat(kept, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
-    encoder = kept.init_encoder(rng)
+    tasks, rng = stack(KEPT, sources[:1]), seeded()
+    predicted = flat(KEPT, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
+    encoder = KEPT.init_encoder(rng)
     assert "decoder.gloss" not in encoder
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
-    unclear = kept.condition(tasks, rng) | {"shine": torch.tensor([[0.0, 3.0, 2.0]])}
-    theta = kept.encode(encoder, unclear)
+    unclear = KEPT.condition(tasks, rng) | {"shine": torch.tensor([[0.0, 3.0, 2.0]])}
+    theta = KEPT.encode(encoder, unclear)
     torch.testing.assert_close(theta["gloss"], torch.tensor([[0.5, -1.5]]))
-    batch = kept.sample(tasks, seeded(), 1)
-    torch.testing.assert_close(kept.loss(theta, batch, {}), tiny().loss(theta, batch, {}))
-    moved = learn(theta, fixed_adam(Adam(0.1), theta, 3), tasks, task_loss(kept, 1), steps=3, rng=rng)
+    batch = KEPT.sample(tasks, seeded(), 1)
+    torch.testing.assert_close(KEPT.loss(theta, batch, {}), TINY.loss(theta, batch, {}))
+    moved = learn(theta, fixed_adam(Adam(0.1), theta, 3), tasks, task_loss(KEPT, 1), steps=3, rng=rng)
     assert torch.equal(moved["gloss"], theta["gloss"])
     assert not torch.equal(moved["out.shift"], theta["out.shift"])
-    assert "gloss" not in tiny().encode(encoder, kept.condition(tasks, rng))
+    assert "gloss" not in TINY.encode(encoder, KEPT.condition(tasks, rng))
 
 
 @pytest.mark.parametrize("specular_before", [0.5, -12.0])  # a General whose specular is 3e-7 everywhere, too
 def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: float) -> None:
     """Of a photo of polished stone it is the photo's, of one of cloth General's."""
-    kept = replace(TINY.app, prior=2.0)
     one, up = torch.ones(1, 1, 128, 128), torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, 128, 128)
     photos = [
         photo_of(Maps(0.2 * one.expand(1, 3, -1, -1), specular * one, roughness * one, up), (0.0, 0.0))
         for specular, roughness in ((0.04, 0.25), (0.04, 0.8))
     ]
-    tasks = stack(kept, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
-    encoder = kept.init_encoder(seeded())
-    predicted = flat(kept, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
+    tasks = stack(KEPT, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
+    encoder = KEPT.init_encoder(seeded())
+    predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
-    theta = kept.encode(encoder, kept.condition(tasks, seeded()))
-    maps, _ = kept.maps(theta, kept.noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))
+    theta = KEPT.encode(encoder, KEPT.condition(tasks, seeded()))
+    maps, _ = KEPT.maps(theta, KEPT.noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))
     polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
     assert polished == pytest.approx(0.25, rel=0.2)
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))

@@ -11,7 +11,6 @@ from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import image_errors
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
-from metapp.apps.texture.recipes import QUICK
 from metapp.learning.app import stack
 from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task, Tasks
@@ -19,11 +18,7 @@ from metapp.networks.exemplar import JUDGED
 from metapp.networks.generators import UNet
 
 SIZE, LEVELS = 32, 3
-TINY = replace(QUICK, app=Texture(UNet(8, LEVELS, noise=4, code=8), SIZE, SIZE, ("relu1_1", "relu2_1")))
-
-
-def tiny() -> Texture:
-    return TINY.app
+TINY = Texture(UNet(8, LEVELS, noise=4, code=8), SIZE, SIZE, ("relu1_1", "relu2_1"))
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -59,14 +54,14 @@ def sources() -> list[Task]:
 
 @pytest.fixture(scope="module")
 def tasks(sources: list[Task]) -> Tasks:
-    return stack(tiny(), sources)
+    return stack(TINY, sources)
 
 
 # What is compared
 
 
 def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
-    app = tiny()
+    app = TINY
     theta = app.init(seeded(), 4)
     errors = app.errors(theta, tasks)["error"]
     alone = {key: value[2:3] for key, value in theta.items()}
@@ -87,7 +82,7 @@ class Seen(Texture):
 
 def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
     """Variants [count, 3, 16, 16] of an image [3, S, S]."""
-    some = app(TINY.app.network, 16, 16, TINY.app.taps)
+    some = app(TINY.network, 16, 16, TINY.taps)
     task = Task("a", {"image": (255 * image).round().to(torch.uint8)})
     tasks = stack(some, [task]).select([0] * count)
     return some.augment(tasks, seeded()).data["exemplar"]
@@ -123,7 +118,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
     image = torch.stack([at.expand(64, 64), at[:, None].expand(64, 64), torch.zeros(64, 64)])
     rng, sides, corners = seeded(), [], []
     for _ in range(200):
-        part = QUICK.app.crop(image, rng)
+        part = TINY.crop(image, rng)
         side = part.shape[1]
         assert part.shape == (3, side, side)
         left, top = int(part[0, 0, 0]), int(part[1, 0, 0])
@@ -141,7 +136,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 
 def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
-    app = replace(TINY.app, height=64, width=64)
+    app = replace(TINY, height=64, width=64)
     fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,11 @@ from metapp.apps.transport import spline
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
-from metapp.apps.transport.recipes import QUICK
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.paths.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-RECIPE = replace(QUICK, app=Transport(FLOW))
 
 
 def rng(seed: int = 0) -> Generator:
@@ -184,7 +181,7 @@ def room(seed: int, count: int = 4096) -> Task:
 
 @pytest.fixture
 def app() -> Transport:
-    return RECIPE.app
+    return Transport(FLOW)
 
 
 @pytest.fixture
