@@ -172,15 +172,16 @@ def learn(
 
 def task_loss(app: App, batch: int) -> Loss:
     """The loss of an application on samples of tasks (alg. 2), [T]."""
-    return _loss_of(app, batch)
+    return _loss_of(replace(app), batch)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    return _loss_of(app, batch, outer=True)
+    return _loss_of(replace(app), batch, outer=True)
 
 
-@functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
+# one object for equal applications, by which compiled steps are found; of copies, whose last pictures it need not hold
+@functools.lru_cache(maxsize=32)
 def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
     sample = app.outer_sample if outer else app.sample
     # one function for one loss: engines know by it what they have compiled

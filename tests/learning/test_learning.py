@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
@@ -169,6 +170,15 @@ def test_task_loss_draws_what_the_application_samples(materials: Tasks) -> None:
     expected = APP.sample(materials.select([2, 0]), Generator().manual_seed(1), 8)
     assert all(torch.equal(drawn.batch[key], value) for key, value in expected.items())
     assert not loss.shared
+
+
+def test_equal_applications_have_one_loss_and_it_holds_none_of_them() -> None:
+    """Compiled steps are found by the loss; pictures that an application made last are freed with it."""
+    app = Plain()
+    assert task_loss(app, 5) is task_loss(Plain(), 5) is not task_loss(Plain(conserve=True), 5)
+    alive = weakref.ref(app)
+    del app
+    assert alive() is None
 
 
 def test_over_tasks_is_the_mean_over_tasks(tasks: Tasks, rng: Generator) -> None:
