@@ -42,6 +42,13 @@ def exports(incomplete: str) -> list[str]:
     return _after(",", incomplete, (name for app in _named() for name in exports_of(app)))
 
 
+def kinds(incomplete: str) -> list[str]:
+    """Kinds of files that `metapp export` writes."""
+    return _that_begin(
+        incomplete, (*exports(incomplete), *(name for offer in door.offers(door.FileExport) for name in offer.names))
+    )
+
+
 def methods(incomplete: str) -> list[str]:
     """Baselines."""
     offers = (offer for app in _named() for offer in door.offers_of(door.Baselines, app))

@@ -1,4 +1,4 @@
-"""`metapp export`: write the fits of a run in another file format."""
+"""`metapp export`: write the fits of a run, or files of measurements and checkpoints, in another file format."""
 
 from __future__ import annotations
 
@@ -7,19 +7,26 @@ from typing import Annotated
 
 import typer
 
+from metapp import door
 from metapp.cli import completion
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import check_folder
 from metapp.cli.fits.options import exports
-from metapp.cli.options import FittedData, Json, RunPath, extended
+from metapp.cli.options import FittedData, Json, extended
 from metapp.runs.reporter import say
 from metapp.runs.requests.options import all_shown_options
+
+FILES = {name: offer for offer in door.offers(door.FileExport) for name in offer.names}
+KINDS = "; ".join([exports(), *(f"{offer.files}: {', '.join(offer.names)}" for offer in door.offers(door.FileExport))])
 
 
 @extended(all_shown_options().values())
 def command(
-    run: RunPath,
-    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=completion.exports, help=f"{exports()}.")],
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it; or one of the files below."),
+    ],
+    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=completion.kinds, help=f"{KINDS}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -30,19 +37,30 @@ def command(
     ] = None,
     data: FittedData = None,
     out: Annotated[
-        Path | None, typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND.")
+        Path | None,
+        typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND, of files KIND."),
     ] = None,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
     **own: object,
 ) -> None:
-    """Write every fit of a run in another file format, as --export of the paradigms does.
+    """Write the fits of a run, or measured BRDFs and checkpoints without a fit, in another file format.
 
-    Example: metapp export runs/brdf/meta bsdf
+    Examples:
+      metapp export runs/brdf/meta bsdf
+      metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.files import export_run, listed
+    from metapp.runs.outputs.files import Exported, export_run, listed
+    from metapp.runs.outputs.recorded import holds_runs
 
-    done = export_run(run, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
+    if form in FILES and not holds_runs(source):
+        if inputs or data or own:
+            raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
+        folder = out or Path(form)
+        files = door.load(FILES[form].write)(source, form, folder, quiet)
+        done = Exported(form, str(folder), [file.stem for file in files])
+    else:
+        done = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
         say(f"written as {done.form}: {listed(Path(done.out), done.tasks)}")
     if json:

@@ -40,6 +40,7 @@ from metapp.door.options import keyword_of as keyword_of
 from metapp.door.outputs import Baselines as Baselines
 from metapp.door.outputs import Command as Command
 from metapp.door.outputs import Export as Export
+from metapp.door.outputs import FileExport as FileExport
 from metapp.door.outputs import FitMethod as FitMethod
 from metapp.door.outputs import Output as Output
 from metapp.door.outputs import Page as Page

@@ -38,6 +38,21 @@ class Export(NamedTuple):
         return f'--export {self.name} needs {self.needs[1]}: pip install "metapp[export]"'
 
 
+class FileExport(NamedTuple):
+    """What `metapp export` makes of another thing than a run, such as files of measurements.
+
+    Attributes:
+        names: the values of KIND.
+        files: what it is made of, in words.
+        write: `write(path, kind, folder, quiet) -> paths`, those of the files that it has written to the folder;
+            ValueError where it can make nothing of `path`, BadOption where a file is there already.
+    """
+
+    names: tuple[str, ...]
+    files: str
+    write: str
+
+
 class Output(NamedTuple):
     """Something that a run makes of each task where its option is given.
 

@@ -76,9 +76,9 @@ def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
         ((run, "merl", "--size", "64x64"), "--size"),
     ):
         assert said in metapp("export", *words).misuse
-    refused = metapp("export", "nowhere", "merl").error
+    refused = metapp("export", "nowhere", "nbrdf").error
     assert "nowhere: no such folder, expected a run's folder" in refused
-    assert "no record.jsonl with fits" in metapp("export", run / "params", "merl").error
+    assert "no record.jsonl with fits" in metapp("export", run / "params", "nbrdf").error
 
 
 def test_of_a_folder_of_runs_the_newest_is_taken(metapp: Callable, run: Path) -> None:

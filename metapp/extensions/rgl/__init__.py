@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from data_tools.formats.brdf import SAMPLES
-from metapp.door import Command, Converter, Export, Format
+from metapp.door import Converter, Export, FileExport, Format
 
 _HERE = "metapp.extensions.rgl"
 
@@ -29,5 +29,9 @@ OFFERS = (
     Export("bsdf", ("brdf",), f"{_HERE}.rgl:export"),
     Export("bsdf-spectral", ("brdf",), f"{_HERE}.rgl:export_spectral"),
     Export("mitsuba", ("brdf",), f"{_HERE}.scene:export"),
-    Command("convert", f"{_HERE}.commands:convert", under="data", bare_is_help=True),
+    FileExport(
+        ("merl", "bsdf", "bsdf-spectral"),
+        "MERL tables, RGL files, NBRDF networks, folders of them",
+        f"{_HERE}.convert:write",
+    ),
 )

@@ -17,36 +17,56 @@ from data_tools.readers.merl_table import merl_evaluate, tabulate
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.spectra import in_rgb, in_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
+from metapp.runs.reporter import progress, say
+from metapp.runs.requests.checks import check_new_files
 from metapp.storage.files import named
 
 ENDINGS = {"merl": ".binary", "bsdf": rgl.SUFFIX, "bsdf-spectral": f"{rgl.SPECTRAL}{rgl.SUFFIX}"}  # of what is written
 READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf)
 
 
-def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
+    """Write a file, or those of a folder, in a form.
+
+    RGL files are evaluated by Mitsuba at the centres of MERL's bins; colours and spectra of RGL files become each
+    other on the file's own grid. Spectra that are made of colours are the smoothest of that colour in D65.
+
+    Raises:
+        ValueError: none of these, damaged, or an anisotropic material for a MERL table.
+        BadOption: a file is there already.
+    """
+    sources, skipped = find(path)
+    written = targets(sources, kind, folder)
+    check_new_files(written)
+    for line in skipped:
+        say(f"warning: {line}")
+    with progress(kind, len(written), quiet=quiet) as bar:
+        for target, source in written.items():
+            convert(source, kind, target)
+            bar.advance(target.name)
+    return list(written)
+
+
+def find(path: Path) -> tuple[list[Path], list[str]]:
     """Find sources, and a line for each file of a folder that was skipped.
 
     Raises:
         ValueError: a path that is none of these, or has none below it.
     """
-    sources: list[Path] = []
-    skipped: list[str] = []
-    for path in paths:
-        found = [reader.find([path]) for reader in READERS if reader.recognises(path)]
-        if not found:
-            problem = "another kind" if path.exists() else "no such file"
-            remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
-            raise ValueError(f"{path}: {problem}, expected MERL tables, RGL files or NBRDF networks; {remedy}.")
-        sources += [file for files, _ in found for file in files]
-        skipped += found[0][1] if len(found) == 1 else []  # else another reader's files
-    return list(dict.fromkeys(sources)), skipped
+    found = [reader.find([path]) for reader in READERS if reader.recognises(path)]
+    if not found:
+        problem = "another kind" if path.exists() else "no such file"
+        remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
+        raise ValueError(f"{path}: {problem}, expected a run, MERL tables, RGL files or NBRDF networks; {remedy}.")
+    sources = dict.fromkeys(file for files, _ in found for file in files)
+    return list(sources), found[0][1] if len(found) == 1 else []  # else another reader's files
 
 
 def targets(sources: Iterable[Path], kind: str, folder: Path) -> dict[Path, Path]:
     """Sources by the files that they are written to, without the ends _rgb and _spec of RGL names.
 
     Raises:
-        ValueError: one for two sources, or a source itself.
+        ValueError: one for two sources.
     """
     result: dict[Path, Path] = {}
     for source in sources:
@@ -54,10 +74,8 @@ def targets(sources: Iterable[Path], kind: str, folder: Path) -> dict[Path, Path
         target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL)}{ENDINGS[kind]}"
         if target in result:
             raise ValueError(
-                f"{target}: of both {result[target]} and {source}, expected names that differ; convert one at a time."
+                f"{target}: of both {result[target]} and {source}, expected names that differ; export one at a time."
             )
-        if target.resolve() == source.resolve():
-            raise ValueError(f"{target}: is what is to be converted, expected another folder; choose another --out.")
         result[target] = source
     return result
 

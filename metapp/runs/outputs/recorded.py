@@ -20,6 +20,7 @@ from metapp.storage import Document
 from metapp.storage.records import FIT, read_records
 from metapp.storage.text import entry_of, meant, path_of
 
+RECORD = "record.jsonl"
 # settings that plans are made of, and what they are where records lack them
 TEXTS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
 
@@ -42,8 +43,8 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
     Raises:
         ValueError: there are none, none of that task, or one of other settings than metapp writes.
     """
-    folder = run.parent if run.name == "record.jsonl" else _newest_run(run)
-    records = read_records(folder / "record.jsonl", ("settings", *(FIT if by_paradigm else ("error",))))
+    folder = run.parent if run.name == RECORD else _newest_run(run)
+    records = read_records(folder / RECORD, ("settings", *(FIT if by_paradigm else ("error",))))
     if by_paradigm:
         records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
     if not records:
@@ -55,7 +56,7 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
         raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{meant(task, names)}")
     chosen = [records[names.index(task)]] if task else records
     for record in chosen:
-        _check_settings(record, folder / "record.jsonl")
+        _check_settings(record, folder / RECORD)
     return Recorded(folder, chosen)
 
 
@@ -74,11 +75,20 @@ def _check_settings(record: Document, file: Path) -> None:
         raise ValueError(f"{where}'inputs' hold more than text, expected paths; fit again.")
 
 
+def holds_runs(path: Path) -> bool:
+    """True of what `read_run` may take for a run or a folder of runs."""
+    return path.name == RECORD or (path / RECORD).is_file() or bool(_records_below(path))
+
+
+def _records_below(folder: Path) -> list[Path]:
+    """The record files of a folder of runs, such as `runs` or `runs/brdf/meta`."""
+    found = [file for places in ("*/", "*/*/", "*/*/*/") for file in folder.glob(f"{places}{RECORD}")]
+    return [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]  # through no link
+
+
 def _newest_run(folder: Path) -> Path:
-    """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf/meta`; else the folder itself."""
-    below = [] if (folder / "record.jsonl").is_file() else ("*/", "*/*/", "*/*/*/")
-    found = [file for places in below for file in folder.glob(f"{places}record.jsonl")]
-    found = [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]  # through no link
+    """The run of the latest record in a folder of runs; else the folder itself."""
+    found = [] if (folder / RECORD).is_file() else _records_below(folder)
     newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent if found else folder
     if found:
         say(f"{folder}: the newest run is {newest}")

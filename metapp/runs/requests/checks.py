@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from types import UnionType
 from typing import get_args, get_type_hints
 
@@ -78,3 +80,10 @@ def check_export(name: str, app: str) -> None:
         raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, forms)}")
     if missing := forms[name].missing():
         raise BadOption(missing)
+
+
+def check_new_files(paths: Iterable[Path]) -> None:
+    """A usage error where a file that is to be written is there already: it may be what was measured."""
+    for path in paths:
+        if os.path.lexists(path):
+            raise BadOption(f"{path}: is there already, expected a new file; choose another --out, or remove it.")

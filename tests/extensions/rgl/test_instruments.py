@@ -91,8 +91,7 @@ def measured(file: str | Path) -> dict[str, str]:
 def test_an_rgl_file_becomes_a_merl_table(metapp: Callable, pairs: Pairs, spectral: bool) -> None:
     name = "paint_spec.bsdf" if spectral else "paint_rgb.bsdf"
     rgl.write_rgl(name, glossy, "paint", spectral=spectral)
-    document = metapp("data", "convert", name, "--to", "merl", "--out", "merl", "--json").done
-    assert document["files"] == [{"source": name, "file": "merl/paint.binary"}]
+    assert metapp("export", name, "merl", "--json").done == {"form": "merl", "out": "merl", "tasks": ["paint"]}
     table, angles = read_merl("merl/paint.binary"), angles_of(pairs)
     assert difference(merl_evaluate(table, angles), rgl.read_rgl(Path(name))(angles)) < 0.005
     assert difference(merl_evaluate(table, angles), glossy(angles)) < 0.005
@@ -143,21 +142,21 @@ def test_a_spectral_rgl_file_is_converted_for_rgb_variants(metapp: Callable, mi:
     red, nanometres = fields.pop("rgb")[:, :, :1], np.arange(380, 781, 10, dtype=np.float32)
     band = (0.2 + np.exp(-(((nanometres - 560) / 40) ** 2))).astype(np.float32)
     write_tensor_file("felt_spec.bsdf", fields | {"wavelengths": nanometres, "spectra": red * band[:, None, None]})
-    assert metapp("data", "convert", "felt_spec.bsdf", "--to", "bsdf", "--out", "rgb").code == 0
+    assert metapp("export", "felt_spec.bsdf", "bsdf", "--out", "rgb").code == 0
     found = evaluated(mi, measured("rgb/felt.bsdf"), pairs)
     assert found[:, 1].mean() > 1.2 * found[:, 0].mean() > 1.2 * found[:, 2].mean()
     assert difference(integrated(mi, "felt_spec.bsdf", pairs), found) < 0.02
     # and back: another spectrum of the same colour
-    assert metapp("data", "convert", "rgb/felt.bsdf", "--to", "bsdf-spectral", "--out", "back").code == 0
+    assert metapp("export", "rgb/felt.bsdf", "bsdf-spectral", "--out", "back").code == 0
     assert difference(integrated(mi, "back/felt_spec.bsdf", pairs), found) < 0.005
 
 
 @pytest.mark.parametrize("kind", ["bsdf", "bsdf-spectral"])
 def test_a_merl_table_becomes_an_rgl_file(metapp: Callable, mi: Any, pairs: Pairs, kind: str) -> None:
     write_merl("paint.binary", tabulate(glossy))
-    (written,) = metapp("data", "convert", "paint.binary", "--to", kind, "--out", "rgl", "--json").done["files"]
+    (name,) = metapp("export", "paint.binary", kind, "--out", "rgl", "--json").done["tasks"]
     show = integrated if kind == "bsdf-spectral" else lambda *what: evaluated(what[0], measured(what[1]), what[2])
-    found = show(mi, written["file"], pairs)
+    found = show(mi, f"rgl/{name}.bsdf", pairs)
     assert difference(found, merl_evaluate(read_merl("paint.binary"), angles_of(pairs))) < 0.005
     assert difference(found, glossy(angles_of(pairs))) < 0.005
 
@@ -167,8 +166,7 @@ def test_networks_are_converted_and_not_with_other_files_of_the_folder_twice(met
     weights = {part: 0.1 * random.standard_normal(shape) for part, shape in SHAPES.items()}
     write_nbrdf("all/gold", weights)
     rgl.write_rgl("all/paint_rgb.bsdf", glossy, "paint")
-    files = metapp("data", "convert", "all", "--to", "merl", "--out", "merl", "--json").done["files"]
-    assert sorted(each["file"] for each in files) == ["merl/gold.binary", "merl/paint.binary"]
+    assert sorted(metapp("export", "all", "merl", "--json").done["tasks"]) == ["gold", "paint"]
     angles = angles_of((directions(500, 1), directions(500, 2)))
     angles[:, 2] %= math.pi
     both = torch.stack(
@@ -185,19 +183,23 @@ def test_what_cannot_be_converted_is_refused_in_one_line(metapp: Callable) -> No
     Path("cut.bsdf").write_bytes(Path("paint_rgb.bsdf").read_bytes()[:5000])
 
     def convert(*words: str, to: str = "merl") -> Any:
-        return metapp("data", "convert", *words, "--to", to, "--out", "out", "-q")
+        return metapp("export", words[0], to, *words[1:], "--out", "out", "-q")
 
+    assert convert("nowhere").refusal.startswith("error: nowhere: no such file, expected a run, MERL tables, RGL files")
+    assert "paint.csv: no run, expected no INPUT" in convert("paint.csv", "paint.csv").misuse
     assert convert("paint.csv").refusal.endswith(
         "fit other measurements: metapp meta brdf paint.csv --export merl,bsdf."
     )
     assert "turned.bsdf: anisotropic, expected an isotropic measurement" in convert("turned.bsdf").refusal
     assert "cut.bsdf: " in convert("cut.bsdf", to="bsdf").refusal
     assert not list(Path("out").glob("*"))
-    shutil.copy("paint_rgb.bsdf", "paint_spec.bsdf")
-    assert "of both paint_rgb.bsdf and paint_spec.bsdf" in convert("paint_rgb.bsdf", "paint_spec.bsdf").refusal
+    for name in ("paint_rgb.bsdf", "paint_spec.bsdf"):
+        Path("both").mkdir(exist_ok=True)
+        shutil.copy("paint_rgb.bsdf", f"both/{name}")
+    assert "of both both/paint_rgb.bsdf and both/paint_spec.bsdf" in convert("both").refusal
     assert convert("paint_rgb.bsdf", to="bsdf").code == 0
     assert "out/paint.bsdf: is there already" in convert("paint_rgb.bsdf", to="bsdf").misuse
-    assert "out/paint.bsdf: is what is to be converted" in convert("out/paint.bsdf", to="bsdf").refusal
+    assert "out/paint.bsdf: is there already" in convert("out/paint.bsdf", to="bsdf").misuse
 
 
 def test_spectra_of_primaries_are_reflectances_of_exactly_these_colours() -> None:
