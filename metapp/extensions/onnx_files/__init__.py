@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from metapp.door import Command, Export
+from metapp.door import Export, FileExport
 
 _HERE = "metapp.extensions.onnx_files"
 OFFERS = (
     Export("onnx", ("brdf",), f"{_HERE}.brdf:write_onnx", needs=("onnxscript", "onnx and onnxscript")),
-    Command("export-model", f"{_HERE}.commands:export_model"),
+    FileExport(("onnx", "onnx-page"), "General of photos, by a checkpoint or its name", f"{_HERE}.checkpoints:write"),
 )

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from metapp.appearance.geometry import directions_to_four_angles, half_difference_incident
 from metapp.apps.brdf.networks import network_of
-from metapp.extensions.onnx_files.models import write_model
+from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
-from metapp.storage.files import suffixed
+from metapp.storage.files import suffixed, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -49,4 +49,5 @@ def write_onnx(app: Brdf, theta: Params, path: Path) -> None:
     examples = {name: torch.nn.functional.normalize(torch.rand(16, 3) + 0.1, dim=1) for name in ("wi", "wo")}
     sizes = {name: {0: "n"} for name in examples}
     about = {"made_by": "metapp export", "of": path.name, **ABOUT}
-    write_model(Reflectance(theta), examples, ["reflectance"], sizes, about, suffixed(path, ".onnx"))
+    model = model_of(Reflectance(theta), examples, ["reflectance"], sizes, about)
+    write_atomically(suffixed(path, ".onnx"), lambda target: target.write_bytes(model))

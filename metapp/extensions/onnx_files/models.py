@@ -6,13 +6,10 @@ import importlib.util
 import logging
 import warnings
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
-
-from metapp.storage.files import write_atomically
 
 OPSET = 18
 LARGE, LARGEST = 1024, 1 << 21  # numbers of a weight that is stored in 16 bits, and in 8
@@ -29,17 +26,16 @@ def require() -> None:
         raise ValueError(f"ONNX {MISSING}.")
 
 
-def write_model(
+def model_of(
     module: torch.nn.Module,
     inputs: Mapping[str, Tensor],
     outputs: Sequence[str],
     sizes: Mapping[str, Mapping[int, Any]],
     about: Mapping[str, str],
-    path: Path,
     *,
     half: bool = False,
-) -> None:
-    """Write a module as a model.
+) -> bytes:
+    """A module as a model, the content of its file.
 
     Args:
         module: its parameters are the weights; takes the inputs in order and gives the outputs.
@@ -47,7 +43,6 @@ def write_model(
         outputs: names.
         sizes: of each input the axes of any size, as of torch.export.
         about: kept as metadata.
-        path: with its suffix.
         half: store large weights in half precision, the largest in 8 bits.
 
     Raises:
@@ -77,8 +72,8 @@ def write_model(
     for key, text in about.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, text
-    content = model.SerializeToString()
-    write_atomically(path, lambda target: target.write_bytes(content))
+    content: bytes = model.SerializeToString()
+    return content
 
 
 def _halve(graph: Any) -> None:

@@ -34,20 +34,17 @@ HOLDERS BE LIABLE FOR ANY CLAIM, DAMAGES OR OTHER LIABILITY, WHETHER IN AN ACTIO
 ARISING FROM, OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR OTHER DEALINGS IN THE SOFTWARE."""
 
 
-def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Sequence[int], *, features: bool) -> int:
+def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Sequence[int], *, features: bool) -> None:
     """Write index.html, and beside it the scripts that hold onnxruntime-web and the model; the page comes last.
 
     A page from disk may not read other files, but it may name scripts: so all that is no script is text in one.
 
     Args:
         folder: made if missing.
-        model: the ONNX file of `photographs.write_photographs`.
+        model: the ONNX file of `photographs.photographs_model`.
         parts: of `runtime.runtime`.
         sides: of the photos in px that the model takes and a user chooses from.
         features: whether it reads those of VGG-16.
-
-    Returns:
-        The bytes of all files.
 
     Raises:
         OSError: they cannot be written.
@@ -59,9 +56,7 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
     }
     for name, content in files.items():
         write_atomically(folder / name, lambda partial, content=content: partial.write_bytes(content))  # type: ignore[misc]
-    text = page_of(sides, features)
-    write_page(text, folder / "index.html")
-    return sum(map(len, files.values())) + len(text.encode())
+    write_page(page_of(sides, features), folder / "index.html")
 
 
 def packed(name: str, content: bytes) -> bytes:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import inputs_of
-from metapp.extensions.onnx_files.models import write_model
+from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
 
 OUTPUTS = ("diffuse", "specular", "roughness", "normal")
@@ -54,11 +52,11 @@ class Material(torch.nn.Module):
                 return False
 
 
-def write_photographs(app: SvbrdfNonstationary, encoder: Params, about: dict[str, str], path: Path) -> bool:
-    """Write a model.
+def photographs_model(app: SvbrdfNonstationary, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
+    """The model, the content of its file.
 
     Returns:
-        Whether it takes photographs of any size whose sides are multiples of STEP; else those of the field's alone.
+        And whether it takes photographs of any size whose sides are multiples of STEP; else those of the field's alone.
 
     Raises:
         ValueError: packages are missing.
@@ -69,5 +67,4 @@ def write_photographs(app: SvbrdfNonstationary, encoder: Params, about: dict[str
     largest = 4096 // STEP
     axes = {2 + i: STEP * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
     sizes = {"photo": axes} if any_size else {}
-    write_model(model, {"photo": torch.rand(1, 3, *shape)}, OUTPUTS, sizes, about | ABOUT, path, half=True)
-    return any_size
+    return model_of(model, {"photo": torch.rand(1, 3, *shape)}, OUTPUTS, sizes, about | ABOUT, half=True), any_size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.onnx_files import brdf, models, photographs
 from metapp.learning.task import Params
+from metapp.runs.checkpoints.shipped import shipped_path
 from tests.marked import long
 
 pytest.importorskip("onnxscript")
@@ -62,7 +64,7 @@ def test_large_weights_take_16_or_8_bits(
         layer.weight.mul_(torch.logspace(-3, 3, 32)[:, None, None, None])
         layer.weight[7] = 0
     x = torch.rand(1, 64, 8, 8, generator=Generator().manual_seed(1))
-    models.write_model(layer, {"x": x}, ["y"], {}, {}, tmp_path / "layer.onnx", half=True)
+    (tmp_path / "layer.onnx").write_bytes(models.model_of(layer, {"x": x}, ["y"], {}, {}, half=True))
     assert (tmp_path / "layer.onnx").stat().st_size == pytest.approx(layer.weight.numel() * bits / 8, rel=0.1)
     (found,) = session(tmp_path / "layer.onnx").run(["y"], {"x": x.numpy()})
     exact = layer(x).detach()
@@ -73,11 +75,11 @@ def test_large_weights_take_16_or_8_bits(
 @pytest.mark.long
 def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
     """The one that ships, on random pixels, up to weights in half precision; the command says what it takes."""
-    document = metapp("export-model", "svbrdf_nonstationary", "--out", "material.onnx", "--json").done
-    assert document["opset"] == 18
-    assert document["bytes"] < 20e6
+    done = metapp("export", "svbrdf_nonstationary", "onnx", "--json")
+    assert done.document == {"form": "onnx", "out": "onnx", "tasks": ["svbrdf_nonstationary"]}
+    assert re.search(r"onnx: [34]\.\d MB of ONNX, opset 18, takes photos of 256 x 256 px", done.err)
     photo = torch.rand(1, 3, 256, 256, generator=Generator().manual_seed(5)) ** 2
-    found = session(Path("material.onnx")).run(list(photographs.OUTPUTS), {"photo": photo.numpy()})
+    found = session(Path("onnx/svbrdf_nonstationary.onnx")).run(list(photographs.OUTPUTS), {"photo": photo.numpy()})
     exact = _maps(photo)
     for name, values, expected in zip(photographs.OUTPUTS, found, exact, strict=True):
         assert np.abs(values - expected.numpy()).mean() < 1e-3, name
@@ -95,8 +97,17 @@ def _maps(photo: Tensor) -> tuple[Tensor, ...]:
 
 
 def test_what_cannot_be_written_is_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "expected svbrdf_nonstationary" in metapp("export-model", "texture").misuse
-    Path("material.onnx").touch()
-    assert "--overwrite" in metapp("export-model", "svbrdf_nonstationary").misuse
+    general = shipped_path("svbrdf_nonstationary", "general-photo", "pretrained", "photo")
+    assert "expected a run, a checkpoint of General of photos, or svbrdf_n" in metapp("export", "texture", "onnx").error
+    assert "--recipe 'none'" in metapp("export", "svbrdf_nonstationary/none", "onnx").misuse
+    other = shipped_path("texture", "general")
+    assert (
+        "a checkpoint of texture general, expected svbrdf_nonstationary general"
+        in metapp("export", other, "onnx").error
+    )
+    for name in ("general-photo", "svbrdf_nonstationary-pretrained"):
+        Path(f"{name}.onnx").touch()
+    for path in (general, "svbrdf_nonstationary/pretrained"):
+        assert ".onnx: is there already" in metapp("export", path, "onnx", "--out", ".").misuse
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert "pip install" in metapp("export-model", "svbrdf_nonstationary", "--overwrite").error
+    assert "pip install" in metapp("export", "svbrdf_nonstationary", "onnx").error

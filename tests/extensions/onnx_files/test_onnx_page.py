@@ -177,13 +177,13 @@ def test_the_runtime_is_fetched_once_and_compared(cache: Path, tmp_path: Path, m
 
 def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("onnxscript")
-    (Path("page")).mkdir()
-    (Path("page") / "index.html").touch()
-    assert "--overwrite" in metapp("export-model", "svbrdf_nonstationary", "--page", "page").misuse
+    Path("page").mkdir()
+    Path("page/index.html").touch()
+    words = ("export", "svbrdf_nonstationary", "onnx-page")
+    assert "page/index.html: is there already" in metapp(*words, "--out", "page").misuse
     monkeypatch.setattr(runtime, "URL", Path("none.tgz").absolute().as_uri())
-    refused = metapp("export-model", "svbrdf_nonstationary", "--page", "page", "--overwrite").refusal
-    assert "expected onnxruntime-web" in refused
-    assert not Path("material.onnx").exists()
+    assert "expected onnxruntime-web" in metapp(*words).refusal
+    assert not Path("onnx-page").exists()
 
 
 @pytest.mark.slow
@@ -194,15 +194,16 @@ def test_the_page_computes_what_python_does(metapp: Callable, browser: Any, tmp_
         pytest.skip(f"METAPP_RUNTIME names no folder with {runtime.ARCHIVE}")
     (Path(os.environ["METAPP_CACHE"]) / runtime.ARCHIVE).write_bytes((Path(folder) / runtime.ARCHIVE).read_bytes())
     ort = pytest.importorskip("onnxruntime")
-    document = metapp("export-model", "svbrdf_nonstationary", "--page", "page", "--json").done
-    assert document["page_bytes"] < 10e6
+    for kind in ("onnx", "onnx-page"):
+        assert metapp("export", "svbrdf_nonstationary", kind).code == 0
+    assert sum(file.stat().st_size for file in Path("onnx-page").iterdir()) < 10e6
     pixels = photo(tmp_path / "a.png", 256, 256)
-    opened = Opened(browser, Path("page"))
+    opened = Opened(browser, Path("onnx-page"))
     opened.says("Ready.", 120)
     opened.choose(tmp_path / "a.png")
     opened.says("maps of 256 x 256 px", 240)
     found = opened.maps()
-    session = ort.InferenceSession("material.onnx", providers=["CPUExecutionProvider"])
+    session = ort.InferenceSession("onnx/svbrdf_nonstationary.onnx", providers=["CPUExecutionProvider"])
     expected = session.run(list(MAPS), {"photo": np.float32(pixels.transpose(2, 0, 1)[None]) / np.float32(255)})
     for name, values in zip(MAPS, expected, strict=True):
         np.testing.assert_allclose(found[name], values[0], atol=1e-3)

@@ -1,0 +1,82 @@
+"""General of flash photographs, of a checkpoint, as an ONNX model or as a page that runs it in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.extensions.onnx_files.models import OPSET, require
+from metapp.extensions.onnx_files.page import SIDES, write_folder
+from metapp.extensions.onnx_files.photographs import FEATURES, STEP, photographs_model
+from metapp.extensions.onnx_files.runtime import VERSION, runtime
+from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints.shipped import FULL
+from metapp.runs.reporter import progress, say
+from metapp.runs.requests.checks import check_new_files
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
+from metapp.storage.files import write_atomically
+from metapp.storage.records import load_checkpoint
+
+APP, PAGE = "svbrdf_nonstationary", "onnx-page"
+
+
+def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
+    """Write <folder>/<name>.onnx, or the page <folder>/index.html with what it needs beside it.
+
+    Args:
+        path: a checkpoint, or the name of one that ships: svbrdf_nonstationary, or with a recipe
+            svbrdf_nonstationary/pretrained.
+        kind: onnx or onnx-page.
+        folder: where to.
+        quiet: no messages.
+
+    Raises:
+        ValueError: no checkpoint of that General; packages, or the browser's part, cannot be had.
+        BadOption: the file is there already.
+    """
+    request = _request(path)
+    file = folder / ("index.html" if kind == PAGE else f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx")
+    check_new_files([file])
+    require()
+    parts = _runtime(quiet) if kind == PAGE else {}
+    found = find_checkpoint(plan(request))
+    app, checkpoint = found.app, found.checkpoint
+    assert isinstance(app, SvbrdfNonstationary)
+    assert checkpoint is not None
+    about = {"made_by": "metapp export", "recipe": request.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
+    if reads_features := bool(app.conditions()):
+        about |= {"features": FEATURES, "license": f"MIT; of the features: {FEATURES}"}
+    model, any_size = photographs_model(app, checkpoint.prepared.encoder, about)
+    side = app.field.height
+    if kind == PAGE:
+        write_folder(folder, model, parts, SIDES if any_size else (side,), features=reads_features)
+    else:
+        write_atomically(file, lambda target: target.write_bytes(model))
+    if not quiet:
+        sizes = f"whose sides are multiples of {STEP}" if any_size else f"of {side} x {side}"
+        say(f"{file}: {len(model) / 1e6:.1f} MB of ONNX, opset {OPSET}, takes photos {sizes} px")
+    return [file]
+
+
+def _request(path: Path) -> Request:
+    """General of the checkpoint that a file is, or that ships by a name."""
+    if path.is_file():
+        about = load_checkpoint(path)[1]
+        return _general(str(about.get("recipe", FULL)) if about.get("app") == APP else FULL, path)
+    app, *recipe = path.parts
+    if app != APP or len(recipe) > 1:
+        raise ValueError(
+            f"{path}: no such file, expected a run, a checkpoint of General of photos, or {APP} or {APP}/RECIPE, by "
+            "which one ships."
+        )
+    return _general(recipe[0] if recipe else FULL)
+
+
+def _general(recipe: str, checkpoint: Path | None = None) -> Request:
+    return Request(APP, "general", recipe=recipe, observe="photo", checkpoint=checkpoint, quiet=True)
+
+
+def _runtime(quiet: bool) -> dict[str, bytes]:
+    with progress(f"onnxruntime-web {VERSION}", quiet=quiet) as bar:
+        return runtime(lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm"))
