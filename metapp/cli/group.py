@@ -11,12 +11,24 @@ from typer.core import TyperGroup, TyperOption
 
 from metapp import door
 
+ORDER = (  # of commands in help: first what a user does first, commands of other packages last
+    *("try", "examples", "general", "overfit", "finetune", "quickft", "meta", "evaluate"),
+    *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
+    # of data, readers by the application
+    *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
+    *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
+)
+
 _type_of = TyperOption.display_type_rich  # help shows that of flags as <bool>, without a setting for it
 TyperOption.display_type_rich = lambda self, ctx: None if self.is_flag else _type_of(self, ctx)  # type: ignore[method-assign]
 
 
 class Group(TyperGroup):
-    """A group that knows of which extension a command is that is left out."""
+    """A group that lists commands by ORDER, and knows of which extension a command is that is left out."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of all commands."""
+        return sorted(self.commands, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is named; a usage error names the extension that has it."""

@@ -1,11 +1,17 @@
 """Messages on a terminal, and help."""
 
+from __future__ import annotations
+
 import os
+import re
 import sys
+from collections.abc import Callable
 
 import pytest
+import typer
 
 from metapp.cli.console import run
+from metapp.cli.group import ORDER, Group
 from metapp.cli.terminal import Terminal
 
 
@@ -41,3 +47,12 @@ def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
     with pytest.raises(SystemExit) as ended:
         run(lambda: sys.exit(0))
     assert ended.value.code == 0
+
+
+def test_help_lists_commands_in_the_order_of_their_use_and_those_of_other_packages_last(metapp: Callable) -> None:
+    listed = [re.findall(r"^│ ([a-z][a-z-]*)", metapp(*words, "--help").out, re.MULTILINE) for words in ([], ["data"])]
+    names = [*listed[0], *listed[1]]
+    assert names == [*ORDER]
+    assert (len(listed[0]), len(listed[1]), listed[1][0]) == (15, 18, "synth")
+    group = Group(commands={name: typer.main.get_command(typer.Typer(callback=print)) for name in ("mine", "meta")})
+    assert group.list_commands(None) == ["meta", "mine"]
