@@ -14,7 +14,7 @@ FOV = Option(
     low=0.0,
     high=150.0,
 )
-FIT_FOV = FOV_OF_FITS._replace(help="Camera field of view along the shorter side; default: from EXIF, else 45.")
+FIT_FOV = FOV_OF_FITS._replace(help="Field of view, shorter side; default: EXIF's, else 45.")
 NORMALS = Option(
     "normals",
     "auto",
@@ -22,12 +22,11 @@ NORMALS = Option(
     "field could have it.",
     choices=("opengl", "directx", "auto"),
 )
-GAMMA = Option("gamma", 1.0, "How all tiles but the normals are encoded; 1 is linear.", "G", low=0.1, high=10)
+GAMMA = Option("gamma", 1.0, "Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)
 WHITE = Option(
     "white",
     1.35,
-    "How bright white would be right below the flash, 1 where the photographs clip; they are made that much darker. "
-    "The default is that of the published ones.",
+    "How bright white would be right below the flash, where 1 clips; that of the published ones by default.",
     "W",
     low=0.01,
     high=100,
@@ -36,8 +35,8 @@ WHITE = Option(
 PREDICTED = Option(
     "predicted",
     "",
-    "Maps that another method predicts of the photographs, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for "
-    "the table of baselines; where they show the middle alone, so do the tasks.",
+    "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; where "
+    "they show the middle alone, so do the tasks.",
     "FOLDER",
 )
 
@@ -90,11 +89,10 @@ MAPS_SPLIT = (
 
 STRIPS = """Convert strips, images of five squares: flash photograph, normal, diffuse, roughness, specular.
 
-As Deschaintre et al. 2018 publish theirs: linear, normals with y up. Each becomes maps and photograph of --size. A
-bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
-
-The base materials are told by <number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a
-material of its own. Where base materials cannot be parted, since all are blended with all, their presets are.
+As Deschaintre et al. 2018 publish theirs: linear, normals with y up. A bad file that was named ends the conversion
+and nothing is written; one found in a folder is skipped with a warning. Base materials are told by
+<number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a material of its own. Where base
+materials cannot be parted, since all are blended with all, their presets are.
 
 Examples:
   metapp data strips DeepMaterialsData/trainBlended --out svbrdf
@@ -102,8 +100,8 @@ Examples:
   metapp data strips strips --predicted maps --split test --out svbrdf
 """
 STRIPS_SPLIT = (
-    "Where the tasks belong. auto: no base material on both sides, a fifth or more for tests; what blends materials of "
-    "both sides is left out."
+    "Where the tasks belong. auto: no base material on both sides, a fifth or more for tests; blends of both sides "
+    "are left out."
 )
 
 OFFERS = (

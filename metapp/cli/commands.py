@@ -13,11 +13,11 @@ from metapp.cli.group import Group, add_commands
 from metapp.runs.reporter import say
 
 SUMMARIES = {
-    "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
-    "overfit": "Train the network on each task alone, from a random initialisation, until it has converged.",
-    "finetune": "Start from General's result and take about a tenth of Overfit's steps.",
-    "quickft": "Start from General's result and take as many Adam steps as Meta takes.",
-    "meta": "A few steps of a learned update rule from a learned initialisation.",
+    "general": "One forward pass of an encoder trained over all tasks.",
+    "overfit": "Train on each task alone, from a random initialisation.",
+    "finetune": "A tenth of Overfit's steps, from General's result.",
+    "quickft": "As many Adam steps as Meta takes, from General's result.",
+    "meta": "A few steps of a learned rule from a learned initialisation.",
 }
 
 app = typer.Typer(

@@ -79,7 +79,7 @@ class Evaluation:
         str,
         typer.Option(
             autocompletion=completion.recipes,
-            help="quick, full, paper, or another recipe of APP. Where no APP is named, quick for those that lack it.",
+            help="quick, full, paper, or another of APP; quick for those that lack it.",
         ),
     ] = "quick"
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0

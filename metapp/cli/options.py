@@ -16,7 +16,7 @@ from metapp import door
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]
 FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of standard output.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the last line of output.")]
 Options = TypeVar("Options")
 Result = TypeVar("Result")
 

@@ -181,7 +181,7 @@ class Synthetic(NamedTuple):
     Attributes:
         app: the application of its tasks.
         module: that draws them, as `metapp.runs.inputs.embedded` says.
-        help: a paragraph for `metapp data synth --help`.
+        help: a few words for `metapp data synth --help`: kinds, size of a task, training + test tasks.
         options: that `synthetic_tasks` takes as keywords.
         files: other forms that it can be written in: the value of --as, `write(folder, split, count, seed) -> names` of
             files as they are written, and a file's bytes.

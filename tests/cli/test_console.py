@@ -56,3 +56,13 @@ def test_help_lists_commands_in_the_order_of_their_use_and_those_of_other_packag
     assert (len(listed[0]), len(listed[1]), listed[1][0]) == (15, 18, "synth")
     group = Group(commands={name: typer.main.get_command(typer.Typer(callback=print)) for name in ("mine", "meta")})
     assert group.list_commands(None) == ["meta", "mine"]
+
+
+def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    data = ORDER.index("synth")
+    for words in ([], ["data"], *([name] for name in ORDER[:data]), *(["data", name] for name in ORDER[data:])):
+        shown = metapp(*words, "--help").out.strip("\n")
+        assert len(shown.splitlines()) <= 40, words
+    assert "Of all random draws. Default: 0." in metapp("data", "cornell", "--help").out
+    assert "Folder to write to; made if missing. Required." in metapp("data", "merl", "--help").out

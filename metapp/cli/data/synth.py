@@ -35,7 +35,7 @@ def synth(
             metavar="DIR",
             callback=check_folder,
             show_default="the user's cache",
-            help="Folder to write to; made if missing. All commands look in the cache, which METAPP_CACHE moves.",
+            help="Folder to write to; made if missing.",
         ),
     ] = None,
     count: Annotated[
@@ -118,7 +118,7 @@ def _write_files(
 synth.__doc__ = "\n\n".join(
     [
         str(synth.__doc__),
-        *(f"{offer.app}: {offer.help}" for offer in door.offers(door.Synthetic)),
+        "\n".join(["Sets:", *(f"  {offer.app}: {offer.help}" for offer in door.offers(door.Synthetic))]),
         "Examples:\n  metapp data synth brdf\n  metapp data synth brdf --count 10 --seed 1 --as merl --out materials",
     ]
 )

@@ -51,12 +51,12 @@ OPTIONS: Document = {
     "checkpoint": typer.Option(
         metavar="FILE",
         rich_help_panel=FIT,
-        help="Checkpoint, or folder of trained ones; default: the one that ships.",
+        help="Checkpoint, or a folder of these; default: what ships.",
     ),
     "train": typer.Option(
         "--train",
         rich_help_panel=FIT,
-        help="Train first, on the training tasks of --data, from --checkpoint if given.",
+        help="Train first, on --data, from --checkpoint if given.",
     ),
     "train_steps": typer.Option(
         metavar="N", min=1, rich_help_panel=FIT, help="Outer training steps; default: the recipe's."
@@ -82,7 +82,7 @@ OPTIONS: Document = {
         metavar="N",
         min=1,
         rich_help_panel=FIT,
-        help="Fit N inputs in parallel; the same command resumes the run; failures are listed.",
+        help="Fit N inputs in parallel; resume a run; list failures.",
     ),
 }
 JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
