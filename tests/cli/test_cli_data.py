@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_tools.readers.nbrdf import SHAPES
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
 from tests.conftest import Result
@@ -25,12 +25,10 @@ def gold(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def make_network(folder: Path) -> Path:
-    folder.mkdir(parents=True)
-    rng = np.random.default_rng(0)
-    for part, shape in SHAPES.items():
-        np.save(folder / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
-    return folder
+@pytest.fixture
+def network_at(network: Path) -> Callable[..., Path]:
+    """Copies a network to a place."""
+    return lambda *place: Path(shutil.copytree(network, Path(*place)))
 
 
 # What works
@@ -49,9 +47,9 @@ def test_merl_files_become_a_data_set(metapp: Callable, gold: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_spheres")
-def test_networks_become_a_data_set_split_by_the_rule(metapp: Callable) -> None:
+def test_networks_become_a_data_set_split_by_the_rule(metapp: Callable, network_at: Callable) -> None:
     for name in ("tin", "brass", "sub/gold", "felt", "sub/wood", "ink"):
-        make_network(Path("in", name))
+        network_at("in", name)
     result = metapp("data", "nbrdf", "in", "in/tin", "--out", "new/out", *FEW, "--json")
     train = result.done.pop("train")
     assert sorted(train) == ["brass", "felt", "gold", "ink", "wood"]
@@ -86,11 +84,11 @@ def test_check_says_what_a_set_holds_and_what_is_wrong(metapp: Callable, gold: P
 # What does not: data is exit code 1 with one line, usage is 2
 
 
-def test_bad_inputs_are_one_line_and_write_nothing(metapp: Callable, gold: Path) -> None:
+def test_bad_inputs_are_one_line_and_write_nothing(metapp: Callable, gold: Path, network_at: Callable) -> None:
     """What is wrong with a file, tests/readers hold; here, what a command makes of it."""
     for name in ("bad", "worse"):
-        np.save(make_network(Path("in", name)) / "b3.npy", np.full(3, np.nan, np.float32))
-    same = [make_network(Path(name, "gold")) for name in ("c", "d")]
+        np.save(network_at("in", name) / "b3.npy", np.full(3, np.nan, np.float32))
+    same = [network_at(name, "gold") for name in ("c", "d")]
     for words, message in (
         (("merl", gold, "none.binary"), "none.binary: no such file"),
         (("nbrdf", "in/bad", same[0]), "b3.npy: holds NaN"),
@@ -113,6 +111,7 @@ synth brdf --count 0               | '--count':
 synth glass                        | 'glass' has no embedded data set, expected one of brdf
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
 synth brdf --as merl               | expected a folder for the merl files
+synth brdf --as merl --out merl    | merl/test: is there already
 cornell --out out --count 0        | '--count':
 images in --out out --size x        | valid integer
 strips in --out out --gamma 0       | '--gamma':
@@ -120,18 +119,19 @@ maps in --out out --normals left    | '--normals':
 """
 
 
-def test_bad_usage(metapp: Callable) -> None:
-    make_network(Path("in"))
+def test_bad_usage(metapp: Callable, network_at: Callable) -> None:
+    network_at("in")
     Path("file").write_text("")
+    Path("merl/test").mkdir(parents=True)
     for words, message in (line.split(" | ") for line in BAD_USAGE.strip().splitlines()):
         assert message.strip() in metapp("data", *words.split()).misuse, words
     assert not Path("out").exists()
 
 
 @pytest.mark.usefixtures("small_spheres")
-def test_join_keeps_each_task_in_its_split(metapp: Callable) -> None:
+def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callable) -> None:
     for split, name in (("train", "tin"), ("test", "ink")):
-        made = metapp("data", "nbrdf", make_network(Path(name)), "--out", split, "--split", split, *FEW)
+        made = metapp("data", "nbrdf", network_at(name), "--out", split, "--split", split, *FEW)
         assert made.code == 0
 
     def join(*sets: str) -> Result:

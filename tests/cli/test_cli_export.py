@@ -105,9 +105,7 @@ def test_a_run_behind_a_link_is_not_the_newest(metapp: Callable, run: Path) -> N
     assert not (run / "nbrdf").exists()
 
 
-def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
-    (run / "params" / "m0.safetensors").write_bytes(b"hello")
-    assert "m0.safetensors: fitted parameters not readable" in metapp("export", run, "merl").refusal
+def test_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
     lines = [json.loads(line) for line in (run / "record.jsonl").read_text().splitlines()]
     lines[0]["settings"]["recipe"] = "other"
     (run / "record.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))

@@ -34,9 +34,9 @@ def material(folder: Path, name: str = "rock", tilt: int = 0, without: str = "")
     return folder
 
 
-def splits(out: Path | str = OUT) -> dict[str, str]:
-    assert check_shard(Path(out)) == []
-    return {entry.name: entry.split for entry in read_manifest(Path(out)).tasks}
+def splits() -> dict[str, str]:
+    assert check_shard(OUT) == []
+    return {entry.name: entry.split for entry in read_manifest(OUT).tasks}
 
 
 def shapes_of(split: str, app: str) -> dict[str, tuple[int, ...]]:
@@ -59,7 +59,6 @@ def test_photographs_become_texture_tasks(metapp: Callable) -> None:
     result = metapp("data", "images", IN / "bark.png", "--out", OUT, "--split", "test", "--size", "64", "--overwrite")
     assert result == (0, "", "texture: 0 train + 1 test tasks in out\n")
     assert shapes_of("test", "texture") == {"image": (3, 64, 64)}
-    assert metapp("data", "images", IN / "bark.png", "--out", "quiet", "--quiet") == (0, "", "")
 
 
 def test_environment_maps_become_a_data_set(metapp: Callable) -> None:
@@ -72,8 +71,6 @@ def test_environment_maps_become_a_data_set(metapp: Callable) -> None:
     assert splits()["e"] == "test"
     assert read_manifest(OUT).notes == {"made_by": "metapp data laval", "rows": 64, "split": "auto"}
     assert shapes_of("test", "illumination") == {"map": (3, 64, 128), "scale": (), "photos": (4, 3, 64, 64)}
-    assert metapp("data", "laval", IN / "a.exr", "--out", "one", "--split", "test", "--quiet") == (0, "", "")
-    assert splits("one") == {"a": "test"}
 
 
 def test_flash_photographs_are_split_by_material(metapp: Callable) -> None:
@@ -88,9 +85,6 @@ def test_flash_photographs_are_split_by_material(metapp: Callable) -> None:
     assert document["skipped"] == []
     assert read_manifest(OUT).notes == {"made_by": "metapp data flash", "size": 32, "split": "auto"}
     assert {task.data["image"].shape for task in read_shard(OUT)} == {(3, 32, 32)}
-    for split in ("train", "test"):
-        metapp("data", "flash", IN, "--out", OUT, "--split", split, "--overwrite")
-        assert set(splits().values()) == {split}
 
 
 # Strips and maps of materials
@@ -114,7 +108,6 @@ def test_strips_become_a_data_set(metapp: Callable) -> None:
     assert manifest.notes == {"made_by": "metapp data strips", **notes}
     assert {entry.name: entry.group for entry in manifest.tasks}["14_b4Xa4_2Xdefault"] == "a4"
     assert shapes_of("test", "svbrdf_nonstationary") == {"maps": (10, 32, 32), "photo": (3, 32, 32)}
-    assert "no problems" in metapp("data", "check", OUT).out
 
 
 def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable) -> None:
@@ -163,4 +156,3 @@ def test_maps_of_materials_become_a_data_set(metapp: Callable) -> None:
     assert manifest.notes == {"made_by": "metapp data maps", "size": 32, "normals": "auto", "split": "auto"}
     groups = {entry.name: entry.group for entry in manifest.tasks}
     assert groups["rock0"] == groups["variant"] != groups["rock1"]
-    assert metapp("data", "join", OUT, OUT, "--out", "twice").code == 1  # the same names

@@ -12,8 +12,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.tables.results import closing
-from metapp.runs.checkpoints.finding import checkpoint_name
-from metapp.storage.records import load_checkpoint, read_records
+from metapp.storage.records import load_checkpoint
 from tests.quick import app_by
 
 SVBRDF = "svbrdf_nonstationary"
@@ -27,15 +26,6 @@ def on_data(metapp: Callable, short_by_protocol: Callable) -> Callable:
     short_by_protocol(RECIPES, SvbrdfNonstationary(field, encoder_width=2), SvbrdfNonstationary(field, encoder_width=2))
     assert metapp("data", "synth", SVBRDF, "--count", "10", "--size", "32", "--out", "set", "--quiet").code == 0
     return lambda command, *more: metapp(command, SVBRDF, *more, "--recipe", "quick", "--data", "set")
-
-
-def test_a_fit_says_what_it_saw(on_data: Callable) -> None:
-    documents = {observe: on_data("overfit", "--observe", observe, "--json").done for observe in ("reference", "photo")}
-    assert {document["observe"] for document in documents.values()} == documents.keys()
-    assert documents["reference"]["error"] != documents["photo"]["error"]
-    folders = {observe: Path(document["out"]) for observe, document in documents.items()}
-    assert folders["photo"].name == folders["reference"].name.replace("-reference", "-photo")
-    assert read_records(folders["photo"] / "record.jsonl")[0]["settings"]["observe"] == "photo"
 
 
 def test_protocols_share_general_and_nothing_else(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,13 +46,6 @@ def test_protocols_share_general_and_nothing_else(on_data: Callable, monkeypatch
     assert "tuned Adam" in on_data("quickft", "--observe", "photo", "--checkpoint", folder).err
     other = on_data("quickft", "--checkpoint", folder).err
     assert f"metapp quickft {SVBRDF} --train --observe reference --data" in other
-
-
-def test_only_the_first_protocol_takes_the_starts_without_a_name() -> None:
-    for observe, suffix in (("reference", ""), ("photo", "-photo")):
-        under = app_by(SVBRDF, protocol=observe)
-        assert checkpoint_name(under, "general") == "general"
-        assert checkpoint_name(under, "meta-basis") == f"meta-basis{suffix}"
 
 
 def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:

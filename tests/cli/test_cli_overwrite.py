@@ -30,6 +30,7 @@ FILES = {
     "compare": "compare {run} {run} --quiet --out",
     "plan": "plan brdf --samples 2 --quiet --out",
     "markers": "data markers",
+    "report": "evaluate brdf --no-run --quiet --report",
 }
 
 
@@ -37,14 +38,16 @@ FILES = {
 def test_a_file_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path, command: str) -> None:
     if "markers" in command:
         pytest.importorskip("cv2")
-    out = Path("out.pdf")
-    out.write_text("mine")
+    file = out = Path("out.pdf")
+    if "report" in command:
+        out, file = Path("."), Path("index.md")
+    file.write_text("mine")
     words = command.format(run=runs / "run").split()
     refused = metapp(*words, out)
-    assert "out.pdf: is there already, expected a new file; add --overwrite to replace it" in refused.misuse
-    assert out.read_text() == "mine"
+    assert f"{file}: is there already, expected a new file; add --overwrite to replace it" in refused.misuse
+    assert file.read_text() == "mine"
     assert metapp(*words, out, "--overwrite").code == 0
-    assert out.read_bytes() != b"mine"
+    assert file.read_bytes() != b"mine"
 
 
 SETS = {
@@ -68,12 +71,6 @@ def test_a_data_set_is_replaced_by_overwrite_alone(metapp: Callable[..., Result]
     assert {path.name: path.read_bytes() for path in Path("set").iterdir()} == before
     assert metapp(*words, "--overwrite").code == 0
     assert not Path("set/manifest.json").read_text().endswith(" ")
-
-
-def test_files_of_an_embedded_set_are_replaced_by_overwrite_alone(metapp: Callable[..., Result]) -> None:
-    Path("materials/test").mkdir(parents=True)
-    words = ("data", "synth", "brdf", "--count", 2, "--as", "merl", "--out", "materials")
-    assert "materials/test: is there already" in metapp(*words).misuse
 
 
 @pytest.mark.parametrize(

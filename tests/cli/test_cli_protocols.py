@@ -26,6 +26,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.networks.field import LocalField
 from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
+from metapp.storage.records import read_records
 from tests.marked import long
 from tests.pictures import write_planes
 
@@ -140,6 +141,8 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     fit = ("overfit", app, "--observe", "photo", "--json")
     document = metapp(*fit, photo).done
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
+    assert document["out"].endswith("-photo")
+    assert read_records(Path(document["out"]) / "record.jsonl")[0]["settings"]["observe"] == "photo"
     made = Path(document["out"]) / "outputs" / "photo"
     more = {"confidence.png"} if app == "illumination" else set()
     assert {path.name for path in made.iterdir()} == APPS[app].files | more

@@ -1,11 +1,14 @@
-"""Messages on a terminal, and help."""
+"""Messages on a terminal, help and completion."""
 
 from __future__ import annotations
 
+import io
 import os
 import re
+import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import typer
@@ -13,6 +16,9 @@ import typer
 from metapp.cli.console import run
 from metapp.cli.group import ORDER, Group
 from metapp.cli.terminal import Terminal
+
+# names are printed as they are, whatever they look like: markup, emoji codes
+NAMES = ("bad:x:b.csv", "[red]a[/red].csv", "[/].csv", ":smile:.csv")
 
 
 def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,3 +72,34 @@ def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pyte
         assert len(shown.splitlines()) <= 40, words
     assert "Of all random draws. Default: 0." in metapp("data", "cornell", "--help").out
     assert "Folder to write to; made if missing. Required." in metapp("data", "merl", "--help").out
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("command", ["meta brdf", "data check", "meta brdf --export", ""])
+def test_a_name_in_an_error_line_is_as_it_was_given(metapp: Callable, command: str, name: str) -> None:
+    if "/" not in name:
+        Path(name).write_text("theta\n1\n")
+    assert name in metapp(*command.split(), name).err
+
+
+def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", drawn)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    shown = Terminal()
+    with shown.bar(NAMES[0], 2, 0, False) as bar:
+        bar.advance(NAMES[1])
+        shown.say(NAMES[3])
+    assert all(name in drawn.getvalue() for name in (NAMES[0], NAMES[1], NAMES[3]))
+
+
+def test_completion_imports_nothing_large() -> None:
+    lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
+    lines += "    print({'torch', 'mitsuba', 'numpy', 'rich.console'} & sys.modules.keys())"
+    line = {"_METAPP_COMPLETE": "complete_bash", "COMP_WORDS": "metapp meta brdf --recipe ", "COMP_CWORD": "4"}
+    done = subprocess.run(
+        [sys.executable, "-c", lines], capture_output=True, text=True, env=os.environ | line, check=True
+    )
+    *words, imported = done.stdout.splitlines()
+    assert {"quick", "full", "few"} <= set(words)
+    assert imported == "set()"

@@ -48,7 +48,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     if reads_features := bool(app.conditions()):
         about |= {"features": FEATURES, "license": f"MIT; of the features: {FEATURES}"}
     model, any_size = photographs_model(app, checkpoint.prepared.encoder, about)
-    side = app.field.height
+    side = app.network.height
     if kind == PAGE:
         write_folder(folder, model, parts, SIDES if any_size else (side,), features=reads_features)
     else:

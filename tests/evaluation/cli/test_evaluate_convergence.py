@@ -12,11 +12,8 @@ from metapp.evaluation.notes import carried
 from metapp.evaluation.rows import blank, paper
 from metapp.evaluation.tables.convergence import (
     FURTHER,
-    PARTS,
-    curve_steps,
     named,
     near,
-    path_steps,
     project,
     project_paths,
     steps_needed,
@@ -51,14 +48,6 @@ def test_further_steps_are_counted_until_one_is_near() -> None:
     assert near(-3.97, -4.0)  # lower is better, also below 0
     assert not near(-3.95, -4.0)
     assert near(-4.5, -4.0)
-
-
-def test_curves_and_paths_hold_the_start_and_the_end() -> None:
-    for steps in (1, 8, 10, 15, 1000, 20_000):
-        assert {0, steps} <= curve_steps(steps)
-        assert {0, steps} <= path_steps(steps)
-        assert {round(part * steps) for part in PARTS} <= curve_steps(steps)
-        assert max(curve_steps(steps) | path_steps(steps)) == steps
 
 
 def test_the_plane_of_most_variance_keeps_distances_within_it(rng: torch.Generator) -> None:

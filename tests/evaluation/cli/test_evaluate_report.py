@@ -71,16 +71,3 @@ def test_a_report_of_nothing_has_the_papers_figures(evaluate: Callable, tmp_path
     text = (tmp_path / "report" / "index.md").read_text()
     assert "| brdf | meta | - | - | - | 0.720 |" in text
     assert "brdf-curves" not in text
-
-
-@pytest.mark.parametrize(("option", "file"), [("--report", "index.md"), ("--figures", "brdf-plane.png")])
-def test_files_that_are_there_are_replaced_by_overwrite_alone(
-    evaluate: Callable, tmp_path: Path, option: str, file: str
-) -> None:
-    mine = tmp_path / "out" / file
-    mine.parent.mkdir()
-    mine.write_text("mine")
-    words = ("--no-run", option, mine.parent, "--quiet")
-    assert f"{mine}: is there already, expected a new file; add --overwrite" in evaluate(*words).misuse
-    assert mine.read_text() == "mine"
-    assert evaluate(*words, "--overwrite").code == 0
