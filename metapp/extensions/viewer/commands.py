@@ -87,8 +87,7 @@ def try_all(
     """
     begin = time.perf_counter()
     from metapp.apps import app_names
-    from metapp.extensions.viewer.trying import try_app
-    from metapp.extensions.viewer.viewing import view_page
+    from metapp.extensions.viewer.viewing import try_app, view_page
     from metapp.runs import BadOption
     from metapp.runs.requests.checks import check_name
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -10,13 +11,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
+from data_tools.synthetic.examples import EXAMPLES, write_example
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
+from metapp.runs.fits.execution import execute
 from metapp.runs.outputs.recorded import Recorded, plan_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.requests.naming import factor_of, title_of
+from metapp.runs.requests.plan import plan
+from metapp.runs.requests.request import Request
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
@@ -28,6 +33,7 @@ if TYPE_CHECKING:
 
 MOST = 20  # tasks of a page, unless it says otherwise
 PAGE = "view.html"
+INPUTS = "inputs"  # the folder of those of `metapp try`
 
 
 class FitOfRun(NamedTuple):
@@ -178,3 +184,27 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
         shown = shown_of(fit.app, fit.settings["paradigm"], record, fit.parameters, fit.task)
     page = html(document(f"metapp: {title}", [Group(fit.name, title, [shown])]))
     return write_page(page, Path(os.fsdecode(path or f"{file_name(fit.name)}.html")))
+
+
+def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
+    """Write an input of an application into `out` and fit it by Meta, its run in the same folder.
+
+    Args:
+        app: the application.
+        out: folder of inputs and runs.
+        recipe: of the fit; "" for the application's own.
+
+    Returns:
+        The run's folder; application, name, error, seconds of inference, and those that all of it took.
+
+    Raises:
+        ValueError: a folder that cannot be written to; no such recipe, no checkpoint.
+    """
+    begin = time.perf_counter()
+    source = write_example(app, out / INPUTS)[0]
+    request = Request(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True)
+    run = execute(plan(request))
+    assert run is not None  # of several ranks only
+    (fit,) = run.records
+    told = {key: fit[key] for key in ("name", "error", "seconds")}
+    return run.folder.path, {"app": app, **told, "whole_seconds": time.perf_counter() - begin}

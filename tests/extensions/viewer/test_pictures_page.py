@@ -22,7 +22,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
 from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.pages import transport as pages
-from metapp.extensions.viewer.pages.texture import QUILTED
+from metapp.extensions.viewer.pages.flat import QUILTED
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task

@@ -13,9 +13,8 @@ import pytest
 
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
-from metapp.extensions.viewer.trying import try_app
 from metapp.extensions.viewer.view import View
-from metapp.extensions.viewer.viewing import PAGE
+from metapp.extensions.viewer.viewing import PAGE, try_app
 from metapp.learning.task import Params, Task
 from metapp.runs.inputs.sources import Source
 
@@ -193,7 +192,7 @@ def test_what_cannot_be_fitted_is_left_out_of_all(
             raise ValueError(f"{app} needs weights")
         return try_app(app, out, recipe)
 
-    monkeypatch.setattr("metapp.extensions.viewer.trying.try_app", without)
+    monkeypatch.setattr("metapp.extensions.viewer.viewing.try_app", without)
     told = metapp("try")
     assert told.code == 0
     assert "warning: texture is left out: texture needs weights" in told.err
