@@ -7,7 +7,7 @@ _HERE = "metapp.extensions.capture"
 _EXPOSURES = Option(
     "exposures",
     "",
-    "Exposure times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
+    "Exposure times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60; auto: of EXIF.",
     "T,T,...",
     protocol="photo",
     of_inputs=True,

@@ -14,7 +14,5 @@ def opencv() -> ModuleType:
     try:
         import cv2
     except ImportError:
-        raise ValueError(
-            'OpenCV: not installed, expected for marker sheets; install it: pip install "metapp[capture]".'
-        ) from None
+        raise ValueError('OpenCV: not installed, expected here; install it: pip install "metapp[capture]".') from None
     return cv2

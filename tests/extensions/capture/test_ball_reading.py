@@ -72,15 +72,15 @@ def test_of_a_mirror_what_it_shows_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("lit", [light, detailed])
 def test_what_may_be_matte_is_no_mirror(lit: object) -> None:
     values = matte().astype(np.float32)
-    assert not is_mirror(Shot(values, Ball(80, 80, 80)))
+    assert not is_mirror(Shot(Ball(80, 80, 80), values))
     smooth = photograph(Ball(80, 80, 78), 160, 160, 0.05, light).astype(np.float32)
-    assert not is_mirror(Shot(smooth, Ball(80, 80, 78)))
+    assert not is_mirror(Shot(Ball(80, 80, 78), smooth))
 
 
 def test_a_small_ball_is_not_told() -> None:
     sharp = photograph(Ball(80, 80, 78), 160, 160, 0.05, room).astype(np.float32)
-    assert is_mirror(Shot(sharp, Ball(80, 80, 78)))
-    assert not is_mirror(Shot(sharp, Ball(80, 80, 30)))
+    assert is_mirror(Shot(Ball(80, 80, 78), sharp))
+    assert not is_mirror(Shot(Ball(80, 80, 30), sharp))
     assert np.isfinite(features(np.zeros((3, 128, 128)))).all()
 
 

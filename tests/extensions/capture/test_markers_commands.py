@@ -102,7 +102,7 @@ def test_without_opencv_the_line_says_what_to_install(
     metapp: Callable, taken: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    line = 'OpenCV: not installed, expected for marker sheets; install it: pip install "metapp[capture]".'
+    line = 'OpenCV: not installed, expected here; install it: pip install "metapp[capture]".'
     assert line in metapp("data", "markers", "sheet.pdf").refusal
     assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF).refusal
     assert list(Path().iterdir()) == []

@@ -1,8 +1,7 @@
 """Finding a ball in a photograph: the circle, or with a lens the ellipse, that most edges run along.
 
-Edges vote for the centres of circles of all radii that they may lie on (the Hough transform by directions of
-gradients, Kimme et al. 1975); the best ones are moved to where most of the contour lies on edges. Borders may cut the
-ball, and edges inside and around it only add noise.
+Rings of all radii are correlated with the edges; the best ones are moved to where most of the contour lies on edges.
+Borders may cut the ball, and edges inside and around it only add noise.
 """
 
 from __future__ import annotations
@@ -15,21 +14,21 @@ from scipy.optimize import minimize
 
 from metapp.extensions.capture.ball.view import Ball, Floats, Lens, sampled
 
-SEARCHED_PX = 160  # longer side of the picture that is searched
-REFINED_PX = 150  # radius that the contour is refined at, or less
+FOUND = 0.34  # least score of a ball
 
+_LARGEST_PX = 1024  # longer side of a picture, of what is looked at
+_SEARCHED_PX = 160  # longer side of the picture that is searched
+_REFINED_PX = 150  # radius that the contour is refined at, or less
 _RADII = (0.12, 0.75)  # least of the shorter side, greatest of the longer one
 _STEP = 0.03  # between radii, relative
 _MARGIN = 0.15  # of the longer side, that centres may be outside the picture
 _VISIBLE = 0.5  # least share of the contour inside the picture
 _CANDIDATES, _MOVED = 60, 5  # circles that are compared, and that are moved
 _CHANCE = 0.15  # support of any circle
-_ROUND = 0.3  # of support, that a slant must bring
-_EDGE = 0.35  # least strength of an edge that votes
+_EDGE = 0.35  # least strength of an edge that counts
 _ANGLES = np.arange(120) * (2 * np.pi / 120)
-_UNIT = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-_RINGS = (1.0, 0.88, 0.92, 0.96, 1.04, 1.07, 1.1)  # the contour, and what is around it, of the radius
-_UNITS = _UNIT[:, None] * np.array(_RINGS)[None, :, None]
+_RINGS = np.array((1.0, 0.88, 0.92, 0.96, 1.04, 1.07, 1.1))  # the contour, and what is around it, of the radius
+_UNITS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])[:, None] * _RINGS[:, None]
 _WEIGHTS = np.array([1.0, *[1 / 3] * 3, *[-1 / 3] * 3])
 _BIN = 2  # px of the searched picture
 _DARK = 0.05  # display value that logarithms are added to
@@ -38,45 +37,46 @@ _AROUND = 0.25  # of the picture's longer side: side of the square that they are
 
 
 def best_ball(gray: Floats, lens: Lens | None = None) -> Ball | None:
-    """The ball that fits best, however badly; None in a picture without edges.
+    """The ball that fits best, however badly: its score says; None in a picture without edges.
 
     Args:
         gray: display values [H, W] in [0, 1].
         lens: of the camera; None: the ball is taken for far away.
     """
-    gray = np.log(gray + _DARK)
-    share = min(1.0, SEARCHED_PX / max(gray.shape))
-    slopes = slopes_of(resized(gray, share), 1.0)
-    own = lens and Lens(*(share * value for value in lens))
-    scored = [_scored(slopes, Ball(x, y, radius, lens=own)) for x, y, radius in _candidates(slopes)]
+    share = min(1.0, _LARGEST_PX / max(gray.shape))
+    gray = np.log(_resized(gray, share) + _DARK)
+    less = min(1.0, _SEARCHED_PX / max(gray.shape))
+    slopes = _slopes(_resized(gray, less))
+    own = lens and Lens(*(share * less * value for value in lens))
+    scored = [_scored(slopes, Ball(x, y, radius, own)) for x, y, radius in _candidates(slopes)]
     scored.sort(key=_evidence, reverse=True)
     moved = [_moved(slopes, ball) for ball in scored[:_MOVED]]
     if not moved:
         return None
     best = max(moved, key=_evidence)
-    return _refined(gray, best.scaled(1 / share))._replace(score=_evidence(best))
+    refined = _refined(gray, best.scaled(1 / less)).scaled(1 / share)
+    return refined._replace(score=_evidence(best))
 
 
 def score_of(gray: Floats, ball: Ball) -> float:
     """The score that `best_ball` gives a ball, here one that is known; display values [H, W] in [0, 1]."""
-    share = min(1.0, SEARCHED_PX / max(gray.shape))
-    slopes = slopes_of(resized(np.log(gray + _DARK), share), 1.0)
-    return _evidence(_moved(slopes, ball.scaled(share), step=0.005))
+    share = min(1.0, _SEARCHED_PX / max(gray.shape))
+    slopes = _slopes(_resized(np.log(gray + _DARK), share))
+    return _evidence(_scored(slopes, ball.scaled(share)))
 
 
 def _evidence(ball: Ball) -> float:
     """Support beyond chance, which is greater for short contours than for long ones; of a large ball up to 1."""
-    return (ball.score - _CHANCE) * math.sqrt(2 * ball.radius / SEARCHED_PX)
+    return (ball.score - _CHANCE) * math.sqrt(2 * ball.radius / _SEARCHED_PX)
 
 
 def _refined(gray: Floats, ball: Ball) -> Ball:
     """A ball that is nearly right, to fractions of a px, by its contour alone."""
-    share = min(1.0, REFINED_PX / ball.radius)
-    slopes = slopes_of(resized(gray, share), 1.0)
-    return _moved(slopes, ball.scaled(share), 1, 1 / REFINED_PX).scaled(1 / share)
+    share = min(1.0, _REFINED_PX / ball.radius)
+    return _moved(_slopes(_resized(gray, share)), ball.scaled(share), 1, 1 / _REFINED_PX).scaled(1 / share)
 
 
-def resized(gray: Floats, share: float) -> Floats:
+def _resized(gray: Floats, share: float) -> Floats:
     """A picture [H, W] at a share of its size up to 1."""
     if share == 1:
         return gray
@@ -86,21 +86,18 @@ def resized(gray: Floats, share: float) -> Floats:
     return result
 
 
-def slopes_of(gray: Floats, sigma: float) -> Floats:
-    """Gradients of a picture [H, W] that was smoothed by so many px, [3, H, W].
-
-    Along x and y, and the length that counts as half an edge there.
-    """
-    y, x = np.gradient(gaussian_filter(gray, sigma, mode="nearest"))
+def _slopes(gray: Floats) -> Floats:
+    """Gradients along x and y of a smoothed picture [H, W], and the length that counts as half an edge, [3, H, W]."""
+    y, x = np.gradient(gaussian_filter(gray, 1.0, mode="nearest"))
     around = uniform_filter(np.hypot(x, y), round(_AROUND * max(gray.shape)), mode="nearest")
     return np.stack([x, y, np.maximum(around, _NOISE)])
 
 
 def _scored(slopes: Floats, ball: Ball) -> Ball:
-    return ball._replace(score=support(slopes, ball))
+    return ball._replace(score=_support(slopes, ball))
 
 
-def support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
+def _support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
     """Agreement of edges with a ball, up to about 1: -1 where less than half of its contour is in the picture.
 
     The share of the contour that lies on edges along it; more where edges just inside run along it, too, as a mirror
@@ -124,62 +121,46 @@ def support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
 def _moved(slopes: Floats, ball: Ball, rings: int = len(_RINGS), step: float = 0.02) -> Ball:
     """The ball with most support by so many rings, near where it is: within about a few steps of its radius."""
 
-    def worse(change: Floats) -> float:
-        moved = _changed(ball, change)
-        return _ROUND * math.hypot(*moved.slant) - support(slopes, moved, rings)
+    def changed(change: Floats) -> Ball:
+        x, y, radius = ball.radius * change + ball[:3]
+        return ball._replace(x=float(x), y=float(y), radius=float(radius))
 
-    free = 3 if ball.lens else 5
-    simplex = np.concatenate([np.zeros((1, free)), np.diag([step] * free)]) - step / 4
-    options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 40 * free}
-    done = minimize(worse, np.zeros(free), method="Nelder-Mead", options=options)
-    moved = _changed(ball, done.x)
-    return _scored(slopes, moved)
-
-
-def _changed(ball: Ball, change: Floats) -> Ball:
-    x, y, larger = (ball.radius * float(value) for value in change[:3])
-    slant = ball.slant
-    if len(change) == 5:
-        slant = slant[0] + float(change[3]), slant[1] + float(change[4])
-    return ball._replace(x=ball.x + x, y=ball.y + y, radius=ball.radius + larger, slant=slant)
+    simplex = np.concatenate([np.zeros((1, 3)), np.diag([step] * 3)]) - step / 4
+    options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 120}
+    done = minimize(
+        lambda change: -_support(slopes, changed(change), rings), np.zeros(3), method="Nelder-Mead", options=options
+    )
+    return _scored(slopes, changed(done.x))
 
 
 def _candidates(slopes: Floats) -> list[tuple[float, float, float]]:
-    """Centres and radii of circles with most votes, at most _CANDIDATES."""
-    _, height, width = slopes.shape
-    length = np.hypot(*slopes[:2])
-    strength = length / (length + slopes[2])
-    rows, columns = np.nonzero(strength > _EDGE)
-    if not len(rows):
-        return []
-    weights = strength[rows, columns]
-    x, y = slopes[:2, rows, columns] / length[rows, columns]
-    margin = _BIN * round(_MARGIN * max(height, width) / _BIN)
-    size = (height + 2 * margin) // _BIN + 1, (width + 2 * margin) // _BIN + 1
+    """Centres and radii of circles that edges agree with most, at most _CANDIDATES.
+
+    Edges are complex numbers of twice their gradients' angle, and so are rings: an edge along a ring counts 1, one
+    across it -1.
+    """
+    x, y, half = slopes[:, : slopes.shape[1] // _BIN * _BIN, : slopes.shape[2] // _BIN * _BIN]
+    length = np.hypot(x, y)
+    strength = length / (length + half)
+    edges = np.where(strength > _EDGE, strength, 0) * ((x + 1j * y) / np.maximum(length, 1e-12)) ** 2
+    height, width = (side // _BIN for side in edges.shape)
+    edges = edges.reshape(height, _BIN, width, _BIN).mean((1, 3))
     least, most = _RADII[0] * min(height, width), _RADII[1] * max(height, width)
     radii = np.geomspace(least, most, 1 + int(np.log(most / least) / np.log1p(_STEP)))
-    votes = np.zeros((len(radii), *size), np.float32)
-    for number, radius in enumerate(radii):
-        for side in (-radius, radius):
-            row = np.floor((rows + 0.5 + side * y + margin) / _BIN).astype(int)
-            column = np.floor((columns + 0.5 + side * x + margin) / _BIN).astype(int)
-            kept = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
-            at = row[kept] * size[1] + column[kept]
-            votes[number] += np.bincount(at, weights[kept], size[0] * size[1]).reshape(size)
-        smooth = gaussian_filter(votes[number], (1 + _STEP * radius / 2) / _BIN, truncate=2.5)
-        votes[number] = smooth / np.sqrt(_visible(radius, (height, width), margin, size))
-    peaks = np.nonzero((votes == maximum_filter(votes, (3, 3, 3))) & (votes > 0))
-    best = np.argsort(-votes[peaks])[:_CANDIDATES]
-    centres = (np.stack(peaks)[:, best] + 0.5) * _BIN - margin
-    return list(zip(centres[2].tolist(), centres[1].tolist(), radii[peaks[0][best]].tolist(), strict=True))
-
-
-def _visible(radius: float, picture: tuple[int, int], margin: int, size: tuple[int, int]) -> Floats:
-    """px of circles' contours inside the picture by their centres' bins; infinite for less than half of them."""
-    unit = _UNIT[:, ::4] * radius
-    row, column = (
-        (np.arange(count)[:, None] + 0.5) * _BIN - margin + unit[1 - axis] for axis, count in enumerate(size)
-    )
-    rows, columns = ((place > 0) & (place < side) for place, side in zip((row, column), picture, strict=True))
-    share = rows.astype(np.float64) @ columns.T.astype(np.float64) / unit.shape[1]
-    return 2 * np.pi * radius * np.where(share > _VISIBLE, share, np.inf)
+    margin, reach = round(_MARGIN * max(height, width)), math.ceil(most) + 2
+    along = np.arange(-reach, reach + 1)
+    away = np.hypot(along, along[:, None])
+    angles = ((along - 1j * along[:, None]) / np.maximum(away, 1)) ** 2
+    size = height + 2 * reach, width + 2 * reach
+    centres = tuple(slice(reach - margin, reach + side + margin) for side in (height, width))
+    edges_, picture = np.fft.fft2(edges, size), np.fft.fft2(np.ones((height, width)), size)
+    votes = []
+    for radius in radii:
+        ring = np.exp(-(((away - radius) / (1 / _BIN + _STEP * radius / 2)) ** 2) / 2)
+        found = np.fft.ifft2(edges_ * np.fft.fft2(ring * angles, size)).real[centres]
+        inside = np.fft.ifft2(picture * np.fft.fft2(ring, size)).real[centres]
+        votes.append(np.where(inside > _VISIBLE * ring.sum(), found / np.sqrt(np.maximum(inside, 1)), 0))
+    peaks = np.nonzero((votes == maximum_filter(votes, (3, 3, 3))) & (np.stack(votes) > 1e-6))
+    best = np.argsort(-np.stack(votes)[peaks])[:_CANDIDATES]
+    rows, columns = (_BIN * (peaks[axis][best] - margin + 0.5) for axis in (1, 2))
+    return list(zip(columns.tolist(), rows.tolist(), (_BIN * radii[peaks[0][best]]).tolist(), strict=True))

@@ -31,7 +31,7 @@ class BallOptions:
         str,
         typer.Option(
             metavar="T,T,...",
-            help="Exposure times of the photos in their order, such as 1/20,1/60; default: EXIF, else by the pixels.",
+            help="Exposure times of the photos in their order, such as 1/20,1/60; default: EXIF.",
         ),
     ] = ""
     fov: Annotated[float, field_of_view("as EXIF says of uncropped photos, else far away")] = 0
@@ -48,7 +48,7 @@ class BallOptions:
 def ball(options: BallOptions) -> None:
     """Read the light around a mirror ball from photographs of it.
 
-    The ball is found in each photo (borders may cut it), photos of several exposures are aligned and merged
+    The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
     (Debevec & Malik 1997), and what the ball mirrors is unwrapped. Of three or more known exposures the camera's curve
     is recovered. Writes a data set for `metapp meta illumination --data DIR --observe photo`, the map DIR/NAME.exr,
     whose alpha says where it is seen and does not clip, and pictures of what was found in DIR/found/.
@@ -57,16 +57,16 @@ def ball(options: BallOptions) -> None:
       metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
       metapp data ball IMG_1.jpg --fov 55 --size 256 --out garden
     """
-    from metapp.extensions.capture.ball.capture import Settings, capture
-    from metapp.extensions.capture.ball.write import FOUND, write_capture
+    from metapp.extensions.capture.ball.capture import capture
+    from metapp.extensions.capture.ball.files import FOUND, write_capture
     from metapp.storage.manifest import MANIFEST
 
-    place = _place(options.ball)
-    settings = Settings(_times(options.exposures), math.radians(options.fov), place, options.size)
+    times, place = _times(options.exposures), _place(options.ball)
     folder, name = options.folder, options.folder.resolve().name
     check_new(folder / MANIFEST, options.overwrite)
+    fov_rad = math.radians(options.fov)
     with progress("photos", len(options.paths), quiet=options.quiet) as bar:
-        captured = capture(options.paths, settings, bar.advance)
+        captured = capture(options.paths, times, fov_rad=fov_rad, ball=place, rows=options.size, done=bar.advance)
     write_capture(name, options.paths, captured, folder, overwrite=options.overwrite)
     if not options.quiet:
         for line in _summary(options.paths, captured):
@@ -80,7 +80,7 @@ def _times(text: str) -> tuple[float, ...]:
     from metapp.extensions.capture.ball.exposures import parsed
 
     try:
-        return tuple(parsed(text)) if text else ()
+        return parsed(text) if text else ()
     except ValueError as error:
         raise typer.BadParameter(f"{error}.", param_hint="--exposures") from None
 
@@ -104,19 +104,16 @@ def _summary(paths: list[Path], captured: Capture) -> list[str]:
     """A summary: a line a photograph and one of all."""
     lines = []
     for path, shot, exposure, residual in zip(
-        paths, captured.shots, captured.exposures, captured.light.residuals, strict=True
+        paths, captured.shots, captured.exposures, captured.residuals, strict=True
     ):
-        circle = shot.whole
-        line = f"{path.name}: ball at {circle.x:.1f},{circle.y:.1f}, radius {circle.radius:.1f} px"
+        ball = shot.ball
+        line = f"{path.name}: ball at {ball.x:.1f},{ball.y:.1f}, radius {ball.radius:.1f} px"
         if len(paths) > 1:
             line += f", exposure {exposure:.4g}, {100 * residual:.1f} % from the merged radiance"
         lines.append(line)
     share = captured.certain.mean((1, 2))
-    curve = f"exposures by {captured.told_by}; camera's curve: {captured.curve}; " if len(paths) > 1 else ""
-    lines.append(f"{curve}{share[0]:.0%} of the texels seen, {share[1]:.1%} clipped")
-    if captured.told_by == "the pixels":
-        lines.append("warning: exposures are not known, so contrast is that of sRGB's curve; give --exposures.")
-    return lines
+    curve = f"camera's curve: {captured.curve}; " if len(paths) > 1 else ""
+    return [*lines, f"{curve}{share[0]:.0%} of the texels seen, {share[1]:.1%} clipped"]
 
 
 def _document(options: BallOptions, captured: Capture) -> dict[str, object]:
@@ -124,20 +121,19 @@ def _document(options: BallOptions, captured: Capture) -> dict[str, object]:
     photos = [
         {
             "source": str(path),
-            "x": shot.whole.x,
-            "y": shot.whole.y,
-            "radius": shot.whole.radius,
+            "x": shot.ball.x,
+            "y": shot.ball.y,
+            "radius": shot.ball.radius,
             "score": shot.ball.score,
             "exposure": float(exposure),
             "residual": residual,
         }
         for path, shot, exposure, residual in zip(
-            options.paths, captured.shots, captured.exposures, captured.light.residuals, strict=True
+            options.paths, captured.shots, captured.exposures, captured.residuals, strict=True
         )
     ]
     return {
         "out": str(options.folder),
-        "exposures_by": captured.told_by,
         "curve": captured.curve,
         "chosen": str(options.paths[captured.chosen]),
         "seen": float(captured.certain[0].mean()),

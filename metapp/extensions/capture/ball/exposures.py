@@ -1,13 +1,12 @@
-"""Exposures of photographs: as EXIF says, as they are given, or as pixels tell; and radiance merged from several.
+"""Exposures of photographs, and radiance merged from several, by sRGB's curve or by one that is recovered.
 
 After Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs".
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,18 +15,19 @@ import torch
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import is_heif, opened
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.illumination.mirror import CLIPPED
 from metapp.extensions.capture.ball.view import Floats
 
 SHORTEST = 1e-6  # s; 1 over it is the longest
-DARK = 0.03  # display value that says little
 
+_DARK = 0.03  # display value that says little
 _KNOTS = 32  # of a camera's curve
 _SAMPLES = 600  # pixels that tell it
 _SHOWN = 6  # values of a pixel, of three a photograph, that are neither dark nor white
 _SMOOTH = 3.0  # weight of its second difference
-_LEVEL = (0.1, 0.7)  # display values that ratios are measured by
+
+Curve = Callable[[Floats], Floats]  # linear values of display values [3, ...]
 
 
 class Merged(NamedTuple):
@@ -35,19 +35,16 @@ class Merged(NamedTuple):
 
     Attributes:
         radiance: linear RGB [3, S, S]; 1 is white in a photograph of exposure 1.
-        clipped, dark: [S, S], where all photographs are white, and where none says more than that it is dark.
-        seen: [S, S], where any photograph shows the ball.
+        clipped: [S, S], where all photographs are white.
         residuals: of each photograph, by what share its radiance typically differs from the merged one; 0 for one.
     """
 
     radiance: Floats
     clipped: NDArray[np.bool_]
-    dark: NDArray[np.bool_]
-    seen: NDArray[np.bool_]
     residuals: list[float]
 
 
-def parsed(text: str) -> list[float]:
+def parsed(text: str) -> tuple[float, ...]:
     """Exposures such as "1/20,1/60" or "0.05,0.017".
 
     Raises:
@@ -63,7 +60,7 @@ def parsed(text: str) -> list[float]:
         if not SHORTEST <= value <= 1 / SHORTEST:
             raise ValueError(f"'{part.strip()}' of '{text}', expected exposure times such as 1/20,1/60,1/160")
         values.append(value)
-    return values
+    return tuple(values)
 
 
 def exif_exposure(path: Path) -> float:
@@ -90,37 +87,10 @@ def exif_exposure(path: Path) -> float:
         return seconds * (iso or 100) / 100 / (value("FNumber") or 1) ** 2
 
 
-def measured_steps(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], order: Sequence[int]) -> Floats:
-    """Exposures as pixels tell them, [N], that of the first in `order` 1: medians of ratios where none clips."""
-    result = np.ones(len(lights))
-    for before, after in itertools.pairwise(order):
-        a, b = lights[before], lights[after]
-        low, high = _linear(np.array(_LEVEL))
-        for least in (low, low / 8, low / 40):
-            usable = seen[before] & seen[after] & (a.max(0) < high) & (b.max(0) < high)
-            usable &= (a.mean(0) > least) & (b.mean(0) > least)
-            if usable.sum() >= 50:
-                break
-        ratio = np.median(b.mean(0)[usable] / a.mean(0)[usable]) if usable.any() else 1.0
-        result[after] = result[before] * ratio
-    return result
-
-
-def _linear(display: Floats) -> Floats:
+def srgb_light(display: Floats) -> Floats:
+    """Linear values of display values, by sRGB's curve."""
     result: Floats = srgb_to_linear(torch.from_numpy(display)).numpy()
     return result
-
-
-class Curve(NamedTuple):
-    """A camera's curve: the logarithm of exposure at evenly spaced display values, [C, K], white at about 0."""
-
-    logs: Floats
-
-    def linear(self, display: Floats) -> Floats:
-        """Linear values of display values [3, ...]."""
-        at = np.linspace(0, 1, self.logs.shape[1])
-        planes = [np.exp(np.interp(plane, at, logs)) for plane, logs in zip(display, self.logs, strict=True)]
-        return np.stack(planes)
 
 
 def recovered_curve(displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats) -> Curve:
@@ -137,12 +107,15 @@ def recovered_curve(displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]
     smooth = np.stack([gaussian_filter(picture, (0, 1, 1)) for picture in stack])
     edges = np.abs(np.gradient(smooth.max(0), axis=(1, 2))).sum((0, 1))
     usable = np.all(seen, 0) & (edges < np.quantile(edges[np.all(seen, 0)], 0.6))
-    many = ((smooth > DARK) & (smooth < 0.95)).sum((0, 1))
+    many = ((smooth > _DARK) & (smooth < 0.95)).sum((0, 1))
     places = np.flatnonzero(usable & (many >= _SHOWN))
     rng = np.random.default_rng(0)
     places = rng.choice(places, min(_SAMPLES, len(places)), replace=False)
-    logs = np.stack([_solved(smooth[:, c].reshape(len(stack), -1)[:, places], np.log(exposures)) for c in range(3)])
-    return Curve(logs)
+    knots = [_solved(smooth[:, c].reshape(len(stack), -1)[:, places], np.log(exposures)) for c in range(3)]
+    even = np.linspace(0, 1, _KNOTS)
+    return lambda display: np.exp(
+        np.stack([np.interp(plane, even, logs) for plane, logs in zip(display, knots, strict=True)])
+    )
 
 
 def _solved(values: Floats, logs: Floats) -> Floats:
@@ -151,7 +124,7 @@ def _solved(values: Floats, logs: Floats) -> Floats:
     place = np.clip(values, 0, 1) * (_KNOTS - 1)
     low = np.minimum(place.astype(int), _KNOTS - 2)
     part = place - low
-    weight = hat(values)
+    weight = _hat(values)
     rows = np.arange(count * pixels)
     system = np.zeros((count * pixels + _KNOTS - 1, _KNOTS + pixels))
     target = np.zeros(len(system))
@@ -161,7 +134,7 @@ def _solved(values: Floats, logs: Floats) -> Floats:
     system[rows, _KNOTS + np.tile(np.arange(pixels), count)] = -flat
     target[rows] = flat * np.repeat(logs, pixels)
     # the second difference of what sRGB's curve leaves, so that little data changes it little
-    known = np.log(np.maximum(_linear(np.linspace(0, 1, _KNOTS)), 1e-3))
+    known = np.log(np.maximum(srgb_light(np.linspace(0, 1, _KNOTS)), 1e-3))
     smooth = np.diff(np.eye(_KNOTS), 2, axis=0) * _SMOOTH * math.sqrt(pixels / 100 + 1)
     system[len(rows) : -1, :_KNOTS] = smooth
     target[len(rows) : -1] = smooth @ known
@@ -171,49 +144,43 @@ def _solved(values: Floats, logs: Floats) -> Floats:
     return np.maximum.accumulate(solution[:_KNOTS])
 
 
-def hat(display: Floats) -> Floats:
+def _hat(display: Floats) -> Floats:
     """Weights of display values in [0, 1]: 0 at black and white."""
-    result: Floats = np.clip((display - 0.01) / 0.15, 0, 1) * hat_top(display)
+    result: Floats = np.clip((display - 0.01) / 0.15, 0, 1) * _hat_top(display)
+    return result
+
+
+def _hat_top(display: Floats) -> Floats:
+    """1, but towards white 0."""
+    result: Floats = np.clip((0.97 - display) / 0.15, 0, 1)
     return result
 
 
 def merged(
-    lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats, curve: Curve | None = None
+    displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats, curve: Curve = srgb_light
 ) -> Merged:
     """Radiance of photographs that show the same.
 
     Args:
-        lights: values [3, S, S] of each, linear by sRGB's curve.
+        displays: display values [3, S, S] of each.
         seen: where each shows the ball.
         exposures: [N].
-        curve: of the camera; None: sRGB's.
+        curve: of the camera.
     """
-    displays = [linear_to_srgb(torch.from_numpy(light)).numpy() for light in lights]
-    radiances = [
-        (curve.linear(display) if curve else light) / exposure
-        for display, light, exposure in zip(displays, lights, exposures, strict=True)
-    ]
+    radiances = [curve(display) / exposure for display, exposure in zip(displays, exposures, strict=True)]
     # colours of a pixel that clips in one channel are wrong in the others
-    weights = [hat(display) * (hat_top(display.max(0)) * there) for display, there in zip(displays, seen, strict=True)]
+    weights = [
+        _hat(display) * (_hat_top(display.max(0)) * there) for display, there in zip(displays, seen, strict=True)
+    ]
     total = sum(weights)
     shortest, longest = int(np.argmin(exposures)), int(np.argmax(exposures))
     bright = displays[shortest].max(0) * seen[shortest]
     clipped = bright >= CLIPPED
-    dark = (displays[longest].max(0) < DARK) & seen[longest]
     radiance = sum(weight * value for weight, value in zip(weights, radiances, strict=True)) / np.maximum(total, 1e-6)
     instead = np.where(bright > 0.5, radiances[shortest], radiances[longest])
     radiance = np.where((total > 1e-3) & ~clipped, radiance, instead)
-    residuals = [
-        _residual(value, radiance, weight) if len(lights) > 1 else 0.0
-        for value, weight in zip(radiances, weights, strict=True)
-    ]
-    return Merged(radiance, clipped, dark, np.any(seen, 0), residuals)
-
-
-def hat_top(display: Floats) -> Floats:
-    """1, but towards white 0."""
-    result: Floats = np.clip((0.97 - display) / 0.15, 0, 1)
-    return result
+    residuals = [_residual(value, radiance, weight) for value, weight in zip(radiances, weights, strict=True)]
+    return Merged(radiance, clipped, residuals)
 
 
 def _residual(value: Floats, radiance: Floats, weight: Floats) -> float:

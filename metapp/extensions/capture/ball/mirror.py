@@ -14,8 +14,8 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.ball.shots import Shot, disc
-from metapp.extensions.capture.ball.view import Floats, mirrored
+from metapp.extensions.capture.ball.shots import Shot, disc, light_of
+from metapp.extensions.capture.ball.view import Floats
 
 SIZE = 128  # px that a ball is looked at
 LEAST_PX = 40  # radius of a ball that can be told
@@ -29,16 +29,7 @@ def is_mirror(shot: Shot) -> bool:
     """True if a ball is surely a mirror; False where it cannot be told."""
     if shot.ball.radius < LEAST_PX:
         return False
-    return float(np.dot(WEIGHTS, features(looked_at(shot)))) + BIAS > 0
-
-
-def looked_at(shot: Shot) -> Floats:
-    """Linear RGB [3, SIZE, SIZE] of the ball alone."""
-    many = max(1, math.ceil(2 * shot.ball.radius / SIZE))
-    towards = mirrored(disc(SIZE * many), shot.ball.angle)
-    light, _ = shot._replace(turn=(0.0, 0.0, 0.0)).at(towards)
-    result: Floats = light.reshape(3, SIZE, many, SIZE, many).mean((2, 4))
-    return result
+    return float(np.dot(WEIGHTS, features(light_of(shot, SIZE, shot.ball.angle)))) + BIAS > 0
 
 
 def features(light: Floats) -> Floats:

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from data_tools.readers import latlong
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.listing import files_below
 from data_tools.readers.photos import find_photos, is_photo, photo_of
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
+
+_SAME = 0.03  # of the radius, by which a ball may miss the one that touches the central square's borders
+_BETTER = 1.2  # of its score, that another ball must have
 
 
 def recognises(path: Path) -> bool:
@@ -51,9 +56,6 @@ def task_of_pixels(pixels: Pixels, name: str, size: int = latlong.HEIGHT, fov_ra
 
 
 def _task(pixels: Pixels, name: str, subject: str, size: int, fov_rad: float) -> Task:
-    # here: it imports scipy, which `recognises` does not need
-    from metapp.extensions.capture.ball.photo import with_ball
-
     height, width = pixels.values.shape[:2]
     if latlong.is_latlong(height, width):
         raise ValueError(
@@ -64,4 +66,28 @@ def _task(pixels: Pixels, name: str, subject: str, size: int, fov_rad: float) ->
     if not photo.any():
         reason = "black inside the disc, expected a sphere that touches the borders; crop it to that."
         raise ValueError(f"{subject}: {reason}")
-    return with_ball(pixels, Task(name, {"photos": photo[None]}), size, fov_rad)
+    task = Task(name, {"photos": photo[None]})
+    # what is transparent is no contour
+    return _with_ball(pixels, task, size, fov_rad) if pixels.values.shape[-1] == 3 else task
+
+
+def _with_ball(pixels: Pixels, task: Task, rows: int, fov_rad: float) -> Task:
+    """The task of the ball alone, and of what it mirrors; of the central square where its ball is as good."""
+    # here: they import scipy, which `recognises` does not need
+    from metapp.extensions.capture.ball.capture import light_around
+    from metapp.extensions.capture.ball.circle import FOUND, best_ball, score_of
+    from metapp.extensions.capture.ball.mirror import is_mirror
+    from metapp.extensions.capture.ball.shots import gray_of, lens_of, photo_of, shot_of
+    from metapp.extensions.capture.ball.view import Ball
+
+    gray = gray_of(pixels)
+    height, width = gray.shape
+    central = Ball(width / 2, height / 2, min(height, width) / 2)
+    ball = best_ball(gray, lens_of(pixels, fov_rad))
+    is_other = ball is not None and ball.score >= max(FOUND, _BETTER * score_of(gray, central))
+    if ball and max(np.abs(np.subtract(ball[:3], central[:3]))) < _SAME * central.radius:
+        is_other = False
+    shot = shot_of(pixels, ball if ball and is_other else central)
+    if is_mirror(shot):
+        return light_around([shot], 0, np.ones(1), rows).task(task.name)
+    return Task(task.name, {"photos": photo_of(shot, shot.ball.angle)[None]}) if is_other else task

@@ -30,16 +30,13 @@ class Ball(NamedTuple):
     Attributes:
         x, y: where its centre is seen.
         radius: of its contour; with a lens, measured in the plane through (x, y) that faces the camera.
-        slant: p and q, which make the circle an ellipse by (1 + p, q; q, 1 - p), as a camera sees it whose axis does
-            not meet the ball; 0, 0 with a lens, by which the ellipse is known.
-        lens: None is one that is far away, whose rays are parallel.
+        lens: None is one that is far away, whose rays are parallel and to which the contour is a circle.
         score: how much of the contour is there, in [0, 1].
     """
 
     x: float
     y: float
     radius: float
-    slant: tuple[float, float] = (0.0, 0.0)
     lens: Lens | None = None
     score: float = 1.0
 
@@ -54,9 +51,7 @@ class Ball(NamedTuple):
     def to_px(self, disc: Floats) -> Floats:
         """Places [2, ...] in the disc (right, up) as px [2, ...] of the photograph (right, down)."""
         if self.lens is None:
-            p, q = self.slant
-            right, down = (1 + p) * disc[0] - q * disc[1], q * disc[0] - (1 - p) * disc[1]
-            return np.stack([self.x + self.radius * right, self.y + self.radius * down])
+            return np.stack([self.x + self.radius * disc[0], self.y - self.radius * disc[1]])
         centre, right, up = self._axes()
         points = centre[:, None] + self.radius * (np.outer(right, disc[0]) + np.outer(up, disc[1]))
         seen = self.lens.focal * points[:2] / points[2] + np.array([[self.lens.x], [self.lens.y]])
@@ -71,11 +66,6 @@ class Ball(NamedTuple):
         right /= np.linalg.norm(right)
         up = np.cross(right, centre)
         return centre, right, up / np.linalg.norm(up) * (1 if up[1] < 0 else -1)
-
-    def shifted(self, x: float, y: float) -> Ball:
-        """The same in a picture whose corner is at (x, y) of this one."""
-        lens = self.lens and self.lens._replace(x=self.lens.x - x, y=self.lens.y - y)
-        return self._replace(x=self.x - x, y=self.y - y, lens=lens)
 
     def scaled(self, share: float) -> Ball:
         """The same in a picture of another size."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from data_tools.readers.image_files import read_pixels
 from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.ball.capture import Capture, task_of
+from metapp.extensions.capture.ball.capture import Capture
 from metapp.extensions.capture.ball.shots import Shot
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.shards import ShardWriter
@@ -49,12 +49,11 @@ def write_capture(
         "made_by": "metapp data ball",
         "photos": [path.name for path in paths],
         "exposures": [float(value) for value in captured.exposures],
-        "exposures_by": captured.told_by,
         "curve": captured.curve,
         "files": [FOUND, f"{name}.exr"],
     }
     with ShardWriter(folder, "illumination", UNITS, notes, overwrite=overwrite) as writer:
-        writer.add(task_of(name, captured), "test", paths[captured.chosen])
+        writer.add(captured.task(name), "test", paths[captured.chosen])
         (folder / FOUND).mkdir(exist_ok=True)
         for path, shot in zip(paths, captured.shots, strict=True):
             write_png(shown(path, shot), {"encoding": "sRGB"}, folder / FOUND / f"{path.stem}.png")
@@ -71,6 +70,6 @@ def shown(path: Path, shot: Shot) -> Tensor:
     display = (linear_to_srgb(torch.from_numpy(np.ascontiguousarray(linear))).numpy() * 255).round().astype(np.uint8)
     image = Image.fromarray(display)
     angles = np.linspace(0, 2 * np.pi, 361)
-    contour = shot.whole.to_px(np.stack([np.cos(angles), np.sin(angles)])) / step
+    contour = shot.ball.to_px(np.stack([np.cos(angles), np.sin(angles)])) / step
     ImageDraw.Draw(image).line([(float(x), float(y)) for x, y in contour.T], fill="#00ff00", width=1)
     return torch.from_numpy(np.asarray(image, dtype=np.float32) / np.float32(255))
