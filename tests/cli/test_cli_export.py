@@ -24,8 +24,7 @@ FILES = {
     "materialx": ["{0}/{0}.mtlx", "{0}/{0}.glsl", "{0}/{0}.osl"],
     "cpp": ["{0}.h"],
     "onnx": ["{0}.onnx"],
-    "osl": ["{0}.osl"],
-    **{form: [f"{{0}}.{form}", f"{{0}}_half.{form}"] for form in ("glsl", "hlsl", "slang", "wgsl")},
+    **{form: [f"{{0}}.{form}"] for form in ("glsl", "hlsl", "osl", "slang", "wgsl")},
 }
 
 

@@ -1,4 +1,4 @@
-"""Files of shader code: <name>.<suffix>, and <name>_half.<suffix> with layers of 16 bits where a language has them."""
+"""Files of shader code: <name>.<suffix>."""
 
 from __future__ import annotations
 
@@ -42,11 +42,9 @@ def write(language: str, app: Brdf, theta: Params, path: Path) -> None:
     """Write a fit in one of LANGUAGES."""
     of = LANGUAGES[language]
     name = path.name.removesuffix(f".{of.suffix}")
-    source = code_of(theta, name)
-    for half in (False, True) if of.half else (False,):
-        about = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"
-        text = about + translated(source, identifier(name), of, half=half)
-        _write(path.with_name(f"{name}{'_half' if half else ''}.{of.suffix}"), text)
+    about = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"
+    text = about + translated(code_of(theta, name), identifier(name), of)
+    _write(path.with_name(f"{name}.{of.suffix}"), text)
 
 
 write_cpp = functools.partial(write, "cpp")

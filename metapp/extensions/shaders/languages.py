@@ -6,18 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import numpy as np
-
-from metapp.extensions.shaders.source import number
-
 _FUNCTION = re.compile(r"^fn (\w+) (\w+)\((.*)\) \{$", re.MULTILINE)
 _DECLARED = re.compile(r"\b(let|var) (\w+) (\w+) =")
-_NUMBER = re.compile(r"@(-?[0-9.]+(?:e[-+]?\d+)?)")
 _PLAIN = re.compile(r"(?<![\w.])(\d+(?:\.\d*)?e[-+]?\d+|\d+\.\d*)")
-_TYPES = re.compile(r"\b(float3|float|real)\b")
+_TYPES = re.compile(r"\b(float3|float)\b")
 _COMPONENT = re.compile(r"\.([xyz])\b")
-
-LARGEST = 65504.0  # of 16 bits
 
 
 class Language(NamedTuple):
@@ -25,14 +18,12 @@ class Language(NamedTuple):
 
     Attributes:
         suffix: of files.
-        types: its names of `float`, `float3` and `real`.
+        types: its names of `float` and `float3`.
         function: a function's head, of its type, name and arguments.
         argument: of a type and a name.
         declared: a declaration, of `let` or `var`, type and name.
         plain: what comes after all other numbers.
-        half: what comes after numbers of the layers where these are of 16 bits; None where there are none.
-        half_type: the name of `real` then.
-        head, half_head, tail: what a file begins and ends with.
+        head, tail: what a file begins and ends with.
         indexed: whether components are written as [0].
     """
 
@@ -42,15 +33,12 @@ class Language(NamedTuple):
     argument: str = "{type} {name}"
     declared: Mapping[str, str] = {"let": "{type} {name} =", "var": "{type} {name} ="}
     plain: str = ""
-    half: str | None = None
-    half_type: str = ""
     head: str = ""
-    half_head: str = ""
     tail: str = ""
     indexed: bool = False
 
 
-_HLSL = {"float": "float", "float3": "float3", "real": "float"}
+_HLSL = {"float": "float", "float3": "float3"}
 _CPP = """\
 #pragma once
 #include <algorithm>
@@ -83,39 +71,29 @@ shader NAME(vector wi = vector(0, 0, 1), vector wo = vector(0, 0, 1), output col
 """
 LANGUAGES = {
     "cpp": Language("h", _HLSL, function="inline {type} {name}({arguments}) {{", plain="f", head=_CPP, tail="}\n"),
-    "glsl": Language(
-        "glsl",
-        {"float": "float", "float3": "vec3", "real": "float"},
-        half="hf",
-        half_type="float16_t",
-        half_head="#extension GL_EXT_shader_explicit_arithmetic_types_float16 : require\n",
-    ),
-    "hlsl": Language("hlsl", _HLSL, half="h", half_type="half"),
-    "osl": Language("osl", {"float": "float", "float3": "vector", "real": "float"}, tail=_OSL, indexed=True),
-    "slang": Language("slang", _HLSL, function="public {type} {name}({arguments}) {{", half="h", half_type="half"),
+    "glsl": Language("glsl", {"float": "float", "float3": "vec3"}),
+    "hlsl": Language("hlsl", _HLSL),
+    "osl": Language("osl", {"float": "float", "float3": "vector"}, tail=_OSL, indexed=True),
+    "slang": Language("slang", _HLSL, function="public {type} {name}({arguments}) {{"),
     "wgsl": Language(
         "wgsl",
-        {"float": "f32", "float3": "vec3f", "real": "f32"},
+        {"float": "f32", "float3": "vec3f"},
         function="fn {name}({arguments}) -> {type} {{",
         argument="{name}: {type}",
         declared={"let": "let {name}: {type} =", "var": "var {name}: {type} ="},
-        half="h",
-        half_type="f16",
-        half_head="enable f16;\n",
     ),
 }
 
 
-def translated(source: str, name: str, language: Language, *, half: bool = False) -> str:
+def translated(source: str, name: str, language: Language) -> str:
     """The neutral source of a material in a language.
 
     Args:
         source: of `source_of`.
         name: the material's, which its functions begin with.
         language: one of LANGUAGES.
-        half: with layers of 16 bits.
     """
-    types = {**language.types, "real": language.half_type} if half else language.types
+    types = language.types
 
     def function(match: re.Match[str]) -> str:
         pairs = (argument.split() for argument in match[3].split(", "))
@@ -125,16 +103,11 @@ def translated(source: str, name: str, language: Language, *, half: bool = False
     def declared(match: re.Match[str]) -> str:
         return language.declared[match[1]].format(type=types[match[2]], name=match[3])
 
-    def weight(match: re.Match[str]) -> str:
-        return f"{number(float(np.float16(match[1]).clip(-LARGEST, LARGEST)))}{language.half}" if half else match[1]
-
     text = _FUNCTION.sub(function, source)
     text = _DECLARED.sub(declared, text)
-    text = _NUMBER.sub(weight, text)
     text = _TYPES.sub(lambda match: types[match[1]], text)
     if language.plain:
         text = _PLAIN.sub(rf"\1{language.plain}", text)
     if language.indexed:
         text = _COMPONENT.sub(lambda match: f"[{'xyz'.index(match[1])}]", text)
-    head = (language.half_head if half else "") + language.head
-    return f"{head}{text}{language.tail.replace('NAME', name)}"
+    return f"{language.head}{text}{language.tail.replace('NAME', name)}"

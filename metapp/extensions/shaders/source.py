@@ -1,8 +1,7 @@
 """A BRDF as source code of a neutral shading language, which `languages` writes in others.
 
 Its statements are those of HLSL, but that declarations say `let` (a name for a value) or `var` (a variable), functions
-`fn`. `real` is the number type of the network's layers, `@` stands before a number of that type. No arrays and no
-loops: every language takes sums of products, and compilers make of them what the hardware has.
+`fn`. No arrays and no loops: every language takes sums of products, and compilers make of them what the hardware has.
 """
 
 from __future__ import annotations
@@ -28,11 +27,6 @@ fn float3 NAME_eval(float3 wi, float3 wo) {
     let float3 h = total / len;
     let float3 angle = NAME_azimuth(h);
     let float3 d = NAME_difference(wi, h, len);
-    let real half_x = real(angle.x);
-    let real half_z = real(h.z);
-    let real d_x = real(d.x);
-    let real d_y = real(d.y);
-    let real d_z = real(d.z);
 LAYERS
 }
 
@@ -75,7 +69,7 @@ fn float3 NAME_sample(float3 wo, float3 u) {
     return float3(wi.x, wi.y, max(abs(wi.z), 1e-6));
 }
 """
-INPUTS = ("half_x", "", "half_z", "d_x", "d_y", "d_z")  # of an NBRDF; half_y is 0
+INPUTS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")  # of an NBRDF; half_y is 0
 
 
 def source_of(name: str, folded: Folded, lobes: Lobes) -> str:
@@ -106,13 +100,13 @@ def _layers(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
     for i, (weights, bias) in enumerate(layers):
         last, outputs = i == len(layers) - 1, []
         for row, (factors, shift) in enumerate(zip(weights.tolist(), bias.tolist(), strict=True)):
-            terms = [f"@{number(factor)} * {of}" for factor, of in zip(factors, inputs, strict=True) if of]
-            total = " + ".join([f"@{number(shift)}", *terms])
+            terms = [f"{number(factor)} * {of}" for factor, of in zip(factors, inputs, strict=True) if of]
+            total = " + ".join([number(shift), *terms])
             outputs.append(f"{'abc'[i]}{row}")
             if last:
-                lines.append(f"let float {outputs[-1]} = {name}_expm1(max(0.0, float({total})));")
+                lines.append(f"let float {outputs[-1]} = {name}_expm1(max(0.0, {total}));")
             else:
-                lines.append(f"let real {outputs[-1]} = max(@0.0, {total});")
+                lines.append(f"let float {outputs[-1]} = max(0.0, {total});")
         inputs = tuple(outputs)
     return [*lines, f"return float3({', '.join(inputs)});"]
 
