@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from data_tools.readers.photos import FRAME_MM
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[capture]"')
 
@@ -102,16 +100,9 @@ def photograph(
     vignette: float = 0.0,
     noise: float = 0.0,
     bend: float = 0.0,
-    light: np.ndarray | None = None,
 ) -> np.ndarray:
-    """A photograph, sRGB [height, width, 3] in [0, 1], on a gray table; four samples a pixel.
-
-    Under a `light`, linear RGB [3], sheet and patch are gray.
-    """
+    """A photograph, sRGB [height, width, 3] in [0, 1], on a gray table; four samples a pixel."""
     values, to_page = sheet_on_patch(opening, bend)
-    if light is not None:
-        gray = srgb_to_linear(torch.from_numpy(values.mean(-1, keepdims=True)))
-        values = linear_to_srgb(gray * torch.from_numpy(light)).numpy()
     many = 2
     finer = np.array([[many, 0, (many - 1) / 2], [0, many, (many - 1) / 2], [0, 0, 1]])
     warp = finer @ camera.to_px() @ np.linalg.inv(to_page)

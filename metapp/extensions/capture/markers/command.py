@@ -78,9 +78,6 @@ class Rectify:
     ruler: Annotated[
         float, typer.Option(min=5, max=20, metavar="CM", help="Measured length of the sheet's printed 10 cm ruler.")
     ] = 10
-    white: Annotated[
-        bool, typer.Option("--white", help="White balance: adapt each photo to D65 by the colour of the sheet's paper.")
-    ] = False
     quiet: Quiet = False
     as_json: Json = False
 
@@ -96,7 +93,6 @@ def rectify(options: Rectify) -> None:
 
     Examples:
       metapp data rectify photos/ --out leaf
-      metapp data rectify photos/ --white --out leaf
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
     flash = _flash(options.flash)
@@ -114,7 +110,6 @@ def rectify(options: Rectify) -> None:
             fov_rad=math.radians(options.fov),
             flash_cm=flash,
             ruler_cm=options.ruler,
-            white=options.white,
             done=bar.advance,
         )
     for line in [*others, *placed.skipped]:
@@ -158,7 +153,6 @@ def _document(folder: Path, placed: Set, others: list[str]) -> dict[str, object]
             "tilt_degrees": photo.pose.tilt,
             "camera_cm": photo.camera_cm.tolist(),
             "light_cm": photo.light_cm.tolist(),
-            "white_factors": None if photo.paper is None else (1 / photo.paper).tolist(),
         }
         for number, photo in enumerate(placed.photos)
     ]

@@ -20,7 +20,6 @@ from data_tools.readers.photos import FRAME_MM, linear_light
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import LIMIT, Pose, Sighting, common_focal, find_sheet, pose_of
-from metapp.extensions.capture.markers.white import adaptation, paper_colour
 from metapp.extensions.capture.opencv import opencv
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
@@ -38,14 +37,12 @@ class Placed(NamedTuple):
         sighting: the sheet in it.
         pose: of its camera, as if the sheet was printed true to scale.
         camera_cm, light_cm: where camera and flash were, to the sheet's true scale.
-        paper: colour of the sheet's paper, linear RGB [3], the greatest 1, that the picture is adapted to D65 by.
     """
 
     sighting: Sighting
     pose: Pose
     camera_cm: Floats
     light_cm: Floats
-    paper: Floats | None = None
 
 
 class Set(NamedTuple):
@@ -73,7 +70,6 @@ def place(
     fov_rad: float = 0.0,
     flash_cm: tuple[float, float] = (0.0, 0.0),
     ruler_cm: float = RULER_CM,
-    white: bool = False,
     done: Callable[[str], object] = str,
 ) -> Set:
     """Find sheet and camera in photographs.
@@ -84,7 +80,6 @@ def place(
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
         flash_cm: where the flash is beside the lens: right and up in the photograph.
         ruler_cm: measured length of the printed ruler.
-        white: whether pictures are adapted to D65 by the colour of the sheet's paper.
         done: called with the name of each photograph that was searched.
 
     Raises:
@@ -108,7 +103,7 @@ def place(
     for sighting in sightings:
         try:
             focal_mm = sighting.focal_mm or found_mm
-            photos.append(_placed(sighting._replace(focal_mm=focal_mm), flash_cm, ruler_cm / RULER_CM, white))
+            photos.append(_placed(sighting._replace(focal_mm=focal_mm), flash_cm, ruler_cm / RULER_CM))
         except ValueError as error:
             skipped.append(str(error))
     if len(photos) < 2:
@@ -138,7 +133,7 @@ def _check_one_sheet(sightings: Sequence[Sighting]) -> None:
             )
 
 
-def _placed(sighting: Sighting, flash_cm: tuple[float, float], scale: float, white: bool) -> Placed:
+def _placed(sighting: Sighting, flash_cm: tuple[float, float], scale: float) -> Placed:
     pose = pose_of(sighting, sighting.focal_mm)
     limit_px = LIMIT * sighting.opening * sighting.scales()[1]
     if pose.error_px > limit_px:
@@ -148,8 +143,7 @@ def _placed(sighting: Sighting, flash_cm: tuple[float, float], scale: float, whi
         )
     camera = pose.place_cm * scale
     right, up = flash_cm
-    paper = paper_colour(read_pixels(sighting.path), sighting) if white else None
-    return Placed(sighting, pose, camera, camera + right * pose.axes[0] - up * pose.axes[1], paper)
+    return Placed(sighting, pose, camera, camera + right * pose.axes[0] - up * pose.axes[1])
 
 
 def write_set(placed: Set, folder: Path, done: Callable[[str], object] = str) -> None:
@@ -165,7 +159,7 @@ def write_set(placed: Set, folder: Path, done: Callable[[str], object] = str) ->
     """
     for number, photo in enumerate(placed.photos):
         pixels = read_pixels(photo.sighting.path)
-        picture = torch.from_numpy(rectified(pixels, photo.sighting, placed.size, photo.paper))
+        picture = torch.from_numpy(rectified(pixels, photo.sighting, placed.size))
         bits = 8 if pixels.values.dtype == np.uint8 else 16
         name = f"{number:02}.png"
         write_png(picture, {"encoding": "sRGB"}, folder / name, bits)
@@ -184,11 +178,10 @@ def _write_text(path: Path, text: str) -> None:
     write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8"))
 
 
-def rectified(pixels: Pixels, sighting: Sighting, size: int, paper: Floats | None = None) -> NDArray[np.float32]:
+def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float32]:
     """The opening as a square, sRGB [size, size, 3] in [0, 1], the sheet's upper edge on top.
 
-    Means are taken in linear light over as many samples as the photograph has there. With the paper's colour, as
-    `paper_colour` finds it, the picture is adapted to D65.
+    Means are taken in linear light over as many samples as the photograph has there.
     """
     cv2 = opencv()
     corners = sighting.corners_px()
@@ -196,8 +189,6 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int, paper: Floats | Non
     right, bottom = np.ceil(corners.max(0)).astype(int) + 2
     part = pixels._replace(values=pixels.values[top:bottom, left:right, :3])
     linear = np.ascontiguousarray(linear_light(part, slice(None)))
-    if paper is not None:
-        linear = np.minimum(linear, paper.astype(np.float32))
     many = max(2, math.ceil(sighting.scales()[1] * sighting.opening / size))
     step = sighting.opening / (size * many)  # cm
     middle = (size * many - 1) / 2
@@ -207,8 +198,6 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int, paper: Floats | Non
     side = size * many
     samples = cv2.warpPerspective(linear, to_part, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
     result = cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA)
-    if paper is not None:
-        result = (result @ adaptation(paper).T).clip(0, 1).astype(np.float32)
     return linear_to_srgb(torch.from_numpy(result)).numpy()
 
 
@@ -233,8 +222,7 @@ def _shown(pixels: Pixels, photo: Placed, name: str) -> torch.Tensor:
 def summary(photo: Placed) -> str:
     """A photograph's markers and camera, in words."""
     distance = float(np.linalg.norm(photo.camera_cm))
-    white = "" if photo.paper is None else ", white x " + ", ".join(f"{factor:.2f}" for factor in 1 / photo.paper)
     return (
         f"{photo.sighting.path.name}, {len(photo.sighting.markers)} markers, error {photo.pose.error_px:.2f} px, "
-        f"camera {distance:.1f} cm away, {photo.pose.tilt:.0f} degrees aside{white}"
+        f"camera {distance:.1f} cm away, {photo.pose.tilt:.0f} degrees aside"
     )
