@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import directions
 from metapp.extensions.capture.ball.alignment import aligned
 from metapp.extensions.capture.ball.capture import capture
-from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed, recovered_curve
+from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed, power_of
 from metapp.extensions.capture.ball.shots import Shot, disc
 from metapp.extensions.capture.ball.view import Ball, mirrored
 from tests.extensions.capture.ball_photos import busy, detailed, photograph, written
@@ -64,10 +64,11 @@ def test_a_foreign_curve_is_recovered() -> None:
     there = [np.hypot(*disc(160)) < 1] * 3
     times = np.array(TIMES) / TIMES[0]
     lights = [np.clip(values * time, 0, 1) ** 1.5 for time in times]
-    displays = [np.round(linear_to_srgb(torch.from_numpy(light)).numpy() * 255) / 255 for light in lights]
-    own = merged(displays, there, times, recovered_curve(displays, there, times))
+    lights = [np.round(linear_to_srgb(torch.from_numpy(light)).numpy() * 255) / 255 for light in lights]
+    lights = [srgb_to_linear(torch.from_numpy(light)).numpy() for light in lights]
+    own = merged(lights, there, times, power_of(lights, there, times))
     assert max(own.residuals) < 0.05
-    assert max(merged(displays, there, times).residuals) > 0.15
+    assert max(merged(lights, there, times).residuals) > 0.15
     bright = there[0] & (values.min(0) > 0.1) & (values.max(0) < 0.9)
     ratios = own.radiance[:, bright] / values[:, bright]
     assert np.abs(np.log(ratios / np.median(ratios))).mean() < 0.1
@@ -75,9 +76,9 @@ def test_a_foreign_curve_is_recovered() -> None:
 
 def test_what_all_photographs_clip_is_a_lower_bound() -> None:
     values = np.linspace(0.0, 4, 10000).reshape(1, 100, 100).repeat(3, 0)
-    displays = [linear_to_srgb(torch.from_numpy(np.clip(values * time, 0, 1))).numpy() for time in (1.0, 0.5)]
+    lights = [np.clip(values * time, 0, 1) for time in (1.0, 0.5)]
     there = [np.ones((100, 100), bool)] * 2
-    found = merged(displays, there, np.array([1.0, 0.5]))
+    found = merged(lights, there, np.array([1.0, 0.5]))
     assert (found.clipped == (values[0] * 0.5 >= ((0.98 + 0.055) / 1.055) ** 2.4)).all()
     inside = ~found.clipped & (values[0] > 0.01)
     np.testing.assert_allclose(found.radiance[:, inside], values[:, inside], rtol=1e-5)

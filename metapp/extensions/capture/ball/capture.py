@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import Pixels, read_pixels
-from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.illumination.mirror import CLIPPED
 from metapp.extensions.capture.ball.alignment import aligned
 from metapp.extensions.capture.ball.circle import FOUND, best_ball
-from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed, recovered_curve
+from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed, power_of
 from metapp.extensions.capture.ball.shots import Shot, disc, gray_of, lens_of, photo_of, shot_of
 from metapp.extensions.capture.ball.unwrap import unwrapped
 from metapp.extensions.capture.ball.view import Ball, Floats, Lens, mirrored
@@ -27,7 +27,6 @@ ROWS = 64
 _AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is
 _LARGEST = 800  # px of the merged picture of the ball
 _SHARED = 0.01  # of the ball, that may be white in the photograph that fits see
-_BETTER = 0.9  # residuals of a recovered curve over those of sRGB's, for the former to be taken
 
 
 class Capture(NamedTuple):
@@ -37,7 +36,7 @@ class Capture(NamedTuple):
         shots: the photographs as they agree.
         chosen: which one fits see; white in it is radiance 1.
         exposures: [N], the chosen one's 1.
-        curve: "sRGB" or "recovered".
+        power: of the camera's curve, as of `power_of`.
         residuals: of each photograph, as of `Merged`.
         seen: radiance [3, rows, 2 * rows].
         certain: [2, rows, 2 * rows], as of `unwrapped`.
@@ -46,7 +45,7 @@ class Capture(NamedTuple):
     shots: list[Shot]
     chosen: int
     exposures: Floats
-    curve: str
+    power: float
     residuals: list[float]
     seen: Tensor
     certain: Tensor
@@ -129,17 +128,14 @@ def light_around(shots: list[Shot], first: int, exposures: Floats, rows: int) ->
     places = disc(min(_LARGEST, 2 * math.ceil(nearest.radius)))
     on_ball = np.hypot(*places) < 1
     pairs = [shot.at(mirrored(places, nearest.angle)) for shot in shots]
-    displays = [linear_to_srgb(torch.from_numpy(light)).numpy() for light, _ in pairs]
+    lights = [light for light, _ in pairs]
     seen = [there & on_ball for _, there in pairs]
-    chosen = _chosen(displays, seen, order)
+    chosen = _chosen(lights, seen, order)
     exposures = exposures / exposures[chosen]
-    light, curve = merged(displays, seen, exposures), "sRGB"
-    if len(shots) >= 3:
-        own = merged(displays, seen, exposures, recovered_curve(displays, seen, exposures))
-        if sum(own.residuals) < _BETTER * sum(light.residuals):
-            light, curve = own, "recovered"
+    power = power_of(lights, seen, exposures)
+    light = merged(lights, seen, exposures, power)
     texels = unwrapped(light.radiance, light.clipped, np.any(seen, 0), rows, nearest.angle, nearest.radius)
-    return Capture(shots, chosen, exposures, curve, light.residuals, *texels)
+    return Capture(shots, chosen, exposures, power, light.residuals, *texels)
 
 
 def _exposures(paths: Sequence[Path], times: Sequence[float]) -> Floats:
@@ -189,7 +185,8 @@ def _agreed(paths: Sequence[Path], balls: Sequence[Ball | None]) -> tuple[int, l
     return first, [ball if ball and ball.score >= _AS_GOOD * best.score else best for ball in balls]
 
 
-def _chosen(displays: Sequence[Floats], seen: Sequence[np.ndarray], order: Sequence[int]) -> int:
+def _chosen(lights: Sequence[Floats], seen: Sequence[np.ndarray], order: Sequence[int]) -> int:
     """The brightest photograph that is hardly white anywhere, else the darkest."""
-    white = [float((display.max(0) >= CLIPPED)[there].mean()) for display, there in zip(displays, seen, strict=True)]
+    clip = srgb_to_linear(torch.tensor(CLIPPED)).item()
+    white = [float((light.max(0) >= clip)[there].mean()) for light, there in zip(lights, seen, strict=True)]
     return next((number for number in reversed(order) if white[number] <= _SHARED), order[0])

@@ -49,9 +49,9 @@ def ball(options: BallOptions) -> None:
     """Read the light around a mirror ball from photographs of it.
 
     The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
-    (Debevec & Malik 1997), and what the ball mirrors is unwrapped. Of three or more known exposures the camera's curve
-    is recovered. Writes a data set for `metapp meta illumination --data DIR --observe photo`, the map DIR/NAME.exr,
-    whose alpha says where it is seen and does not clip, and pictures of what was found in DIR/found/.
+    (after Debevec & Malik 1997, the camera's curve a power of sRGB's), and what the ball mirrors is unwrapped. Writes
+    a data set for `metapp meta illumination --data DIR --observe photo`, the map DIR/NAME.exr, whose alpha says where
+    it is seen and does not clip, and pictures of what was found in DIR/found/.
 
     Examples:
       metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
@@ -112,7 +112,7 @@ def _summary(paths: list[Path], captured: Capture) -> list[str]:
             line += f", exposure {exposure:.4g}, {100 * residual:.1f} % from the merged radiance"
         lines.append(line)
     share = captured.certain.mean((1, 2))
-    curve = f"camera's curve: {captured.curve}; " if len(paths) > 1 else ""
+    curve = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " if len(paths) > 1 else ""
     return [*lines, f"{curve}{share[0]:.0%} of the texels seen, {share[1]:.1%} clipped"]
 
 
@@ -134,7 +134,7 @@ def _document(options: BallOptions, captured: Capture) -> dict[str, object]:
     ]
     return {
         "out": str(options.folder),
-        "curve": captured.curve,
+        "power": captured.power,
         "chosen": str(options.paths[captured.chosen]),
         "seen": float(captured.certain[0].mean()),
         "clipped": float(captured.certain[1].mean()),

@@ -1,12 +1,13 @@
-"""Exposures of photographs, and radiance merged from several, by sRGB's curve or by one that is recovered.
+"""Exposures of photographs, and radiance merged from several, by a power of sRGB's curve.
 
 After Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs".
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,19 +16,14 @@ import torch
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import is_heif, opened
-from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.illumination.mirror import CLIPPED
 from metapp.extensions.capture.ball.view import Floats
 
 SHORTEST = 1e-6  # s; 1 over it is the longest
 
-_DARK = 0.03  # display value that says little
-_KNOTS = 32  # of a camera's curve
-_SAMPLES = 600  # pixels that tell it
-_SHOWN = 6  # values of a pixel, of three a photograph, that are neither dark nor white
-_SMOOTH = 3.0  # weight of its second difference
-
-Curve = Callable[[Floats], Floats]  # linear values of display values [3, ...]
+_LOW, _HIGH = 0.007, 0.78  # linear values that photographs are compared by
+_FEWEST = 50  # px, that say how two compare
 
 
 class Merged(NamedTuple):
@@ -87,61 +83,22 @@ def exif_exposure(path: Path) -> float:
         return seconds * (iso or 100) / 100 / (value("FNumber") or 1) ** 2
 
 
-def srgb_light(display: Floats) -> Floats:
-    """Linear values of display values, by sRGB's curve."""
-    result: Floats = srgb_to_linear(torch.from_numpy(display)).numpy()
-    return result
-
-
-def recovered_curve(displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats) -> Curve:
-    """The curve that makes photographs agree, by linear least squares; gray stays gray where they are half bright.
+def power_of(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats) -> float:
+    """The power of the values of photographs by which they agree, by least squares: 1 where their curve is sRGB's.
 
     Args:
-        displays: display values [3, S, S] of each.
+        lights: values [3, S, S] of each, linear by sRGB's curve.
         seen: where each shows the ball, [S, S].
         exposures: [N].
     """
-    from scipy.ndimage import gaussian_filter
-
-    stack = np.stack(displays)
-    smooth = np.stack([gaussian_filter(picture, (0, 1, 1)) for picture in stack])
-    edges = np.abs(np.gradient(smooth.max(0), axis=(1, 2))).sum((0, 1))
-    usable = np.all(seen, 0) & (edges < np.quantile(edges[np.all(seen, 0)], 0.6))
-    many = ((smooth > _DARK) & (smooth < 0.95)).sum((0, 1))
-    places = np.flatnonzero(usable & (many >= _SHOWN))
-    rng = np.random.default_rng(0)
-    places = rng.choice(places, min(_SAMPLES, len(places)), replace=False)
-    knots = [_solved(smooth[:, c].reshape(len(stack), -1)[:, places], np.log(exposures)) for c in range(3)]
-    even = np.linspace(0, 1, _KNOTS)
-    return lambda display: np.exp(
-        np.stack([np.interp(plane, even, logs) for plane, logs in zip(display, knots, strict=True)])
-    )
-
-
-def _solved(values: Floats, logs: Floats) -> Floats:
-    """Knots [K] of the curve of display values [N, P] of photographs whose exposures' logarithms are [N]."""
-    count, pixels = values.shape
-    place = np.clip(values, 0, 1) * (_KNOTS - 1)
-    low = np.minimum(place.astype(int), _KNOTS - 2)
-    part = place - low
-    weight = _hat(values)
-    rows = np.arange(count * pixels)
-    system = np.zeros((count * pixels + _KNOTS - 1, _KNOTS + pixels))
-    target = np.zeros(len(system))
-    flat = weight.ravel()
-    system[rows, low.ravel()] = flat * (1 - part.ravel())
-    system[rows, low.ravel() + 1] = flat * part.ravel()
-    system[rows, _KNOTS + np.tile(np.arange(pixels), count)] = -flat
-    target[rows] = flat * np.repeat(logs, pixels)
-    # the second difference of what sRGB's curve leaves, so that little data changes it little
-    known = np.log(np.maximum(srgb_light(np.linspace(0, 1, _KNOTS)), 1e-3))
-    smooth = np.diff(np.eye(_KNOTS), 2, axis=0) * _SMOOTH * math.sqrt(pixels / 100 + 1)
-    system[len(rows) : -1, :_KNOTS] = smooth
-    target[len(rows) : -1] = smooth @ known
-    middle = (_KNOTS - 1) // 2
-    system[-1, middle], target[-1] = 1e3, 1e3 * known[middle]
-    solution: Floats = np.linalg.lstsq(system, target, rcond=None)[0]
-    return np.maximum.accumulate(solution[:_KNOTS])
+    steps = []
+    for a, b in itertools.pairwise(np.argsort(exposures)):
+        usable = seen[a] & seen[b] & (lights[a].min(0) > _LOW) & (lights[b].max(0) < _HIGH)
+        if usable.sum() >= _FEWEST:
+            measured = np.median(np.log(lights[b][:, usable] / lights[a][:, usable]))
+            steps.append((measured, np.log(exposures[b] / exposures[a])))
+    measured, true = np.array(steps or [(1.0, 1.0)]).T
+    return float(measured @ true / (measured @ measured))
 
 
 def _hat(display: Floats) -> Floats:
@@ -157,17 +114,18 @@ def _hat_top(display: Floats) -> Floats:
 
 
 def merged(
-    displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats, curve: Curve = srgb_light
+    lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats, power: float = 1.0
 ) -> Merged:
     """Radiance of photographs that show the same.
 
     Args:
-        displays: display values [3, S, S] of each.
+        lights: values [3, S, S] of each, linear by sRGB's curve.
         seen: where each shows the ball.
         exposures: [N].
-        curve: of the camera.
+        power: of the camera's curve, as of `power_of`.
     """
-    radiances = [curve(display) / exposure for display, exposure in zip(displays, exposures, strict=True)]
+    displays = [linear_to_srgb(torch.from_numpy(light)).numpy() for light in lights]
+    radiances = [light**power / exposure for light, exposure in zip(lights, exposures, strict=True)]
     # colours of a pixel that clips in one channel are wrong in the others
     weights = [
         _hat(display) * (_hat_top(display.max(0)) * there) for display, there in zip(displays, seen, strict=True)

@@ -49,7 +49,7 @@ def write_capture(
         "made_by": "metapp data ball",
         "photos": [path.name for path in paths],
         "exposures": [float(value) for value in captured.exposures],
-        "curve": captured.curve,
+        "power": captured.power,
         "files": [FOUND, f"{name}.exr"],
     }
     with ShardWriter(folder, "illumination", UNITS, notes, overwrite=overwrite) as writer:
