@@ -18,10 +18,23 @@ def photo(tmp_path: Path) -> Path:
     return written(tmp_path / "a.png", photograph(Ball(80, 75, 60), 150, 160, 0.02, detailed))
 
 
-def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, photo: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def bracket(tmp_path: Path) -> list[Path]:
+    picture = photograph(Ball(80, 75, 60), 150, 160, 0.02, detailed)
+    exposures = {"b": 0.5, "a": 1.0, "c": 2.0}
+    return [written(tmp_path / f"{name}.png", exposure * picture) for name, exposure in exposures.items()]
+
+
+def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "garden"
-    said = metapp("data", "ball", photo, "--ball", "80,75,60", "--size", "32", "--out", out, "--json").done
-    assert said["photos"][0]["radius"] == 60
+    options = ["--exposures", "1/40,1/20,1/10", "--ball", "80,75,60", "--size", "32"]
+    done = metapp("data", "ball", *bracket, *options, "--out", out, "--json")
+    said = done.done
+    assert [photo["radius"] for photo in said["photos"]] == pytest.approx([60] * 3, abs=0.1)
+    assert said["power"] == pytest.approx(1, abs=0.02)
+    lines = done.err.splitlines()
+    assert lines[0].startswith("b.png: ball at 80.0,75.0, radius 60.0 px, exposure 0.5, 0.")
+    assert lines[3].startswith("camera's curve: sRGB's to the power of 1.00; ")
     assert check_shard(out) == []
     (task,) = read_shard(out, "test", "illumination")
     assert task.name == "garden"
@@ -32,7 +45,7 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, photo
     assert task.data["certain"].shape == (2, 32, 64)
     assert float(task.data["certain"][0].mean()) == pytest.approx(said["seen"])
     assert (out / "garden.exr").is_file()
-    assert (out / "found" / "a.png").is_file()
+    assert sorted(file.name for file in (out / "found").iterdir()) == ["a.png", "b.png", "c.png"]
 
 
 @pytest.mark.parametrize(
@@ -47,13 +60,6 @@ def test_bad_options_are_a_line(metapp: Callable, photo: Path, tmp_path: Path, o
     done = metapp("data", "ball", photo, "--out", tmp_path / "x", *options)
     assert line in (done.refusal if done.code == 1 else done.misuse)
     assert not (tmp_path / "x").exists()
-
-
-@pytest.fixture
-def bracket(tmp_path: Path) -> list[Path]:
-    picture = photograph(Ball(80, 75, 60), 150, 160, 0.02, detailed)
-    exposures = {"b": 0.5, "a": 1.0, "c": 2.0}
-    return [written(tmp_path / f"{name}.png", exposure * picture) for name, exposure in exposures.items()]
 
 
 @pytest.mark.long

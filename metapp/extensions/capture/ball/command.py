@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -68,12 +68,12 @@ def ball(options: BallOptions) -> None:
     with progress("photos", len(options.paths), quiet=options.quiet) as bar:
         captured = capture(options.paths, times, fov_rad=fov_rad, ball=place, rows=options.size, done=bar.advance)
     write_capture(name, options.paths, captured, folder, overwrite=options.overwrite)
+    document = _document(options, captured)
     if not options.quiet:
-        for line in _summary(options.paths, captured):
-            say(line)
+        _say(document)
         say(f"{folder}: {name}.exr and a data set; look at what was found: {folder / FOUND}")
     if options.as_json:
-        print_json(_document(options, captured))
+        print_json(document)
 
 
 def _times(text: str) -> tuple[float, ...]:
@@ -100,23 +100,7 @@ def _place(text: str) -> tuple[float, float, float] | None:
     return x, y, radius
 
 
-def _summary(paths: list[Path], captured: Capture) -> list[str]:
-    """A summary: a line a photograph and one of all."""
-    lines = []
-    for path, shot, exposure, residual in zip(
-        paths, captured.shots, captured.exposures, captured.residuals, strict=True
-    ):
-        ball = shot.ball
-        line = f"{path.name}: ball at {ball.x:.1f},{ball.y:.1f}, radius {ball.radius:.1f} px"
-        if len(paths) > 1:
-            line += f", exposure {exposure:.4g}, {100 * residual:.1f} % from the merged radiance"
-        lines.append(line)
-    share = captured.certain.mean((1, 2))
-    curve = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " if len(paths) > 1 else ""
-    return [*lines, f"{curve}{share[0]:.0%} of the texels seen, {share[1]:.1%} clipped"]
-
-
-def _document(options: BallOptions, captured: Capture) -> dict[str, object]:
+def _document(options: BallOptions, captured: Capture) -> dict[str, Any]:
     """The document for scripts."""
     photos = [
         {
@@ -140,3 +124,17 @@ def _document(options: BallOptions, captured: Capture) -> dict[str, object]:
         "clipped": float(captured.certain[1].mean()),
         "photos": photos,
     }
+
+
+def _say(document: dict[str, Any]) -> None:
+    """The same in words: a line a photograph and one of all."""
+    photos = document["photos"]
+    for photo in photos:
+        line = (
+            f"{Path(photo['source']).name}: ball at {photo['x']:.1f},{photo['y']:.1f}, radius {photo['radius']:.1f} px"
+        )
+        if len(photos) > 1:
+            line += f", exposure {photo['exposure']:.4g}, {100 * photo['residual']:.1f} % from the merged radiance"
+        say(line)
+    curve = f"camera's curve: sRGB's to the power of {document['power']:.2f}; " if len(photos) > 1 else ""
+    say(f"{curve}{document['seen']:.0%} of the texels seen, {document['clipped']:.1%} clipped")
