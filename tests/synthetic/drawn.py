@@ -7,9 +7,6 @@ from importlib import import_module
 from types import ModuleType
 from typing import NamedTuple
 
-import torch
-from torch import Tensor
-
 from metapp.learning.task import Task
 
 TRAIN = {"texture": 100, "svbrdf_stationary": 64, "svbrdf_nonstationary": 48, "illumination": 48}  # tasks for training
@@ -26,10 +23,6 @@ class Drawn(NamedTuple):
     def tasks(self) -> list[Task]:
         return self.train + self.test
 
-    def images(self) -> Tensor:
-        """Pictures [N, 3, 256, 256] in [0, 1]."""
-        return torch.stack([task.data["image"] for task in self.tasks]).float() / 255
-
 
 def source_of(app: str) -> ModuleType:
     """The module that draws them."""
@@ -42,9 +35,3 @@ def drawn(app: str) -> Drawn:
     source = source_of(app)
     sets = (source.synthetic_tasks("train", TRAIN[app]), source.synthetic_tasks("test", source.COUNTS["test"]))
     return Drawn(source, *map(list, sets))
-
-
-def least_distance(pictures: Tensor) -> float:
-    """Mean absolute difference of the two pictures [N, C, H, W] that are most alike, at an eighth of their size."""
-    small = torch.nn.functional.avg_pool2d(pictures, 8).flatten(1)
-    return float((torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]).min())

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-from data_tools.synthetic.cornell import random_scene
+from data_tools.synthetic.cornell import random_scene, to_xml
+from tests.needs_mitsuba import needs_mitsuba
 
 SCENES = [random_scene(seed) for seed in range(200)]
 WALLS = {"floor", "ceiling", "back", "left", "right"}
@@ -65,22 +67,21 @@ def test_all_is_inside_the_box_nothing_overlaps_and_mirror_and_light_hang_where_
         check_mirror_and_light(scene)
 
 
-def test_scenes_are_varied() -> None:
-    assert {len(spheres(scene)) for scene in SCENES} == {1, 2, 3, 4, 5}
-    kinds = [part["bsdf"]["type"] for scene in SCENES for key, part in scene.items() if key.startswith("sphere-")]
-    shares = {kind: kinds.count(kind) / len(kinds) for kind in ("diffuse", "dielectric", "roughconductor")}
-    assert sum(shares.values()) == pytest.approx(1)
-    assert min(shares.values()) > 0.25
-    left = np.mean([corners(scene["mirror"])[0, 0] < 0 for scene in SCENES])
-    assert 0.35 < left < 0.65
-    places = np.array([corners(scene["light"]).mean(0)[[0, 2]] for scene in SCENES])
-    assert (places.std(0) > 0.2).all()
-    walls = np.array([scene[name]["bsdf"]["reflectance"]["value"] for scene in SCENES for name in ("left", "right")])
-    assert (np.ptp(walls, axis=1) > 0.3).all()  # coloured
-
-
 def test_a_seed_is_a_scene() -> None:
     assert random_scene(3) == SCENES[3]
     assert len({json.dumps(scene) for scene in SCENES}) == len(SCENES)
     with pytest.raises(ValueError, match="seed -1, expected 0 or more"):
         random_scene(-1)
+
+
+@needs_mitsuba
+def test_a_scene_as_xml_is_the_same_as_its_dictionary() -> None:
+    from metapp.rendering.paths.path_space import Tracer
+
+    points = torch.rand(4000, 4, generator=torch.Generator().manual_seed(0))
+    carried = [
+        Tracer(each).contributions(points, torch.Generator().manual_seed(0))
+        for each in (SCENES[3], {"xml": to_xml(SCENES[3])})
+    ]
+    assert carried[0].any()
+    torch.testing.assert_close(*carried, rtol=1e-4, atol=1e-5)

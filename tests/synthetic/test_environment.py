@@ -11,21 +11,10 @@ import torch
 
 from data_tools.draws import stream
 from data_tools.synthetic.draws import Field
-from data_tools.synthetic.environments.backdrop import open_ground, skyline
-from data_tools.synthetic.environments.light import irradiance, render, sun_disc, sunlight, visibility
+from data_tools.synthetic.environments.backdrop import open_ground
+from data_tools.synthetic.environments.light import irradiance, render, sun_disc
 from data_tools.synthetic.environments.patterns import direction, luminance, vector
-from data_tools.synthetic.environments.scene import (
-    BEYOND,
-    Backdrop,
-    Box,
-    Crown,
-    Finish,
-    Lamp,
-    Scene,
-    Window,
-    cast,
-    view,
-)
+from data_tools.synthetic.environments.scene import Backdrop, Box, Finish, Lamp, Scene, Window, view
 from data_tools.synthetic.environments.sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
 from data_tools.synthetic.environments.sources import sources
 from metapp.appearance.latlong import cosine_transfer, directions, solid_angles
@@ -33,7 +22,6 @@ from metapp.appearance.latlong import cosine_transfer, directions, solid_angles
 DARK = Backdrop(black_sky(), np.zeros_like, lambda rays: np.ones(rays.shape[1], np.float32))
 BRIGHT = DARK._replace(radiance=np.ones_like)  # radiance 1 from everywhere
 WHITE = vector(1, 1, 1)
-GRAY = Finish(vector(0.5, 0.5, 0.5))
 
 
 def room(albedo: float = 0.5, backdrop: Backdrop = DARK) -> Scene:
@@ -79,16 +67,6 @@ def test_the_sun_keeps_its_energy_and_its_place(supersampling: int, elevation_de
     assert rays[:, disc[1] > 0].T @ sky.sun == pytest.approx(1, abs=1 - math.cos(math.radians(6 / supersampling)))
 
 
-@pytest.mark.parametrize("turn", [1, 50])
-def test_turning_the_eye_moves_the_columns(turn: int) -> None:
-    scene = plain(clear(35))
-    scene.boxes.append(Box(vector(2, -1.5, 2), vector(4, 1, 5), GRAY))
-    scene.crowns.append(Crown(vector(-3, 1, 2), 1.5, vector(0.1, 0.2, 0.05)))
-    straight, moved = render(scene, 0.0), render(scene, turn * math.tau / 128)
-    apart = np.abs(np.roll(straight, -turn, 2) - moved).max(0) / straight.mean()
-    assert np.quantile(apart, 0.97) < 1e-2  # at edges rounding decides
-
-
 # Light
 
 
@@ -113,42 +91,6 @@ def test_lamps_shine_as_closed_forms_say(far: float) -> None:
         np.testing.assert_allclose(found[:, 0], lamp.radiance * expected, rtol=1e-3)
         behind = irradiance(scene, sources(scene), columns((0, 2 * far, 0)), columns((0, -1, 0)))
         assert behind.any() == (lamp.shape == "ball")
-
-
-def test_boxes_and_crowns_cast_shadows() -> None:
-    scene = plain(clear(45, azimuth_deg=0))  # the sun is at +x, shadows fall to -x, as long as things are high
-    scene.boxes.append(Box(vector(1, -1.5, -1), vector(2, 0.5, 1), GRAY))
-    ground, up = columns((0, -1.5, 0), (-0.9, -1.5, 0), (-1.3, -1.5, 0), (0, -1.5, 1.2), (3, -1.5, 0)), vector(0, 1, 0)
-    light = sunlight(scene, ground, np.tile(up[:, None], 5))
-    full = scene.backdrop.sky.sunlight * np.float32(math.sin(math.pi / 4))
-    np.testing.assert_allclose(light / full[:, None], np.tile([0, 0, 1, 1, 1], (3, 1)), atol=1e-3)
-    way = scene.backdrop.sky.sun[:, None]
-    assert visibility(scene, ground, way, 0.5, 0.01).tolist() == [1, 1, 1, 1, 1]  # what is near enough is before it
-    scene.boxes, scene.crowns = [], [Crown(vector(1.5, 0, 0), 1.0, WHITE)]
-    assert (sunlight(scene, ground, np.tile(up[:, None], 5))[1] < 0.9 * full[1]).tolist() == [True] + 4 * [False]
-
-
-def test_the_sun_comes_into_a_room_through_its_windows_only() -> None:
-    scene = room(backdrop=open_ground(clear(45, azimuth_deg=0), WHITE))
-    scene.windows = [Window(1, (-1, -0.5), (1, 0.5), vector(0.8, 0.9, 1.0))]  # in the wall at x = 3
-    floor = columns((2.5, -1.5, 0), (1.5, -1.5, 0), (0.5, -1.5, 0), (1.5, -1.5, 1.5), (1.2, -1.5, -0.9))
-    light = sunlight(scene, floor, np.tile(vector(0, 1, 0)[:, None], 5))
-    expected = scene.backdrop.sky.sunlight * scene.windows[0].glass * np.float32(math.sin(math.pi / 4))
-    np.testing.assert_allclose(light, expected[:, None] * [0, 1, 0, 0, 1], rtol=1e-4)
-
-
-def test_rays_end_where_things_are() -> None:
-    scene = room(backdrop=BRIGHT)
-    scene.boxes.append(Box(vector(-0.5, -0.5, 1), vector(0.5, 0.5, 1.5), GRAY))
-    scene.windows = [Window(0, (-1, -1), (1, 1), vector(0.5, 0.6, 0.7), (2, 1))]
-    hits = cast(scene, columns((0, 0, 1), (0, -1, 0), (-0.96, 0, 0.28), (-1, 0, 0), (0, 0, -1)))
-    assert hits.surface.tolist() == [6, 2, BEYOND, 0, 4]  # a box; the floor; a pane; the bar in the middle; a wall
-    assert hits.distance[[0, 1, 4]] == pytest.approx([1, 1.5, 3])
-    assert hits.normal[:, 0].tolist() == [0, 0, -1]
-    assert hits.glass is not None
-    assert hits.glass[:, 2] == pytest.approx([0.5, 0.6, 0.7])
-    seen = render(scene, 0.0)[:, 32, 96 - 4]  # of 128 columns; a little right of -x
-    assert seen == pytest.approx([0.5, 0.6, 0.7])
 
 
 def mitsuba_room(mitsuba: Any, scene: Scene, emitter: dict[str, Any], target: tuple[float, float, float]) -> Field:
@@ -239,13 +181,3 @@ def test_clear_skies_are_like_mitsubas(mitsuba: Any, elevation_deg: float, turbi
         luminance(sun / (light @ angles)) for sun, light in ((sky.sunlight, ours), (their_sun, theirs))
     )
     assert 0.5 < our_share / their_share < 1.6
-
-
-@pytest.mark.parametrize("kind", ["hills", "woods", "town"])
-def test_horizons_hide_the_sky_just_where_they_stand(kind: str) -> None:
-    sky, rays = clear(30), view(1)[0]
-    backdrop, flat = (skyline(stream(3), sky, WHITE, kind, height) for height in (0.3, 1e-4))
-    seen, changed = backdrop.clearness(rays), (backdrop.radiance(rays) != flat.radiance(rays)).any(0)
-    assert (changed == (seen != flat.clearness(rays))).mean() > 0.999
-    assert seen[(rays[1] > 0) & (rays[1] < 0.2)].mean() < 0.95
-    assert seen[rays[1] > 0.6].all()
