@@ -42,8 +42,6 @@ BAD_LINES: dict[str, Any] = {
     "true": {"seconds": True},
     "no settings": {"settings": None},
     "nested": NESTED,
-    "many digits": '{"name": "x", "error": 1' + "0" * 5000 + "}",
-    "zeros": "\0" * 64,
     "no text": "\x7f\xfe",
 }
 
@@ -95,21 +93,17 @@ def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, ne
 ONE = {"theta.x": torch.ones(1)}
 GOOD = {"metapp": json.dumps({"schema": SCHEMA})}
 WHOLE = save(ONE, GOOD)
-TYPES = (torch.int64, torch.bool, torch.float8_e4m3fn, torch.complex64)
-HEADERS = ("{", "[]", "{}", "[1]", '"text"', "3", "null", '{"schema": "new"}', '{"schema": true}', '{"schema": "1"}',
-           '{"schema": [1]}', '{"schema": 1e400}', NESTED)  # fmt: skip
-NO_CHECKPOINTS = {
+HEADERS = ("{", "[]", "null", '{"schema": "new"}', '{"schema": true}', '{"schema": 1e400}', NESTED)
+NO_CHECKPOINTS = {  # tests/fuzz tries any bytes
     "bare": save(ONE, None),
     "stranger": save(ONE, {"format": "pt"}),
     "other part": save({"other.x": torch.ones(1)}, GOOD),
     "undotted": save({"theta": torch.ones(1)}, GOOD),
     **{f"header {header[:20]}": save(ONE, {"metapp": header}) for header in HEADERS},
-    **{f"of {dtype}": save({"theta.x": torch.ones(2).to(dtype)}, GOOD) for dtype in TYPES},
-    **{f"cut at {keep}": WHOLE[:keep] for keep in (0, 4, 8, 60, -1)},
-    "noise": b"\xff" * 64,
+    "integers": save({"theta.x": torch.ones(2, dtype=torch.int64)}, GOOD),
+    "cut": WHOLE[:-1],
     "pickle": b"\x80\x04N.",
-    "JSON": b'{"schema": 1}',
-    "all bytes": bytes(range(256)) * 4,
+    "empty": b"",
 }
 
 
@@ -139,13 +133,11 @@ def written(name: str, changes: dict[str, Any]) -> Path:
 CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
     ("meta-curvature", {"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
     ("meta-curvature", {"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
-    ("meta-curvature", {"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
     ("meta-curvature", {"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
     ("meta-curvature", {"theta": {"w1": None}}, "theta w1 is missing"),
     ("meta-curvature", {"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
     ("meta-curvature", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
     ("meta-sgd", {"app": ["brdf"]}, ""),
-    ("meta-sgd", {"app": {"a": 1}}, ""),
     ("meta-sgd", {"checkpoint": ["meta-sgd"]}, ""),
     ("meta-sgd", {"checkpoint": None}, ""),
 ]

@@ -35,18 +35,15 @@ def test_round_trip(tmp_path: Path) -> None:
         ({"tasks": [3]}, "task 1: 'name' is null, expected text"),
         ({"units": {"angles": 1}}, "units: 'angles' is 1, expected text"),
         ({"tasks": [GOLD._asdict() | {"name": "silver"}, SILVER._asdict()]}, "two tasks have the same name"),
+        *((content, "not readable as JSON") for content in (b"{", b"\xff\xfe", b"", b"[" * 100_000)),
     ],
 )
-def test_damaged_manifests(tmp_path: Path, changes: dict[str, object], message: str) -> None:
-    write(tmp_path, **changes)
+def test_damaged_manifests(tmp_path: Path, changes: dict[str, object] | bytes, message: str) -> None:
+    if isinstance(changes, bytes):
+        (tmp_path / "manifest.json").write_bytes(changes)
+    else:
+        write(tmp_path, **changes)
     with pytest.raises(ValueError, match=message):
-        read_manifest(tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"", b"[" * 100_000])
-def test_manifests_that_are_no_json(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "manifest.json").write_bytes(content)
-    with pytest.raises(ValueError, match="not readable as JSON"):
         read_manifest(tmp_path)
 
 

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from safetensors.torch import load_file, save
 
 from metapp.learning.learn import MetaParameters
@@ -212,34 +214,6 @@ def test_parameters_are_there_before_their_record(tmp_path: Path, monkeypatch: p
     assert not run.file.exists()
 
 
-def test_file_names_are_safe_and_distinct_and_good_names_stay() -> None:
-    names = [
-        "gold",
-        "a b",
-        "a_b",
-        "a/b",
-        "a\\b",
-        "..",
-        ".",
-        "",
-        "/",
-        ".hidden",
-        "hidden",
-        "größe",
-        "a\0b",
-        "-x",
-        "task",
-    ]
-    files = [file_name(name) for name in names]
-    assert len(set(files)) == len(names)
-    for name, file in zip(names, files, strict=True):
-        assert not file.startswith("."), name
-        assert not set(file) & set('/\\:*?"<>| \0'), name
-    assert file_name("gold-1.5_x") == "gold-1.5_x"
-    for name in ("gold", "red felt/2", "größe", "x" * 100, ""):
-        assert safe_name(name) == name
-
-
 def add_many(path: Path, writer: int, count: int) -> None:
     run = RunFolder(path, {"steps": 10}, FIT)
     for i in range(count):
@@ -255,46 +229,37 @@ def test_what_several_programs_add_at_once_stays(tmp_path: Path) -> None:
     assert len(RunFolder(tmp_path, {"steps": 10}, FIT).finished()) == 80
 
 
-def test_records_are_read_again_only_where_the_file_has_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run, calls = fit_folder(tmp_path), []
-    monkeypatch.setattr("metapp.storage.records.read_records", lambda *args: calls.append(args) or read_records(*args))
-    for _ in range(3):
-        assert len(run.finished()) == 2
-    run.add(record("zinc", seconds=0.1))
-    assert len(run.finished()) == 3
-    assert len(calls) == 2
+# Names
+
+ANY = st.characters(exclude_categories=["Zs"]) | st.sampled_from(" ./\\\ud800\x1b\u2028")
+ODD = ["größe" * 60, "日" * 200, "\x1b[31mred", "caf\udce9", "a\u2028b", "x" * 101]
+APART = ["gold", "a b", "a_b", "a/b", "a\\b", "..", ".", "", "/", ".hidden", "hidden", "a\0b", "-x", "task", *ODD]
 
 
-LONG = (
-    "x" * 230,
-    "größe" * 60,
-    "日" * 200,
-    "a\nb",
-    "bell\a",
-    "\x1b[31mred",
-    "caf\udce9",
-    "\ud800",
-    "a\u2028b",
-    "x" * 101,
-)
-
-
-@pytest.mark.parametrize("name", LONG)
-def test_names_are_made_safe_and_short(tmp_path: Path, name: str) -> None:
+@settings(max_examples=200, derandomize=True, database=None, deadline=None)
+@given(st.text(ANY, max_size=150))
+def test_names_of_files_and_tasks_are_safe_and_short(name: str) -> None:
     for make in (safe_name, file_name):
         safe = make(name)
         assert len(safe.encode()) <= 100
         assert safe.isprintable()
         assert make(safe) == safe
-    assert safe_name(name) != safe_name(f"{name}2")
+    assert file_name(name)[0] != "."
+    assert not set(file_name(name)) & set('/\\:*?"<>| \0')
+
+
+def test_other_names_are_other_files_and_good_names_stay(tmp_path: Path) -> None:
+    assert len({file_name(name) for name in APART}) == len(APART)
+    assert file_name("gold-1.5_x") == "gold-1.5_x"
+    assert safe_name("x" * 101) != safe_name("x" * 102)
+    for name in ("gold", "red felt/2", "größe", "x" * 100, ""):
+        assert safe_name(name) == name
     run = RunFolder(tmp_path, {}, FIT)
-    run.add(record(name, seconds=0.1), THETA)
-    assert torch.equal(run.theta(name)["w"], THETA["w"])
-    (text,) = run.finished()
-    assert text == as_text(name)
-    assert torch.equal(run.theta(text)["w"], THETA["w"])
+    for index, name in enumerate(ODD):
+        run.add(record(name, seconds=0.1), {"w": torch.tensor([index])})
+    assert list(run.finished()) == list(map(as_text, ODD))
+    for index, name in enumerate(ODD):
+        assert run.theta(name)["w"] == run.theta(as_text(name))["w"] == index
 
 
 def test_names_in_records_of_others_turn_no_text(tmp_path: Path) -> None:
