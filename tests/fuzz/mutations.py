@@ -25,35 +25,27 @@ def _place(draw: Callable[..., Any], content: bytes) -> int:
     return int(draw(st.integers(0, min(len(content), draw(st.sampled_from((HEADER, len(content))))))))
 
 
+NUMBERS = st.builds(
+    lambda number, size, order: (number % 256**size).to_bytes(size, order),
+    st.sampled_from(INTEGERS), st.sampled_from((1, 2, 4, 8)), st.sampled_from(("little", "big")),
+) | st.builds(struct.pack, st.sampled_from(("<f", ">f", "<d", ">d")), st.sampled_from(FLOATS))  # fmt: skip
+
+
 @st.composite
 def changed(draw: Callable[..., Any], content: bytes) -> bytes:
     """The same with one change."""
     at = _place(draw, content)
-    kind = draw(st.sampled_from(("truncate", "flip", "delete", "insert", "number", "copy", "word", "word")))
+    kind = draw(st.sampled_from(("truncate", "bytes", "number", "copy", "word", "word")))
     if kind == "truncate":
         return content[:at]
-    if kind == "flip":
-        flipped = bytes(byte ^ draw(st.integers(1, 255)) for byte in content[at : at + 1])
-        return content[:at] + flipped + content[at + 1 :]
-    if kind == "delete":
-        return content[:at] + content[at + draw(st.integers(1, 64)) :]
-    if kind == "insert":
-        return content[:at] + draw(st.binary(min_size=1, max_size=64)) + content[at:]
-    if kind == "number":
-        order, size = draw(st.sampled_from("<>")), draw(st.sampled_from((1, 2, 4, 8)))
-        number = (draw(st.sampled_from(INTEGERS)) % 256**size).to_bytes(size, "little" if order == "<" else "big")
-        if draw(st.booleans()):
-            form = draw(st.sampled_from("fd"))
-            number = struct.pack(order + form, draw(st.sampled_from(FLOATS)))
-        return content[:at] + number + content[at + len(number) :]
-    if kind == "copy":
-        start = _place(draw, content)
-        return content[:at] + content[start : start + draw(st.integers(1, 256))] + content[at:]
-    words = list(WORD.finditer(content[: 40 * HEADER]))
-    if not words:
-        return content
-    word = words[draw(st.integers(0, len(words) - 1))]
-    return content[: word.start()] + draw(st.sampled_from(WORDS)) + content[word.end() :]
+    if kind == "word":
+        words = list(WORD.finditer(content[: 40 * HEADER]))
+        start, end = words[draw(st.integers(0, len(words) - 1))].span() if words else (at, at)
+        return content[:start] + draw(st.sampled_from(WORDS)) + content[end:]
+    start = _place(draw, content)
+    new = {"bytes": st.binary(max_size=64), "number": NUMBERS, "copy": st.just(content[start : start + 64])}[kind]
+    put = draw(new)
+    return content[:at] + put + content[at + draw(st.sampled_from((0, len(put), 1, 64))) :]
 
 
 @st.composite

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import functools
-import importlib
+import inspect
 import math
 import os
 import shutil
@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from data_tools.formats import inputs_of
+from data_tools.readers.merl import FILE_BYTES
 from tests.fuzz import files
 from tests.fuzz.mutations import damaged
 from tests.needs_mitsuba import MISSING
@@ -36,54 +37,22 @@ class Hang(BaseException):
     """A reader that takes too long."""
 
 
-def finite(task: Any, **shapes: tuple[int, ...]) -> None:
-    """All values of a task are, and what is named has its shape."""
+def finite(task: Any) -> None:
+    """All values of a task are."""
     for key, value in task.data.items():
         assert bool(value.isfinite().all()), key
-    for key, shape in shapes.items():
-        assert tuple(task.data[key].shape) == shape, (key, task.data[key].shape)
 
 
-def read_merl(folder: Path, file: Path) -> None:
-    from data_tools.readers import merl
-    from data_tools.readers.merl_table import SHAPE
-
-    if file.stat().st_size > 64:  # a whole one takes 35 MB
-        os.truncate(file, merl.FILE_BYTES)
-    merl.find([file])
-    table = merl.read_merl(file)
-    assert table.shape == (*SHAPE, 3)
-    assert np.isfinite(table).all()
-
-
-def read_nbrdf(folder: Path, file: Path) -> None:
-    from data_tools.readers import nbrdf
-
-    for network in nbrdf.find([folder])[0]:
-        finite(nbrdf.read_task(network, samples=64), reflectance=(64, 3))
-
-
-def read_rgl(folder: Path, file: Path) -> None:
-    from metapp.extensions.rgl import rgl
-
-    values = rgl.read_rgl(file)(torch.tensor([[0.1, 0.2, 0.3], [0.6, 0.9, 4.0]]))
-    assert values.shape == (2, 3)
-    assert bool(values.isfinite().all())
-
-
-def read_table(folder: Path, file: Path) -> None:
-    from metapp.extensions.few import gonio
-
-    wi, wo, reflectance = gonio.read_pairs(file)
-    assert wi.shape == wo.shape == reflectance.shape
-    finite(gonio.read_task(file))
-
-
-def read_image(module: str, key: str, width: int, folder: Path, file: Path) -> None:
-    """As a picture of 32 px, or as a map of 32 x 64 texels."""
-    reader = importlib.import_module(f"data_tools.readers.{module}")
-    for source in reader.find([file])[0] if hasattr(reader, "find") else [file]:
-        finite(reader.read_task(source, 32), **{key: (3, 32, width)})
+def read_input(app: str, folder: Path, file: Path) -> None:
+    """As a fit's INPUT, of few samples or texels."""
+    if file.suffix == ".binary" and file.stat().st_size > 64:  # a whole one takes 35 MB
+        os.truncate(file, FILE_BYTES)
+    place = folder if file.suffix == ".npy" else file
+    for form in (form for form in inputs_of(app) if form.recognises(place)):
+        read = form.files().read_task
+        few = {"samples": 64, "size": 32}
+        for source in form.find([place])[0]:
+            finite(read(source, **{key: few[key] for key in few & inspect.signature(read).parameters.keys()}))
 
 
 def read_scene(folder: Path, file: Path) -> None:
@@ -155,24 +124,26 @@ def read_records(folder: Path, file: Path) -> None:
 
 
 images = functools.partial(functools.partial, files.images)
-of_photos = functools.partial(read_image, "photos", "image", 32)
-of_materials = functools.partial(read_image, "svbrdf_inputs", "photo", 32)
-of_light = functools.partial(read_image, "latlong", "map", 64)
+of_materials = functools.partial(read_input, "brdf")
+of_photos = functools.partial(read_input, "texture")
+of_flash = functools.partial(read_input, "svbrdf_stationary")
+of_maps = functools.partial(read_input, "svbrdf_nonstationary")
+of_light = functools.partial(read_input, "illumination")
 READERS: dict[str, tuple[Callable[[], list[files.Files]], Callable[[Path, Path], None]]] = {
-    "merl": (files.merl, read_merl),
-    "nbrdf": (files.networks, read_nbrdf),
-    "rgl": (files.rgl, read_rgl),
-    "table": (files.tables, read_table),
+    "merl": (files.merl, of_materials),
+    "nbrdf": (files.networks, of_materials),
+    "rgl": (files.rgl, of_materials),
+    "table": (files.tables, of_materials),
     "png": (images(".png uint8", ".png uint16"), of_photos),
     "jpeg": (images(".jpg uint8"), of_photos),
     "tiff": (images(".tif uint8", ".tif float"), of_photos),
     "pfm": (images(".pfm float"), of_photos),
     "other images": (images(".bmp uint8", ".tga uint8", ".gif uint8", ".webp uint8", ".ppm uint8"), of_photos),
-    "flash": (images(".png uint8", ".jpg uint8"), functools.partial(read_image, "flash", "image", 32)),
+    "flash": (images(".png uint8", ".jpg uint8"), of_flash),
     "exr": (images(".exr half"), of_light),
     "hdr": (images(".hdr float"), of_light),
-    "strips": (files.strips, of_materials),
-    "maps": (files.maps, of_materials),
+    "strips": (files.strips, of_maps),
+    "maps": (files.maps, of_maps),
     "scene": (files.scenes, read_scene),
     "mesh": (files.meshes, read_scene),
     "shard": (files.shards, read_shard),
