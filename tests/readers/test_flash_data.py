@@ -29,29 +29,26 @@ def splits_of(folder: Path) -> dict[str, str]:
     return {label.name: label.split for label in split_by_material(find_shown([folder])).values()}
 
 
-def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
-    labels = {
-        "train_0231_IMG_0785.jpg": Label("0231_IMG_0785", "0231", "train"),
-        "deep/Test_gold_a.jpg": Label("gold_a", "gold", "test"),
-        "test/0280/IMG_0786.JPG": Label("0280_IMG_0786", "0280", "test"),
-        "Train/tin.jpg": Label("tin", "tin", "train"),
-        "wood/IMG_1.jpg": Label("wood_IMG_1", "wood", ""),
-        "box/wood/IMG_1.jpg": Label("wood_IMG_1", "wood", ""),
-        "stone.jpg": Label("stone", "stone", ""),
-        "test_stone.jpg": Label("test_stone", "test_stone", ""),
-    }
-    for name, expected in labels.items():
-        assert shown(tmp_path / name, tmp_path) == expected
+LABELS = {
+    ("train_0231_IMG_0785.jpg", ""): Label("0231_IMG_0785", "0231", "train"),
+    ("deep/Test_gold_a.jpg", ""): Label("gold_a", "gold", "test"),
+    ("test/0280/IMG_0786.JPG", ""): Label("0280_IMG_0786", "0280", "test"),
+    ("Train/tin.jpg", ""): Label("tin", "tin", "train"),
+    ("box/wood/IMG_1.jpg", ""): Label("wood_IMG_1", "wood", ""),
+    ("stone.jpg", ""): Label("stone", "stone", ""),
+    ("test_stone.jpg", ""): Label("test_stone", "test_stone", ""),
+    # what lies above the named folder says nothing, but the folder itself does, and the place of a file that was named
+    ("test/photographs/wood/a.jpg", "test/photographs"): Label("wood_a", "wood", ""),
+    ("test/gold/a.jpg", "test"): Label("gold_a", "gold", "test"),
+    ("test/gold/a.jpg", None): Label("gold_a", "gold", "test"),
+    ("photographs/a.jpg", None): Label("a", "a", ""),
+}
 
 
-def test_what_lies_above_the_named_folder_says_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "test" / "photographs"
-    assert shown(folder / "a.jpg", folder) == Label("a", "a", "")
-    assert shown(folder / "wood" / "a.jpg", folder) == Label("wood_a", "wood", "")
-    # but the folder itself does, and so does the place of a file that was named
-    assert shown(tmp_path / "test" / "gold" / "a.jpg", tmp_path / "test") == Label("gold_a", "gold", "test")
-    assert shown(tmp_path / "test" / "gold" / "a.jpg") == Label("gold_a", "gold", "test")
-    assert shown(tmp_path / "photographs" / "a.jpg") == Label("a", "a", "")
+@pytest.mark.parametrize(("file", "named"), LABELS)
+def test_the_material_follows_from_name_and_place(tmp_path: Path, file: str, named: str | None) -> None:
+    where = () if named is None else (tmp_path / named,)
+    assert shown(tmp_path / file, *where) == LABELS[file, named]
 
 
 @pytest.mark.parametrize(

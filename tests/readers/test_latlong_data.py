@@ -12,9 +12,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.draws import stream
 from data_tools.readers import latlong
-from data_tools.readers.latlong import find, map_task, read_map, read_task
+from data_tools.readers.latlong import find, read_map, read_task
 from metapp.appearance.latlong import mean_luminance, resample, solid_angles
 from metapp.storage.images import write_exr
 from tests.pictures import check_refused, planes, truncated, write
@@ -156,13 +155,6 @@ def test_a_map_becomes_a_task(tmp_path: Path) -> None:
     )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
-    light = 5 + torch.rand(3, 16, 32, dtype=torch.float64)
-    task = map_task("a", light, stream(0))
-    assert {key: value.dtype for key, value in task.data.items()} == {
-        "map": torch.float32, "scale": torch.float32, "photos": torch.uint8
-    }  # fmt: skip
-    assert task.data["map"].shape == (3, 64, 128)
-    assert task.data["scale"].item() == pytest.approx(mean_luminance(light).item())
 
 
 # Files

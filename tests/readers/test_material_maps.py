@@ -117,17 +117,11 @@ def test_alpha_is_left_aside_and_the_central_square_counts(tmp_path: Path) -> No
 
 NAMES: dict[str, tuple[str, str | None]] = {
     "rock_diff_4k": ("rock", "base colour"),
-    "T_Rock_BaseColor": ("T_Rock", "base colour"),
     "rock-base-color": ("rock", "base colour"),
     "Bricks075A_2K-JPG_Color": ("Bricks075A_2K-JPG", "base colour"),
-    "ROCK_COL": ("ROCK", "base colour"),
-    "rock.albedo.2048": ("rock", "base colour"),
     "RockNormal": ("Rock", "normal"),
-    "rock_nor": ("rock", "normal"),
-    "RockNormalGL": ("Rock", "normal (OpenGL)"),
     "rock_nor_gl_1k": ("rock", "normal (OpenGL)"),
     "rock_nor_dx": ("rock", "normal (DirectX)"),
-    "Rock_NormalDirectX": ("Rock", "normal (DirectX)"),
     "rock rough": ("rock", "roughness"),
     "RockGlossiness": ("Rock", "gloss"),
     "rock_f0": ("rock", "specular"),
@@ -135,7 +129,6 @@ NAMES: dict[str, tuple[str, str | None]] = {
     "normal": ("", "normal"),
     "rock_ao": ("rock", ""),
     "rock": ("rock", None),
-    "Metal_049": ("Metal_049", None),
     "eX_cretewall_03b": ("eX_cretewall_03b", None),
     "abnormal": ("abnormal", None),
 }

@@ -1,4 +1,5 @@
 import math
+import re
 import struct
 from pathlib import Path
 
@@ -117,31 +118,22 @@ def test_tabulate(tmp_path: Path) -> None:
         tabulate(lambda angles: angles * math.nan)
 
 
-def test_wrong_sizes(merl_file: Path, tmp_path: Path) -> None:
+def test_what_is_no_table_is_one_line(merl_file: Path, tmp_path: Path) -> None:
     whole, path = merl_file.read_bytes(), tmp_path / "gold.binary"
     assert len(whole) == FILE_BYTES
-    expected = r"expected 34,992,012 \(12-byte header \+ 3x90x90x180 doubles\)"
-    for content, size, why in (
-        (whole[: 2**25], "33,554,432", "the download is probably incomplete"),
-        (whole + b"\n", "34,992,013", "the file has something appended"),
-        (b"hello", "5", "not a MERL file"),
+    expected = "expected 34,992,012 (12-byte header + 3x90x90x180 doubles)"
+    infinite = struct.pack("<2d", math.inf, -math.inf)
+    for content, message in (
+        (whole[: 2**25], f"33,554,432 bytes, {expected}; the download is probably incomplete"),
+        (whole + b"\n", f"34,992,013 bytes, {expected}; the file has something appended"),
+        (b"hello", f"5 bytes, {expected}; not a MERL file"),
+        (whole[:8] + struct.pack("<i", 360) + whole[12:], "header 90x90x360, expected 90x90x180; not a MERL file"),
+        (whole[:628] + infinite + whole[644:], "2 values are NaN or infinite"),
+        (whole[:12] + b"\xbf" * (FILE_BYTES - 12), "0.00% of the entries are valid"),
     ):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=f"gold.binary: {size} bytes, {expected}; {why}"):
+        with pytest.raises(ValueError, match=re.escape(f"gold.binary: {message}")):
             read_merl(path)
-
-
-def test_bad_contents(merl_file: Path, tmp_path: Path) -> None:
-    for offset, data, message in (
-        (8, struct.pack("<i", 360), "header 90x90x360, expected 90x90x180; not a MERL file"),
-        (12 + 8 * 77, struct.pack("<2d", math.inf, -math.inf), "damaged.binary: 2 values are NaN or infinite"),
-        (12, b"\xbf" * (FILE_BYTES - 12), "damaged.binary: 0.00% of the entries are valid"),
-    ):
-        content = bytearray(merl_file.read_bytes())
-        content[offset : offset + len(data)] = data
-        (tmp_path / "damaged.binary").write_bytes(content)
-        with pytest.raises(ValueError, match=message):
-            read_merl(tmp_path / "damaged.binary")
 
 
 def test_find(merl_file: Path, tmp_path: Path) -> None:

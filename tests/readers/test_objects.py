@@ -11,8 +11,8 @@ import pytest
 import torch
 from PIL import Image
 
-from data_tools.readers import flash, latlong, photos, svbrdf_inputs
-from data_tools.readers.picture_objects import flash_photo, light, material, texture
+from data_tools.readers import brdf_objects, flash, latlong, photos, svbrdf_inputs
+from data_tools.readers.picture_objects import LARGEST, array_of, flash_photo, light, material, texture
 from metapp.extensions.capture.ball import reading
 from metapp.learning.task import Task
 from tests.pictures import noise, write
@@ -41,14 +41,33 @@ def read(from_object: Callable, source: object, observe: str = "", **how: object
         (RGB.astype(np.uint16) * 257).astype(">u2"),
         RGB / 255,
         RGB / np.longdouble(255),
+        torch.complex(torch.from_numpy(RGB / -255), torch.from_numpy(RGB / -255)).conj().imag,
         torch.from_numpy(RGB / 255).float().requires_grad_(),
         np.ascontiguousarray(RGB[::-1])[::-1],
     ],
-    ids=["uint8", "tensor", "PIL", "uint16", "big-endian", "float64", "long double", "float32 tensor", "strided"],
+    ids=[
+        "uint8",
+        "tensor",
+        "PIL",
+        "uint16",
+        "big-endian",
+        "float64",
+        "long double",
+        "conjugate",
+        "float32 tensor",
+        "strided",
+    ],
 )
 def test_a_picture_is_read_as_its_file_is(source: object, tmp_path: Path) -> None:
     file = write(tmp_path / "file.png", RGB)
     assert same(read(texture, source), photos.read_task(file))
+
+
+def test_a_picture_of_halves_is_the_picture() -> None:
+    half = torch.from_numpy(RGB / 255).half()
+    tasks = [read(texture, source).data["image"] for source in (half, half.numpy(), half.float())]
+    assert torch.equal(tasks[0], tasks[1])
+    assert torch.equal(tasks[0], tasks[2])
 
 
 @pytest.mark.parametrize("mode", ["1", "P", "LA", "RGBA", "CMYK", "YCbCr"])
@@ -138,6 +157,15 @@ def holed(values: np.ndarray, value: float = np.nan) -> np.ndarray:
     return values
 
 
+def array(source: object, name: str, **_: object) -> object:
+    return array_of(name, source)
+
+
+def function(source: object, name: str, **_: object) -> object:
+    return brdf_objects.from_object(source, name)
+
+
+DENSE = torch.rand(4, 3)
 FLAT = np.tile(np.float32([0, 0, 1]), (SIDE, SIDE, 1))
 UNIT = RGB / 255
 
@@ -154,6 +182,12 @@ UNIT = RGB / 255
         (material, {"diffuse": UNIT, "nrmal": FLAT}, "object: a map 'nrmal', expected diffuse, normal"),
         (material, {"diffuse": 2 * UNIT, "normal": FLAT}, "object: diffuse: linear values from 0 to 2, expected 0"),
         (material, {"diffuse": UNIT, "normal": FLAT / 2 + 0.5}, r"vectors of length 1.22 .*; of values in \[0"),
+        (array, DENSE.to_sparse(), r"object: a tensor \(float32, sparse_coo, on cpu\), expected"),
+        (array, np.ma.masked_less(np.ones((4, 3)) * [1, 0.1, 1], 0.5), "object: 4 values are masked, expected"),
+        (array, np.broadcast_to(np.float32(0.5), (60000, 60000, 3)), "object: 10,800,000,000 values, expected"),
+        (array, np.array([["a"]]), "object: an array of <U1, expected"),
+        # more rows than the function was asked for: nothing of 3e9 values is copied
+        (function, lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), rf"values, expected {LARGEST:,} or fewer"),
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
     ],
 )
