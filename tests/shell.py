@@ -14,7 +14,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tests.forks import FORKS
@@ -31,6 +31,36 @@ call.shutdown(socket.SHUT_WR)
 sys.exit(int(call.recv(8)))
 """
 SECONDS = 600  # of a script, at most
+MANY = """
+import json, sys
+from metapp.cli.commands import app
+from metapp.cli.console import run
+from metapp.evaluation import style
+style.DPI = 40  # nobody looks at these figures
+for line in sys.stdin:
+    code = run(lambda: app(json.loads(line), standalone_mode=False, prog_name="metapp"))
+    print(f"\\n== {code}", flush=True)
+"""
+
+
+def many_commands(
+    *lines: Sequence[object], folder: Path, python: str | Path = sys.executable, **more: str
+) -> list[str]:
+    """What commands print, each of which ends well, in one process of its own; `more` of its environment."""
+    done = subprocess.run(
+        [python, "-c", MANY],
+        input="\n".join(json.dumps(list(map(str, line))) for line in lines),
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env={**os.environ, "COLUMNS": "200", "OMP_NUM_THREADS": "1", **more},
+    )
+    assert "Traceback" not in done.stderr
+    *said, _ = done.stdout.split("\n== ")
+    codes = [part.partition("\n")[0] for part in done.stdout.split("\n== ")[1:]]
+    assert codes == ["0"] * len(lines), done.stderr
+    return [said[0], *(part.partition("\n")[2] for part in said[1:])]
 
 
 @contextlib.contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import configparser
 import importlib.metadata
 import re
 import shlex
@@ -159,11 +158,3 @@ def test_what_is_pinned_takes_the_python_of_debian_12() -> None:
         wanted = each.metadata["Requires-Python"]
         if each.name.lower() in pinned and wanted:
             assert SpecifierSet(wanted).contains("3.11.2"), each.name
-
-
-def test_what_builds_the_pages_is_pinned() -> None:
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
-    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8")
-    for requirement in setup["options.extras_require"]["docs"].split():
-        assert f"{requirement.partition('>=')[0]}==" in pinned

@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import torch
 
 from tests import forks
 from tests.needs_mitsuba import needs_mitsuba
+from tests.pictures import write, write_planes
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -66,15 +68,16 @@ def test_compare_paradigms(neural_fits: Callable[[int], Path], run_here: Callabl
     assert max(error["finetune"], error["overfit"]) < error["meta"] < error["general"]
 
 
-def test_relight_maps(tmp_path: Path, run_here: Callable[..., str]) -> None:
-    values = {"diffuse": (0.5, 0.4, 0.3), "specular": (0.1, 0.1, 0.1), "normal": (0.5, 0.5, 1.0), "roughness": (0.4,)}
-    for name, colour in values.items():
-        pixels = np.broadcast_to(np.array(colour, np.float32), (16, 16, len(colour)))
-        assert oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(tmp_path / f"{name}.png"), "uint8")
-    assert "4 pictures of 16 x 16 pixels" in run_here("relight_maps.py", tmp_path, tmp_path / "lit.png")
-    lit = oiio.ImageBuf(str(tmp_path / "lit.png")).get_pixels(oiio.FLOAT)
-    assert lit.shape == (16, 64, 3)
-    assert 0.01 < lit.mean() < 1
+def pixels(path: Path) -> np.ndarray:
+    values: np.ndarray = oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)
+    return values
+
+
+def write_maps(folder: Path, prefix: str = "", **colours: tuple[float, ...]) -> Path:
+    """Maps of 16 x 16 texels, of one colour each."""
+    for name, colour in colours.items():
+        write_planes(folder / f"{prefix}{name}.png", torch.tensor(colour)[:, None, None].expand(-1, 16, 16))
+    return folder
 
 
 def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
@@ -87,6 +90,15 @@ def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
     return folder / script
 
 
+def test_relight_maps(tmp_path: Path, run_here: Callable[..., str]) -> None:
+    flat = {"diffuse": (0.5, 0.4, 0.3), "specular": (0.1, 0.1, 0.1), "normal": (0.5, 0.5, 1.0), "roughness": (0.4,)}
+    maps = write_maps(tmp_path, **flat)
+    assert "4 pictures of 16 x 16 pixels" in run_here("relight_maps.py", maps, tmp_path / "lit.png")
+    lit = pixels(tmp_path / "lit.png")
+    assert lit.shape == (16, 64, 3)
+    assert 0.01 < lit.mean() < 1
+
+
 @pytest.mark.long
 @needs_mitsuba
 def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
@@ -94,7 +106,7 @@ def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: C
     script = smaller("mitsuba_brdf.py", changes, tmp_path)
     said = run(script, next(neural_fits(1).iterdir()), tmp_path / "ball.png")
     assert said.startswith("m0: error x100 ")
-    picture = oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT)
+    picture = pixels(tmp_path / "ball.png")
     assert picture.shape[:2] == (48, 48)
     assert picture[24, 24, :3].max() > 0.02
 
@@ -109,7 +121,7 @@ def test_anisotropic_brdf(tmp_path: Path, run: Callable[..., str]) -> None:
     (error, off), (other_error, other_off) = ((float(each) for each in pair) for pair in found)
     assert error < 0.2 * other_error
     assert off < 0.3 * other_off
-    assert oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.FLOAT).shape[:2] == (32, 96)
+    assert pixels(tmp_path / "a.png").shape[:2] == (32, 96)
 
 
 @needs_mitsuba
@@ -124,15 +136,15 @@ def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Cal
     </scene>"""
     (tmp_path / "ball.xml").write_text(scene, encoding="utf-8")
     assert run("guided_render.py", tmp_path / "ball.xml", tmp_path / "ball.png") == f"saved {tmp_path / 'ball.png'}\n"
-    assert oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT).shape[:2] == (16, 24)
+    assert pixels(tmp_path / "ball.png").shape[:2] == (16, 24)
 
 
 @pytest.mark.long
 def test_photo_to_blender(tmp_path: Path, run_here: Callable[..., str]) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
-    pixels = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)
-    assert oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32)).write(str(tmp_path / "wall.png"), "uint8")
-    said = run_here("photo_to_blender.py", tmp_path / "wall.png", tmp_path / "out")
+    wall = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)
+    photo = write(tmp_path / "wall.png", wall.astype(np.float32), "uint8")
+    said = run_here("photo_to_blender.py", photo, tmp_path / "out")
     assert said.startswith("wall: 256 x 256 texels")
     assert (tmp_path / "out" / "gltf" / "wall.glb").read_bytes().startswith(b"glTF")
     assert len(list((tmp_path / "out" / "asset" / "wall").iterdir())) == 12
@@ -142,26 +154,13 @@ def test_photo_to_blender(tmp_path: Path, run_here: Callable[..., str]) -> None:
 @needs_mitsuba
 def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
     """At a few pixels: white light from everywhere shows a floor in its colour, and balls on it."""
-    maps = tmp_path / "clay"
-    maps.mkdir()
-    values = {"diffuse": (0.8, 0.2, 0.2), "specular": (0, 0, 0), "normal_gl": (0.5, 0.5, 1.0), "roughness": (0.9,)}
-    for name, colour in values.items():
-        pixels = np.broadcast_to(np.array(colour, np.float32), (4, 4, len(colour)))
-        assert oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(maps / f"clay_{name}.png"), "uint8")
-    light = oiio.ImageBuf(np.ones((8, 16, 3), np.float32))
-    assert light.write(str(tmp_path / "light.exr"), "float")
+    red = {"diffuse": (0.8, 0.2, 0.2), "specular": (0.0, 0.0, 0.0), "normal_gl": (0.5, 0.5, 1.0), "roughness": (0.9,)}
+    maps, network = write_maps(tmp_path / "clay", "clay_", **red), next(neural_fits(1).iterdir())
+    light = write(tmp_path / "light.exr", np.ones((8, 16, 3), np.float32))
     changes = {r"SIZE, SAMPLES, EXPOSURE = .*": "SIZE, SAMPLES, EXPOSURE = 48, 8, 0.3"}
-    network = next(neural_fits(1).iterdir())
-    said = run(
-        smaller("mitsuba_scene.py", changes, tmp_path),
-        maps,
-        tmp_path / "light.exr",
-        tmp_path / "a.png",
-        network,
-        network,
-    )
+    said = run(smaller("mitsuba_scene.py", changes, tmp_path), maps, light, tmp_path / "a.png", network, network)
     assert "48 x 48 px, 8 samples" in said
-    picture = oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.FLOAT)
+    picture = pixels(tmp_path / "a.png")
     assert picture.shape[:2] == (48, 48)
     floor, ball = picture[44, 24, :3], picture[20, 24, :3]
     assert floor[0] > 1.5 * floor[1]
@@ -171,14 +170,12 @@ def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path, run: 
 @needs_mitsuba
 @pytest.mark.slow
 def test_ball_to_hdr(tmp_path: Path, run: Callable[..., str]) -> None:
-    across = np.linspace(-1, 1, 64, dtype=np.float32)
-    x, y = np.meshgrid(across, across)
-    shade = np.where(x * x + y * y < 1, 0.4 - 0.3 * y, 0)  # lit from above
-    pixels = np.ascontiguousarray(np.repeat(shade[..., None], 3, 2).astype(np.float32))
-    assert oiio.ImageBuf(pixels).write(str(tmp_path / "ball.png"), "uint8")
-    said = run("ball_to_hdr.py", tmp_path / "ball.png", tmp_path / "map.exr")
+    y, x = np.mgrid[-1:1:64j, -1:1:64j]
+    shade = np.where(x * x + y * y < 1, 0.4 - 0.3 * y, 0)[..., None].repeat(3, 2)  # lit from above
+    ball = write(tmp_path / "ball.png", shade.astype(np.float32), "uint8")
+    said = run("ball_to_hdr.py", ball, tmp_path / "map.exr")
     assert said.startswith("ball: 256 x 128 texels, fitted in ")
-    made = oiio.ImageBuf(str(tmp_path / "map.exr")).get_pixels(oiio.FLOAT)
+    made = pixels(tmp_path / "map.exr")
     assert made.shape == (128, 256, 3)
     assert made[:64].mean() > made[64:].mean() > 0
 
@@ -194,13 +191,9 @@ def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
     shown, names = [], dict[str, object]()
     for number, cell in enumerate(cells):
         tree = ast.parse(cell.replace("bricks)\n", 'bricks, recipe="quick")\n'))
-        last = (
-            ast.Expression(tree.body.pop().value)
-            if isinstance(tree.body[-1], ast.Expr)
-            else ast.parse("0", mode="eval")
-        )
+        last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else ast.parse("0").body[0]
         exec(compile(tree, f"cell {number}", "exec"), names)
-        value = eval(compile(last, f"cell {number}", "eval"), names)
+        value = eval(ast.unparse(last), names)
         shown += [value._repr_html_()] if hasattr(value, "_repr_html_") else []
     assert [html.count("<img") for html in shown] == [1, 1, 1]
     assert {path.name for path in tmp_path.iterdir()} == {"bricks.png", "plastic.safetensors"}
