@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import functools
 import itertools
 import json
@@ -37,19 +36,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests star
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 os.environ[precision.FLOAT32] = "1"  # figures are the same on all machines
 HAS_GPU = torch.cuda.is_available()
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print why tests were skipped, each reason once with how many they were."""
-    if counts := skip_reasons(terminalreporter.getreports("skipped")):
-        terminalreporter.section(f"{sum(counts.values())} skipped, by reason")
-        for reason, count in counts.most_common():
-            terminalreporter.line(f"{count:5}  {reason}")
-
-
-def skip_reasons(reports: list[Any]) -> collections.Counter[str]:
-    """How many tests were skipped for each reason, of pytest's reports."""
-    return collections.Counter(str(report.longrepr[-1]).removeprefix("Skipped: ") for report in reports)
 
 
 class Result(NamedTuple):

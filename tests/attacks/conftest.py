@@ -1,12 +1,5 @@
-"""What attacks share: commands in the test's folder, a network to fit."""
+"""Attacks run commands in the test's folder."""
 
-from __future__ import annotations
+from tests.cli.conftest import _here
 
-from pathlib import Path
-
-import pytest
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+__all__ = ["_here"]

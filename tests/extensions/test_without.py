@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-from collections.abc import Callable
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -13,25 +12,8 @@ from metapp import door
 from metapp.apps import app_names
 from tests import forks
 
-NAMES = sorted(
-    point.name
-    for point in importlib.metadata.entry_points(group=door.GROUP)
-    if point.value.startswith("metapp.extensions.")
-)
 NETWORKS = 1
 pytestmark = pytest.mark.usefixtures("compiled")
-
-
-def offered(names: list[str]) -> list[list[str]]:
-    """The commands of extensions, as words of a command line."""
-    commands = [
-        offer
-        for extension in door.extensions()
-        if extension.name in names
-        for offer in extension.offers
-        if isinstance(offer, door.Command)
-    ]
-    return [[*filter(None, [offer.under]), offer.name] for offer in commands]
 
 
 def call_all(*lines: list[str]) -> None:
@@ -44,9 +26,8 @@ def call_all(*lines: list[str]) -> None:
         print(f"\n== {json.dumps([int(code), *words])}", flush=True)
 
 
-@pytest.fixture
-def check_without(networks: Path, tmp_path: Path) -> Callable[[list[str]], None]:
-    """Runs a data set, fits, tables and help without these extensions, in a process of its own."""
+def test_without_extensions_the_core_works_and_their_commands_are_refused(networks: Path, tmp_path: Path) -> None:
+    """A data set, fits, tables and help; contracts of import-linter hold that no extension needs another."""
     fit = ["brdf", str(networks / "m0"), "--recipe", "quick", "--json", "--quiet"]
     core = [
         ["data", "nbrdf", str(networks), "--split", "test", "--out", "set", "--quiet"],
@@ -57,28 +38,19 @@ def check_without(networks: Path, tmp_path: Path) -> Callable[[list[str]], None]
         ["evaluate", "brdf", "--data", "set", "--no-run", "--quiet"],
         ["data", "check", "set"],
     ]
-
-    def check(names: list[str]) -> None:
-        commands = offered(names)
-        environment = {"COLUMNS": "150", door.WITHOUT: ",".join(names)}
-        code, out, errors = forks.start(call_all, *core, *commands, said=tmp_path / "said", more=environment).end()
-        assert code == 0, errors
-        assert "Traceback" not in errors
-        codes = [json.loads(line[3:]) for line in out.splitlines() if line.startswith("== ")]
-        assert [words for _, *words in codes] == [*core, *commands]
-        assert [words for code, *words in codes if code] == commands, errors
-        for name in names:
-            if offered([name]):
-                assert f"a command of the extension {name}" in errors.replace("\n", " ")
-
-    return check
-
-
-def test_without_all_extensions_the_core_works(check_without: Callable) -> None:
-    check_without(NAMES)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
-def test_without_one_extension_all_else_works(name: str, check_without: Callable) -> None:
-    check_without([name])
+    commands = {}  # words of a command line, by extension
+    ours = [point.name for point in entry_points(group=door.GROUP) if point.value.startswith("metapp.extensions.")]
+    for extension in door.extensions():
+        if extension.name in ours:
+            offers = [offer for offer in extension.offers if isinstance(offer, door.Command)]
+            commands[extension.name] = [[*filter(None, [offer.under]), offer.name] for offer in offers]
+    theirs = [words for each in commands.values() for words in each]
+    environment = {"COLUMNS": "150", door.WITHOUT: ",".join(commands)}
+    code, out, errors = forks.start(call_all, *core, *theirs, said=tmp_path / "said", more=environment).end()
+    assert code == 0, errors
+    assert "Traceback" not in errors
+    codes = [json.loads(line[3:]) for line in out.splitlines() if line.startswith("== ")]
+    assert [words for _, *words in codes] == [*core, *theirs]
+    assert [words for code, *words in codes if code] == theirs, errors
+    for name, own in commands.items():
+        assert not own or f"a command of the extension {name}" in errors.replace("\n", " ")
