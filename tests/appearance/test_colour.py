@@ -6,18 +6,8 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched, tone_map
+from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
 from metapp.appearance.metrics import dssim, mape, smape, ssim
-
-
-def test_srgb_is_the_standards() -> None:
-    """IEC 61966-2-1: 12.92 times the value up to 0.0031308, a power above, each the inverse of the other."""
-    linear = torch.tensor([0.0, 0.001, 0.003, 0.0031308, 0.2140411, 1.0], dtype=torch.float64)
-    display = torch.tensor([0.0, 0.01292, 0.03876, 0.0404499, 0.5, 1.0], dtype=torch.float64)
-    torch.testing.assert_close(linear_to_srgb(linear), display, atol=1e-6, rtol=0)
-    torch.testing.assert_close(srgb_to_linear(display), linear, atol=1e-6, rtol=0)
-    shades = torch.arange(256, dtype=torch.float64) / 255
-    torch.testing.assert_close(linear_to_srgb(srgb_to_linear(shades)), shades)
 
 
 def test_tone_map_keeps_order_and_any_radiance_displays() -> None:
@@ -70,21 +60,6 @@ def test_what_is_a_fifth_brighter_is_20_percent_off(pictures: Tensor) -> None:
     torch.testing.assert_close(smape(1.2 * pictures, pictures), torch.full((3,), 2 * 0.2 / 2.2))
     torch.testing.assert_close(smape(pictures, 1.2 * pictures), torch.full((3,), 2 * 0.2 / 2.2))
     torch.testing.assert_close(smape(torch.zeros_like(pictures), pictures), torch.full((3,), 2.0))
-
-
-def test_black_pixels_have_finite_errors(pictures: Tensor) -> None:
-    black = pictures.clone()
-    black[:, :, :4] = 0
-    noisy = black + 1e-4
-    assert mape(noisy, black).max() < 0.05
-    assert smape(noisy, black).max() < 0.05
-
-
-def test_structure_counts_for_dssim(pictures: Tensor) -> None:
-    noise = 0.3 * torch.rand(pictures.shape, generator=Generator().manual_seed(1))
-    little, much = dssim(pictures + 0.1 * noise, pictures), dssim(pictures + noise, pictures)
-    assert (little < much).all()
-    assert (dssim(pictures.flip(3), pictures) > 0.5).all()
 
 
 @pytest.mark.parametrize("size", [(3, 48, 40), (1, 33, 64)])

@@ -30,15 +30,6 @@ def test_waves_of_two_pixels_are_one_number_each(kind: str, place: int) -> None:
     torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-9)
 
 
-def test_a_lattice_is_told_from_noise_of_its_strength(rng: Generator) -> None:
-    """Both have the power of a checkerboard in squares of 4 px; only one has its phase."""
-    noise = torch.randn(1, 1, 256, 256, generator=rng, dtype=torch.float64)
-    noise = noise * (detail(waves("checkerboard"))[0, 0, COSINES - 1] / detail(noise)[0, 0, COSINES - 1])
-    found, lattice = detail(noise), detail(waves("checkerboard"))
-    assert float(found[0, 0, COSINES - 1]) == pytest.approx(float(lattice[0, 0, COSINES - 1]))
-    assert lattice[0, 0, -1] > 1.9 * found[0, 0, -1]
-
-
 def test_cosine_waves_hold_all_power_but_that_of_means(rng: Generator) -> None:
     """Parseval: 16 times the variance in squares of 4 px, the mean over squares."""
     picture = torch.rand(2, 3, 12, 16, generator=rng, dtype=torch.float64)

@@ -43,12 +43,6 @@ def test_clipped_highlights_still_say_how_wide_they_are() -> None:
     assert float(gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
 
 
-def test_the_body_keeps_its_albedo_below_a_lobe_that_takes_its_share() -> None:
-    light = above(0.0, 0.0)
-    found = gloss(photo(0.4, 0.2, light, diffuse=(0.2, 0.3, 0.5)), light)
-    torch.testing.assert_close(found.diffuse, torch.tensor([[0.2, 0.3, 0.5]]), rtol=0.08, atol=0)
-
-
 def test_contrast_tells_varnish_from_cloth() -> None:
     light = above(0.0, 0.0)
     shiny, matte = (float(gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))

@@ -52,36 +52,23 @@ def energy(maps: Tensor) -> Tensor:
 # Directions
 
 
-@pytest.fixture
-def mitsuba_envmap(mitsuba: Any) -> Callable[[Tensor, Tensor], Tensor]:
-    """Radiance [3, H, W] that Mitsuba's `envmap` of a map [3, h, w] has in directions [3, H, W]."""
+def test_rows_and_columns_lie_where_mitsuba_has_them(mitsuba: Any, rng: torch.Generator) -> None:
+    """Of one map each column is another colour; another rises evenly with the angle from the top pole.
 
-    def evaluate(maps: Tensor, towards: Tensor) -> Tensor:
+    Mitsuba's first and last rows are the poles themselves, and it interpolates.
+    """
+    columns = draw_maps(rng, 1, 12).expand(3, 6, 12)
+    rising = torch.linspace(0, 1, 7, dtype=torch.float64)[:, None].expand(3, 7, 14)
+    angles = ((torch.arange(6, dtype=torch.float64) + 0.5) / 6)[:, None].expand(3, 6, 12)
+    for maps, expected in ((columns, columns), (rising, angles)):
         pixels = np.ascontiguousarray(maps.float().permute(1, 2, 0).numpy())
         emitter: Any = mitsuba.load_dict({"type": "envmap", "bitmap": mitsuba.Bitmap(pixels)})
-        values = []
-        for direction in towards.flatten(1).T.tolist():
+        seen = []
+        for direction in directions(6, 12, dtype=torch.float64).flatten(1).T.tolist():
             interaction = mitsuba.SurfaceInteraction3f()
             interaction.wi = -mitsuba.Vector3f(direction)
-            values.append(list(emitter.eval(interaction)))
-        return torch.tensor(values, dtype=maps.dtype).T.reshape(towards.shape)
-
-    return evaluate
-
-
-def test_columns_lie_where_mitsuba_has_them(mitsuba_envmap: Callable, rng: torch.Generator) -> None:
-    maps = draw_maps(rng, 1, 12).expand(3, 6, 12)  # each column another colour
-    seen = mitsuba_envmap(maps, directions(6, 12, dtype=torch.float64))
-    torch.testing.assert_close(seen, maps, atol=2e-6, rtol=0)
-
-
-def test_rows_lie_at_the_heights_of_mitsuba(mitsuba_envmap: Callable) -> None:
-    # Mitsuba's first and last rows are the poles themselves, and it interpolates: of a map that rises evenly with the
-    # angle from the top pole we see that angle.
-    maps = torch.linspace(0, 1, 7, dtype=torch.float64)[:, None].expand(3, 7, 14)
-    seen = mitsuba_envmap(maps, directions(6, 12, dtype=torch.float64))
-    expected = ((torch.arange(6, dtype=torch.float64) + 0.5) / 6)[:, None].expand(3, 6, 12)
-    torch.testing.assert_close(seen, expected, atol=2e-6, rtol=0)
+            seen.append(list(emitter.eval(interaction)))
+        torch.testing.assert_close(torch.tensor(seen).T.reshape(3, 6, 12).double(), expected, atol=2e-6, rtol=0)
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.latlong import cosine_transfer, directions, glossy_transfer, luminance, resample, sphere_normals
+from metapp.appearance.latlong import directions, glossy_transfer, luminance, sphere_normals
 from metapp.appearance.photograph import (
     ROUGHNESSES,
     Camera,
@@ -97,17 +97,6 @@ def test_gloss_rises_to_the_rim_by_schlick(specular: float) -> None:
     torch.testing.assert_close(picture.double(), expected.expand(3, -1, -1), atol=1e-5, rtol=0)
 
 
-def test_a_quarter_of_the_matrix_is_enough(rng: torch.Generator) -> None:
-    light = draw_map(rng)
-    normals, mask = sphere_normals(16)
-    for of, transfer in (
-        (material(WHITE, 0.0, 0.32), cosine_transfer(normals.flatten(1).T, 16, 32)),
-        (gloss(0.7), glossy_transfer(normals.flatten(1).T, 0.7, 16, 32)),
-    ):
-        whole = (resample(light, 16, 32).flatten(1) @ transfer.T).reshape(3, 16, 16) * mask
-        torch.testing.assert_close(shade(light, of, 16), whole, atol=1e-5, rtol=1e-4)
-
-
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
 def test_the_matrices_are_fine_enough(roughness: float) -> None:
     # Against all texels of the map, each looked at in 9 places.
@@ -174,14 +163,17 @@ def test_nine_tenths_of_the_sphere_are_exposed_below_the_level(level: float, rng
     assert (display[:, ~mask] == 0).all()
 
 
-def test_curves_rise_from_black_to_white(rng: torch.Generator) -> None:
-    ramp = (torch.linspace(0, 1, 32 * 32) ** 20).reshape(1, 32, 32).expand(3, -1, -1)
-    ramps = ramp.expand(20, -1, -1, -1)
-    cameras = draw_camera(torch.rand(20, 3, generator=rng), ramps)
-    for display in develop(ramps, cameras).clamp_max(1)[:, 0].flatten(1):
-        assert display[0] == 0
-        assert (display.diff() >= -1e-6).all()
-        assert display[-1].item() == pytest.approx(1, abs=1e-6)  # clipped: 1 is over four times the level
+def test_curves_rise_from_black_and_go_on_above_white(rng: torch.Generator) -> None:
+    """What a picture clips, a gradient still pulls down."""
+    ramp = (torch.linspace(0, 1, 32 * 32) ** 20).reshape(1, 32, 32).expand(20, 3, -1, -1).clone().requires_grad_()
+    display = develop(ramp, draw_camera(torch.rand(20, 3, generator=rng), ramp.detach()))
+    curves = display[:, 0].flatten(1)
+    assert (curves[:, 0] == 0).all()
+    assert (curves.diff() >= -1e-6).all()
+    assert (curves[:, -1] > 1).all()
+    (slope,) = torch.autograd.grad(display.sum(), ramp)
+    assert slope.isfinite().all()
+    assert (slope[:, 0, -1] > 0).all()
 
 
 def test_light_from_behind_only() -> None:
@@ -224,16 +216,6 @@ def test_materials_and_cameras_stay_in_their_ranges(rng: torch.Generator) -> Non
     torch.testing.assert_close(cameras.exposure, srgb_to_linear(levels))
     for values, low, high in ((levels, 0.4, 0.9), (cameras.gamma, 0.8, 1.25), (cameras.contrast, 0.0, 0.5)):
         assert low <= values.min() < low + 0.05 < high - 0.05 < values.max() <= high
-
-
-def test_a_clipped_value_still_rises() -> None:
-    camera = Camera(torch.ones(1), torch.ones(1), 0.5 * torch.ones(1))
-    ramp = torch.linspace(0, 4, 256).reshape(1, 1, 16, 16).expand(1, 3, -1, -1).clone().requires_grad_()
-    display = develop(ramp, camera)
-    assert (display[0, 0].flatten().diff() > 0).all()
-    (slope,) = torch.autograd.grad(display.sum(), ramp)
-    assert torch.isfinite(slope).all()
-    assert (slope[0, 0].flatten()[1:] > 0).all()
 
 
 def test_mixed_gloss_is_the_mixture(rng: torch.Generator) -> None:

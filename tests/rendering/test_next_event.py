@@ -71,20 +71,6 @@ def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: 
     assert float((other_error / plain_error).median()) < 1
 
 
-@pytest.mark.long
-@needs_mitsuba
-def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyPatch) -> None:
-    # light of a point that reaches the second surface counts whether or not its direction is held
-    monkeypatch.setitem(CELLS, 4, CELLS[6])
-    tracer = Tracer(bulb(0))
-    four, error = cell_means(tracer, 2, 4)
-    six, other = (values.view(4, -1) for values in cell_means(tracer, 2, 6, seed=1))  # the last two: outermost
-    six, other = six.mean(0), other.square().mean(0).sqrt() / 2
-    deviation = (four - six) / (error**2 + other**2).sqrt().clamp_min(1e-9)
-    assert deviation.abs().max() < 4.5
-    assert deviation.square().mean() < 1.5
-
-
 @needs_mitsuba
 @pytest.mark.parametrize(
     "scene", [long(random_scene(0)), long(small_lamp(1, 4)), long(bulb(3))], ids=["box", "small", "bulb"]
@@ -154,18 +140,6 @@ def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
         error = float(shots.std() / len(shots) ** 0.5)
         assert abs(float(shots.mean()) - wanted) < 3.5 * error + 0.003 * wanted
         assert error < 0.1 * wanted
-
-
-@needs_mitsuba
-def test_a_guide_leaves_the_light_of_a_point_at_the_first_surface_without_noise() -> None:
-    tracer = Tracer(bulb(1), depth=2)  # that light alone
-    points = torch.rand(4096, 4, generator=Generator().manual_seed(0))
-    carried, beside = tracer.parts(points, Generator())
-    assert not carried.any()
-    assert torch.is_tensor(beside)
-    assert beside.mean() > 0.01
-    guide = corner(16.0)
-    torch.testing.assert_close(render(tracer, 64, 8, 0, guide), render(tracer, 64, 8, 0), rtol=0.5, atol=0.02)
 
 
 @needs_mitsuba
