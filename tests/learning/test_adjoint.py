@@ -158,8 +158,12 @@ def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
     assert torch.equal(at_step({"rate": rates}, 7)["rate"], rates[1])
 
 
-def test_no_graph_is_kept_between_steps(randn: Callable[..., Tensor]) -> None:
-    """Every step's activations are gone before the next step computes its own, on the way there and back."""
+@pytest.mark.parametrize(("order", "evaluations"), [(1, 12), (2, 24)])
+def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Callable[..., Tensor]) -> None:
+    """Every step's activations are gone before the next step computes its own, on the way there and back.
+
+    Order 1 keeps each step's gradient, a constant, instead of computing it anew on the way back.
+    """
     activations: list[weakref.ref] = []
     alive: list[int] = []
 
@@ -172,10 +176,10 @@ def test_no_graph_is_kept_between_steps(randn: Callable[..., Tensor]) -> None:
     batches = [{"c": randn(TASKS, 3, 50)} for _ in range(12)]
     theta = {"x": randn(TASKS, 3).requires_grad_()}
     rule = sgd({"rate": torch.full((1, TASKS), 0.1).double().requires_grad_()})
-    final = learn_through(theta, rule, batches, Loss(unused, value), order=2)["x"]
+    final = learn_through(theta, rule, batches, Loss(unused, value), order=order)["x"]
     assert not any(each() is not None for each in activations)
     torch.autograd.grad(final.sum(), [theta["x"], rule.alpha["rate"]])
-    assert len(alive) == 24
+    assert len(alive) == evaluations
     assert max(alive) == 0
 
 
@@ -194,24 +198,6 @@ def test_a_rule_that_all_tasks_share(order: int, randn: Callable[..., Tensor]) -
     found = value_and_grads(lambda leaves: final(leaves, learn_through), start)
     assert_alike(found, value_and_grads(lambda leaves: final(leaves, unrolled), start))
     assert found[1]["beta1"].any()
-
-
-@pytest.mark.parametrize(("order", "expected"), [(1, 5), (2, 10)])
-def test_how_often_the_loss_is_evaluated(order: int, expected: int, randn: Callable[..., Tensor]) -> None:
-    """Order 1 keeps each step's gradient, a constant, instead of computing it anew on the way back."""
-    evaluations = []
-
-    def counted(params: Params, batch: Batch, learned: Params) -> Tensor:
-        evaluations.append(params["x"].shape[0])
-        return parabola(params, batch, learned)
-
-    batch = {"A": symmetric(randn(3, 2, 2)), "c": randn(3, 2)}
-    theta = {"x": randn(3, 2).requires_grad_()}
-    rule = sgd({"rate": torch.full((1, 3), 0.1).double().requires_grad_()})
-    final = learn_through(theta, rule, [batch] * 5, Loss(unused, counted), order=order)
-    assert len(evaluations) == 5
-    torch.autograd.grad(final["x"].sum(), [theta["x"], rule.alpha["rate"]])
-    assert len(evaluations) == expected
 
 
 def test_order_1_keeps_gradients_and_no_batches(randn: Callable[..., Tensor]) -> None:

@@ -40,19 +40,15 @@ def test_nothing_is_wrong_with_what_is_as_it_must_be(further: dict[str, Tensor])
     ("wrong", "said"),
     [
         ({"image": None}, "tensor 'image' is missing"),
-        ({"map": None}, "tensor 'map' is missing"),
         ({"map": torch.ones(4, 6)}, "'map' is float32 [4, 6], expected float [h, w]"),  # h and w are the image's
-        ({"map": torch.ones(5, 5)}, "'map' is float32 [5, 5], expected float [h, w]"),
         ({"map": torch.ones(4)}, "'map' is float32 [4], expected float [h, w]"),
         ({"image": torch.zeros(4, 4, 5, dtype=torch.uint8)}, "'image' is uint8 [4, 4, 5], expected uint8 [3, h, w]"),
         ({"image": torch.zeros(3, 4, 5)}, "'image' is float32 [3, 4, 5], expected uint8 [3, h, w]"),
         ({"more": torch.zeros(0)}, "'more' is float32 [0], expected float [n]"),
-        ({"more": torch.zeros(2, dtype=torch.uint8)}, "'more' is uint8 [2], expected float [n]"),
         ({"unknown": torch.zeros(2, dtype=torch.bfloat16)}, "'unknown' is bfloat16 [2], expected floats of 16"),
         ({"unknown": torch.tensor([0.0, math.nan])}, "'unknown' holds NaN or infinite values"),
         ({"kind": torch.tensor([0.0])}, "'kind' is float32 [1], expected uint8 [1]"),
         ({"map": torch.full((4, 5), 1.5)}, "'map' holds 1.5 to 1.5, expected 0 to 1"),
-        ({"map": torch.full((4, 5), -0.5)}, "'map' holds -0.5 to -0.5, expected 0 to 1"),
     ],
 )
 def test_what_is_wrong_is_one_line(wrong: dict[str, Tensor | None], said: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import pytest
@@ -27,17 +26,6 @@ def run_torch(optimiser: torch.optim.Optimizer, leaves: Params, grads: list[Para
 
 def copies(theta: Params) -> Params:
     return {key: value.clone().requires_grad_() for key, value in theta.items()}
-
-
-def test_half_cosine_values() -> None:
-    rates = half_cosine(0.5, 8, final=0.2)
-    assert rates.dtype == torch.float32
-    cosine = [0.5 * (1 + math.cos(math.pi * i / 8)) for i in range(8)]
-    torch.testing.assert_close(rates, torch.tensor([0.5 * (0.2 + 0.8 * each) for each in cosine]))
-    assert rates[0] == 0.5
-    torch.testing.assert_close(rates[4], torch.tensor(0.5 * 0.6))
-    assert (half_cosine(0.5, 8).diff() == 0).all()
-    assert (rates.diff() < 0).all()
 
 
 def test_half_cosine_warm_up() -> None:

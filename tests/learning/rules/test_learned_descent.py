@@ -15,7 +15,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
-from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
+from metapp.learning.rules.network import MEMORY, move, network_of, networks
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
 from tests.learning.parabolas import unused
@@ -62,21 +62,6 @@ def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, ra
     assert not torch.equal(moved[0]["z"], theta["z"])
 
 
-def test_networks_of_parameters_on_a_grid(app: Any) -> None:
-    around = networks(one(app), STEPS, 0.1, periodic=True)
-    assert {name.split(".")[1] for name in around} == {"z"}  # the one parameter of three axes
-    assert network_of(around, "z") == "around.z"
-    assert not network_of(around, "body")
-    within = networks(one(app), STEPS, 0.1, periodic=False)
-    assert network_of(within, "z") == "within.z"
-    assert set(within) == {name.replace("around", "within") for name in around}
-    for name, value in around.items():
-        assert len(value) == (STEPS if "shift" in name else 1), name
-    assert not any(value.any() for name, value in around.items() if "2" in name)  # the last layer
-    assert no_memory(around, {"z": torch.ones(TASKS, 3, 4, 8)})["memory.z"].shape == (TASKS, MEMORY, 4, 8)
-    assert networks({"kernel": torch.ones(4, 4)}, STEPS, 0.1, periodic=True) == {}
-
-
 @pytest.fixture
 def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
     """What a network sees of parameters [T, 3, 4, 8]."""
@@ -109,17 +94,3 @@ def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], ran
     moves = [move(own, "around.z", **seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
     for each in moves[1:]:
         torch.testing.assert_close(each, moves[0])
-
-
-def test_tasks_have_networks_of_their_own(seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
-    both = [at_step(network(randn, periodic=True), 0) for _ in range(TASKS)]
-    stacked = {key: torch.stack([each[key] for each in both]) for key in both[0]}
-    together = move(stacked, "around.z", **seen)
-    for i, alpha in enumerate(both):
-        alone = move(
-            {key: value[None] for key, value in alpha.items()},
-            "around.z",
-            **{key: value[i : i + 1] for key, value in seen.items()},
-        )
-        for whole, part in zip(together, alone, strict=True):
-            torch.testing.assert_close(whole[i : i + 1], part)

@@ -117,15 +117,6 @@ def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, bat
     torch.testing.assert_close(final["W"], ridge(before, batches[-1:], alpha["penalty.W"][0, 0]))
 
 
-def test_the_gradient_of_the_solution_is_zero(theta: Params, batches: list[Batch]) -> None:
-    """With the least penalty, the solution is where the loss is least."""
-    alpha = alpha_of(theta, penalties=(-99.0, -99.0))
-    final = learn_through(theta, SOLVE.rule(alpha), batches[:1], LOSS, order=2)
-    w = final["W"].detach().requires_grad_()
-    slope = torch.autograd.grad(value(theta | {"W": w}, batches[0], {}).sum(), w)[0]
-    assert float(slope.abs().max()) < 100 * LEAST
-
-
 def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
     """Training cannot take them to where the solve is ill-conditioned."""
     for far, bound in ((-99.0, LEAST), (99.0, GREATEST)):
