@@ -11,9 +11,8 @@ import pytest
 import torch
 
 from metapp.apps import app_of, recipes_of
-from metapp.learning.adjoint import fastest
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, last, learn, task_loss
+from metapp.learning.learn import MetaParameters, last, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, rule_of
 from metapp.learning.task import Batch, Tasks
@@ -52,20 +51,17 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
 
 
 def test_the_five_paradigms(job: Job) -> None:
-    table = paradigms()
-    assert list(table) == ["general", "overfit", "finetune", "quickft", "meta"]
-    assert {name: paradigm.needs(job) for name, paradigm in table.items()} == {
-        "general": ("general",),
-        "overfit": (),
-        "finetune": ("general",),
-        "quickft": ("general", "quickft"),
-        "meta": (job.rule,),
+    steps = job.recipe.steps
+    expected = {
+        "general": (("general",), 0),
+        "overfit": ((), 20),
+        "finetune": (("general",), 8),
+        "quickft": (("general", "quickft"), steps),
+        "meta": ((job.rule,), steps),
     }
-    recipe = job.recipe
-    expected = {"general": 0, "overfit": 20, "finetune": 8, "quickft": recipe.steps, "meta": recipe.steps}
-    assert {name: paradigm.count(job) for name, paradigm in table.items()} == expected
-    seven = {name: paradigm.count(job._replace(steps=7)) for name, paradigm in table.items()}
-    assert seven == {name: 0 if name == "general" else 7 for name in table}
+    assert {name: (each.needs(job), each.count(job)) for name, each in paradigms().items()} == expected
+    seven = {name: paradigm.count(job._replace(steps=7)) for name, paradigm in paradigms().items()}
+    assert seven == {name: 0 if name == "general" else 7 for name in expected}
 
 
 @pytest.mark.parametrize(("app", "rule"), [*PAIRS, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"])
@@ -101,17 +97,6 @@ def test_without_steps_a_fit_is_its_initialisation(job: Job, tasks: Tasks) -> No
     moved = table["meta"].fit(job, coded, tasks, rng())
     assert all(value.isfinite().all() for value in moved.values())
     assert not all(torch.equal(moved[key], value) for key, value in general.items())
-
-
-@pytest.mark.parametrize("name", ["finetune", "quickft", "meta"])
-def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> None:
-    paradigm = paradigms()[name]
-    prepared, generator = prepared_for(paradigm, job), rng()
-    theta = paradigm.initialisation(job, prepared, tasks, generator)
-    rule, steps = paradigm.rule(job, prepared, theta, paradigm.count(job)), paradigm.count(job)
-    expected = learn(theta, rule, tasks, paradigm.loss(job), steps=steps, rng=generator, engine=fastest())
-    for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
-        assert torch.equal(value, expected[key])
 
 
 @pytest.mark.parametrize("name", list(paradigms()))

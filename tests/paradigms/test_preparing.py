@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,12 +12,10 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared
-from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, outer_loop, paradigms, tuning
+from metapp.paradigms import Job, outer_loop, paradigms
 from metapp.paradigms import training as prepare
 from metapp.paradigms.paradigm import TrainingData
-from metapp.paradigms.quickft import QUICKFT
 from metapp.paradigms.validation import split_validation, validation_error
 from tests.marked import long
 from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, prepared_for, result, rng
@@ -94,7 +92,8 @@ def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(again.phi.flat()[key], value) for key, value in prepared.phi.flat().items())
 
 
-@EVERY
+@ONE_APP
+@pytest.mark.parametrize("name", ["general", "meta-sgd"])
 def test_a_start_that_only_gets_worse_is_kept(
     name: str, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,38 +174,3 @@ def test_training_never_sees_a_validation_task(
     monkeypatch.setattr(outer_loop, "validation_error", lambda *_: 1.0)
     prepared = look(name, job, Tasks(tasks.names, spoilt, tasks.rows), steps=12)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])
-
-
-@ONE_APP
-@pytest.mark.parametrize("name", ["general", "meta-sgd"])
-def test_each_moment_has_the_best_state_so_far(name: str, job: Job, tasks: Tasks) -> None:
-    """Before each outer step, and after each validation, which alone has a note."""
-    whole, validation = look(name, job, tasks), split_validation(tasks)[1]
-    moments = []
-    for now in prepare.prepare(name, by(name, job), TrainingData(*split_validation(tasks), rng(3))):
-        assert now.best is not None
-        assert now.best.curve[1:] == whole.curve[1 : len(now.best.curve)]
-        assert now.best.validation == min([math.inf, *(error for _, _, error in now.best.curve)])
-        if now.note:
-            assert (now.done, now.total) == (now.best.curve[-1][0], 6)
-            assert f"best {now.best.validation:.3f}" in now.note
-            error = error_of(name, job, now.best.phi, validation)
-            assert math.isclose(error, now.best.validation, rel_tol=1e-6)
-        moments.append((now.done, bool(now.note)))
-    assert moments == [(step, note) for step in range(7) for note in ((False, True) if step % 2 == 0 else (False,))]
-
-
-def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the tasks it was tuned on; a strawman is no baseline."""
-    job = job._replace(steps=2)
-    rates = [{"rate": 2.0**i} for i in (-4, -2, -1, 1, 2, 4)]
-    monkeypatch.setattr(tuning, "SEARCHED", (rates, [{"beta1": 0.5}, {"eps": 1e-3, "rate": 1.2}]))
-    encoder, validation = prepared_for(paradigms()["quickft"], job), split_validation(tasks)[1]
-    plain = validation_error(paradigms()["quickft"], job, encoder, validation)
-    tuned = result(QUICKFT.prepare(job, TrainingData(validation, validation, rng(), encoder)))
-    assert tuned.validation <= plain
-    assert math.isclose(validation_error(paradigms()["quickft"], job, tuned.phi, validation), tuned.validation)
-    assert set(tuned.phi.alpha) == set(asdict(Adam(0.0)))
-    assert tuned.phi.encoder is encoder.encoder
-    errors = [error for _, _, error in tuned.curve]
-    assert errors == sorted(errors, reverse=True)

@@ -91,27 +91,20 @@ def test_the_search_goes_on_around_the_best_so_far(search: Callable[..., Search]
     first = Adam(0.05, 0.9, 0.999, 1e-8, 1.0)
     searching = search(first)
     path = searching.run()
-    tuned = result(path)
     looked, lines = searching.looked, [len(line) for line in tuning.SEARCHED]
-    assert looked[0] == first
-    assert len(looked) == 1 + sum(lines)
+    assert (looked[0], len(looked)) == (first, 1 + sum(lines))
     for i, now in enumerate(path, 1):
-        assert (now.done, now.total) == (i, len(looked))
-        assert now.errors == tuple(map(bowl, looked[:i]))
-        assert result([now]).validation == min(now.errors)
-        assert adam_of(searching.job, result([now]).phi) == min(looked[:i], key=bowl)
+        assert (now.done, now.total, now.errors) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
+        best, found = min(looked[:i], key=bowl), result([now])
+        assert adam_of(searching.job, found.phi) == best == looked[found.step - 1]
+        assert found.validation == found.curve[-1][2] == bowl(best)
     for each in looked[1 : 1 + lines[0]]:
         assert replace(each, rate=first.rate) == first
     for each in looked[1 + sum(lines[:2]) : sum(lines)]:
         assert (each.beta1, each.beta2) == (BEST.beta1, BEST.beta2)
-    best = min(looked, key=bowl)
-    assert adam_of(searching.job, tuned.phi) == best
-    assert looked[tuned.step - 1] == best
-    errors = [error for _, _, error in tuned.curve]
+    errors = [error for _, _, error in result(path).curve]
     assert errors == sorted(errors, reverse=True)
-    assert errors[-1] == tuned.validation == bowl(best)
-    assert [looked[step - 1] for step, _, _ in tuned.curve][-1] == best
 
 
 def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(search: Callable[..., Search]) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene, rgb
-from metapp.rendering.paths import path_space, resampling
+from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import FewPaths, Tracer, path_samples, reference, render
 from metapp.rendering.paths.resampling import draw_samples, resampled
 from metapp.rendering.scenes.loading import brightness
@@ -69,29 +69,6 @@ def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: 
     assert deviation.square().mean() < 1.35
     assert float(plain.mean()) == pytest.approx(float(other.mean()), rel=0.02)
     assert float((other_error / plain_error).median()) < 1
-
-
-@needs_mitsuba
-@pytest.mark.parametrize(
-    "scene", [long(random_scene(0)), long(small_lamp(1, 4)), long(bulb(3))], ids=["box", "small", "bulb"]
-)
-def test_resampled_points_are_in_proportion_to_what_paths_carry(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH", 2**17)
-    tracer, count = Tracer(scene, next_event=True), 4096
-    points, image = resampled(tracer, count, Generator().manual_seed(0))
-    assert points.shape == (count, 4)
-    assert (points.min() >= 0) & (points.max() < 1)
-    assert len(points.unique(dim=0)) > 0.9 * count
-    mean, error = cell_means(tracer, 4, 4, seed=9)
-    share = torch.bincount(cell_of(points), minlength=CELLS[4] ** 4) / count
-    expected, spread = mean / mean.sum(), error / mean.sum()
-    # of as many independent samples as the pool has effective ones, which the fewest allow for
-    fewest = resampling.ENOUGH * count
-    deviation = (share - expected) / (expected / fewest + spread**2).sqrt()
-    assert deviation.abs().max() < 4.5
-    assert deviation.square().mean() < 1.4
-    noise = (1 / fewest + spread.square().sum()).sqrt()  # relative, of the mean of as many effective paths
-    assert abs(float(brightness(image.flatten(1).T).mean() / mean.mean()) - 1) < 4 * float(noise)
 
 
 class _Steep:

@@ -92,7 +92,7 @@ def test_fits_that_carry_a_warning_are_counted(subject: Subject, evaluate: Calla
     assert "threads: 1" in load_table("quickft").notes(subject, rows(subject, "quickft"))
 
 
-@pytest.mark.parametrize("width", [60, 80, 120, 200])
+@pytest.mark.parametrize("width", [60, 120, 200])
 def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
     width: int, subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
