@@ -14,12 +14,9 @@ from data_tools.synthetic.cornell import random_scene, rgb
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import FewPaths, Tracer, path_samples, reference, render
 from metapp.rendering.paths.resampling import draw_samples, resampled
-from metapp.rendering.scenes.loading import brightness
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 from tests.rendering.test_path_space import corner
-
-CELLS = {4: 3, 6: 2}  # along each number of a point, so that each cell has thousands of paths
 
 Scene = dict[str, Any]
 
@@ -38,37 +35,6 @@ def bulb(seed: int, **more: Any) -> Scene:
     """A Cornell box with a point light instead of its lamp."""
     scene = {key: value for key, value in random_scene(seed).items() if key != "light"}
     return {**scene, "bulb": {"type": "point", "position": [0.1, 0.7, 0.0], "intensity": rgb([1.0] * 3)}, **more}
-
-
-def cell_of(points: Tensor) -> Tensor:
-    cells = CELLS[points.shape[1]]
-    return sum(((points[:, axis] * cells).long() * cells**axis for axis in range(points.shape[1])), torch.tensor(0))
-
-
-def cell_means(tracer: Tracer, batches: int, dimensions: int, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Mean luminance of cells of primary sample space, and its standard errors."""
-    rng = Generator().manual_seed(seed)
-    count = CELLS[dimensions] ** dimensions
-    sums = torch.zeros(3, count, dtype=torch.float64)
-    for _ in range(batches):
-        points = torch.rand(2**18, dimensions, generator=rng)
-        values = brightness(tracer.contributions(points, rng)).double()
-        sums += torch.stack([torch.bincount(cell_of(points), values**power, count) for power in (0, 1, 2)])
-    mean = sums[1] / sums[0]
-    return mean, ((sums[2] / sums[0] - mean**2) / sums[0]).sqrt()
-
-
-@needs_mitsuba
-@pytest.mark.parametrize(("seed", "dimensions"), [long(2, 4), long(4, 6)])
-def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: int, dimensions: int) -> None:
-    scene = random_scene(seed)
-    plain, plain_error = cell_means(Tracer(scene), 4, dimensions)
-    other, other_error = cell_means(Tracer(scene, next_event=True), 4, dimensions, seed=1)
-    deviation = (plain - other) / (plain_error**2 + other_error**2).sqrt().clamp_min(1e-9)
-    assert deviation.abs().max() < 5
-    assert deviation.square().mean() < 1.35
-    assert float(plain.mean()) == pytest.approx(float(other.mean()), rel=0.02)
-    assert float((other_error / plain_error).median()) < 1
 
 
 class _Steep:

@@ -14,6 +14,7 @@ from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import IMAGE, Guide, Tracer, path_samples, reference, render
 from metapp.rendering.scenes.loading import brightness, load_scene
 from metapp.rendering.scenes.rules import box_film, scene_bytes, scene_of
+from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
 CELLS = 8  # of the film, per side
@@ -45,10 +46,13 @@ def mitsuba_means(scene: dict[str, Any], depth: int, runs: int = 16) -> tuple[Te
 
 
 @needs_mitsuba
-@pytest.mark.parametrize(("seed", "depth", "dimensions"), [(0, 6, 4), (4, 4, 6)])
-def test_the_tracer_finds_what_mitsuba_does(seed: int, depth: int, dimensions: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "depth", "dimensions", "next_event"),
+    [(0, 6, 4, False), (4, 4, 6, False), long(2, 6, 4, True), long(4, 4, 6, True)],
+)
+def test_the_tracer_finds_what_mitsuba_does(seed: int, depth: int, dimensions: int, next_event: bool) -> None:
     scene = random_scene(seed)
-    ours, our_error = cell_means(Tracer(scene, depth), 2**20, dimensions)
+    ours, our_error = cell_means(Tracer(scene, depth, next_event=next_event), 2**20, dimensions)
     theirs, their_error = mitsuba_means(scene, depth)
     deviation = (ours - theirs) / (our_error**2 + their_error**2).sqrt()
     assert deviation.abs().max() < 4.5

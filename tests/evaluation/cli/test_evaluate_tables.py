@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from torch import Tensor
 
-from metapp.apps.brdf.app import Brdf
 from metapp.cli.show import rich_table
 from metapp.evaluation.rows import paired_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
-from metapp.learning.task import Params, Tasks
-from metapp.storage.records import RunFolder, read_records
-from tests.evaluation.cli.subjects import call, rows
+from metapp.storage.records import RunFolder
+from tests.evaluation.cli.subjects import rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
-
-
-def errors(document: dict[str, Any]) -> list[Any]:
-    """What must not depend on how often a run was killed: all but seconds."""
-    return [{key: value for key, value in row.items() if "seconds" not in key} for row in document["rows"]]
 
 
 def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path) -> None:
@@ -121,44 +109,6 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
     assert result.code == 0, result.err
     rows = {row["paradigm"]: row for row in evaluate("--no-run", "--json").document["rows"]}
     assert {name: row["tasks"] for name, row in rows.items() if row["tasks"]} == {"quickft": 3}
-
-
-def killed_at(count: int, *arguments: str | Path) -> int:
-    """Exit code of a command in a fork of this process, which kills itself as it finds errors for that time."""
-    child = os.fork()
-    if not child:
-        try:
-            _die_at(count)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            call(*arguments)
-        finally:
-            os._exit(0)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
-def _die_at(count: int) -> None:
-    calls, found = itertools.count(1), Brdf.errors
-
-    def dying(self: Brdf, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        if next(calls) == count:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return found(self, theta, tasks)
-
-    Brdf.errors = dying
-
-
-def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(
-    evaluate: Callable, done: Path, data: Path, tmp_path: Path
-) -> None:
-    unbroken = evaluate("--json", "--out", done / "runs", "--no-run").document
-    common = ("evaluate", "brdf", "--data", data, "--out", tmp_path / "broken", "--quiet")
-    kept = []
-    for count in (5, 7):
-        assert killed_at(count, *common) == -signal.SIGKILL
-        kept.append(sum(len(read_records(file)) for file in (tmp_path / "broken").rglob("record.jsonl")))
-    assert kept == [4, 10]
-    resumed = evaluate("--json", "--out", tmp_path / "broken", "--quiet").document
-    assert errors(resumed) == errors(unbroken)
 
 
 def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:

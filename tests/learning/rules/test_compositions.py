@@ -6,14 +6,13 @@ import itertools
 from dataclasses import replace
 
 import pytest
-import torch
 from torch import Generator
 
 from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.names import composition_names, rule_names
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import parts_by_name, rule_of
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from tests.quick import app_by
 
@@ -83,14 +82,6 @@ def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part
     of = app_by(app)
     with pytest.raises(ValueError, match=f"its part {part}"):
         rule_of(rule).alpha(of, one(of), 5, Adam(1e-3))
-
-
-@pytest.mark.parametrize("name", ["curvature", "basis"])
-def test_matrices_are_needed(name: str) -> None:
-    app = app_by("brdf")
-    assert parts_by_name()[name].refusal(app, {"w": torch.ones(2, 3)}) == ""
-    assert parts_by_name()[name].refusal(app, {"b": torch.ones(3)}) == "no parameter has two axes"
-    assert bool(parts_by_name()["curvature"].refusal(app, {"kernel": torch.ones(2, 3, 3, 3)}))
 
 
 @pytest.mark.parametrize("name", app_names())

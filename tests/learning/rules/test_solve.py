@@ -11,13 +11,13 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.adjoint import Drawn, learn_through
-from metapp.learning.app import App
 from metapp.learning.learn import learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import parts_by_name, rule_of
 from metapp.learning.rules.solve import GREATEST, LEAST, ROUNDING, NormalEquations
 from metapp.learning.task import Batch, Linear, Params
 from tests.learning.parabolas import unused
+from tests.paradigms.small import FEATURED, small_app
 
 TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
 SOLVE = rule_of("solve")
@@ -27,15 +27,6 @@ def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
     features = theta["scale"][:, :, None] * batch["x"]
     residual = batch["y"] - theta["W"] @ features
     return Linear("W", features, residual, batch["weights"], residual.abs().mean((1, 2)))
-
-
-class Line(App):
-    """A stand-in for an application whose network is linear in W."""
-
-    name, linear_parameter, least_squares = "line", "W", staticmethod(linear)
-
-
-Line.__abstractmethods__ = frozenset()  # type: ignore[attr-defined]
 
 
 def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -140,6 +131,10 @@ def test_penalties_are_at_least_what_rounding_makes_of_the_normal_equations() ->
 
 
 def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
-    alpha = parts_by_name()["solve"].initial(Line(), {key: each[0] for key, each in theta.items()}, STEPS, Adam(1e-3))
-    assert {key: tuple(each.shape) for key, each in alpha.items()} == {"penalty.W": (1, FEATURES), "keep.W": (STEPS,)}
-    assert len(alpha["penalty.W"].unique()) == 1
+    one = {"last": theta["W"][0]}
+    alpha = parts_by_name()["solve"].initial(small_app(FEATURED), one, STEPS, Adam(1e-3))
+    assert {key: tuple(each.shape) for key, each in alpha.items()} == {
+        "penalty.last": (1, FEATURES),
+        "keep.last": (STEPS,),
+    }
+    assert len(alpha["penalty.last"].unique()) == 1
