@@ -162,7 +162,7 @@ def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
 def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Callable[..., Tensor]) -> None:
     """Every step's activations are gone before the next step computes its own, on the way there and back.
 
-    Order 1 keeps each step's gradient, a constant, instead of computing it anew on the way back.
+    Order 1 keeps each step's gradient, a constant, instead of computing it anew, and no batch: those may be large.
     """
     activations: list[weakref.ref] = []
     alive: list[int] = []
@@ -177,6 +177,9 @@ def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Cal
     theta = {"x": randn(TASKS, 3).requires_grad_()}
     rule = sgd({"rate": torch.full((1, TASKS), 0.1).double().requires_grad_()})
     final = learn_through(theta, rule, batches, Loss(unused, value), order=order)["x"]
+    kept = [weakref.ref(each["c"]) for each in batches]
+    del batches
+    assert sum(each() is not None for each in kept) == (12 if order == 2 else 0)
     assert not any(each() is not None for each in activations)
     torch.autograd.grad(final.sum(), [theta["x"], rule.alpha["rate"]])
     assert len(alive) == evaluations
@@ -198,19 +201,6 @@ def test_a_rule_that_all_tasks_share(order: int, randn: Callable[..., Tensor]) -
     found = value_and_grads(lambda leaves: final(leaves, learn_through), start)
     assert_alike(found, value_and_grads(lambda leaves: final(leaves, unrolled), start))
     assert found[1]["beta1"].any()
-
-
-def test_order_1_keeps_gradients_and_no_batches(randn: Callable[..., Tensor]) -> None:
-    """A batch may be large, as Gram matrices are; what is kept for the way back is of the parameters' size."""
-    theta = {"x": randn(1, 2).requires_grad_()}
-    rule = sgd({"rate": torch.full((1, 1), 0.1).double()})
-    for order, alive in ((2, 4), (1, 0)):
-        own = [{"A": symmetric(randn(1, 2, 2)), "c": randn(1, 2)} for _ in range(4)]
-        kept = [weakref.ref(each["A"]) for each in own]
-        final = learn_through(theta, rule, own, PARABOLA, order=order)["x"]
-        del own
-        assert sum(each() is not None for each in kept) == alive
-        torch.autograd.grad(final.sum(), theta["x"])
 
 
 def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None:

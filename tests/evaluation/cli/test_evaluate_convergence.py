@@ -1,13 +1,15 @@
-"""What convergence is computed by, and the paper's figures."""
+"""What convergence and figures are computed by, and the paper's figures."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load, save
 
+from metapp.evaluation.figures import step_sizes
 from metapp.evaluation.notes import carried
 from metapp.evaluation.rows import blank, paper
 from metapp.evaluation.tables.convergence import (
@@ -70,3 +72,11 @@ def test_parameters_that_no_step_moves_are_saved_for_every_part() -> None:
     found = named({0.0: {"w": still}, 0.5: {"w": still, "b": 2 * still}})
     assert set(load(save(found))) == {"0/w", "0.5/w", "0.5/b"}
     assert all(value.shape == (3,) for value in found.values())
+
+
+def test_step_sizes_of_rules() -> None:
+    alpha = {"rate.w": torch.tensor([[[-0.5, 2.0]]]), "rate.b": torch.zeros(1, 1), "beta1": torch.zeros(3)}
+    assert step_sizes("meta-sgd", alpha)["w"].tolist() == [-0.5, 2.0]
+    assert set(step_sizes("meta-sgd", alpha)) == {"w"}  # one number is no histogram
+    paced = step_sizes("meta-encoder", alpha | {"pace.w": torch.tensor([0.0, 1.0])})["w"]
+    np.testing.assert_allclose(paced, np.exp([-0.5, 2.0, 0.5, 3.0]), rtol=1e-6)
