@@ -13,6 +13,7 @@ from torch import Generator
 from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.svbrdf_task import svbrdf_task
 from data_tools.synthetic.brdf import synthetic_materials
+from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
@@ -63,18 +64,7 @@ def brdf_tasks() -> list[Task]:
 
 
 def picture_tasks() -> list[Task]:
-    """Pictures of 32 px in small patches, dark green and bright red ones, that fade towards the edges."""
-    generator, tasks = rng(7), []
-    away = torch.linspace(-1, 1, 32).square()
-    colours = torch.tensor([[0.1, 0.3, 0.2], [0.8, 0.5, 0.3]])[..., None, None]
-    for i in range(COUNT):
-        size = 2 + 2 * (i % 2)
-        which = torch.rand(1, 32 // size, 32 // size, generator=generator) < 0.3 + 0.4 * i / COUNT
-        dark, bright = colours + 0.1 * torch.rand(2, 3, 1, 1, generator=generator)
-        image = torch.where(which.repeat_interleave(size, 1).repeat_interleave(size, 2), bright, dark)
-        image = image / (1 + 0.3 * (away[:, None] + away))
-        tasks.append(Task(f"patches-{i}", {"image": (255 * image).to(torch.uint8)}))
-    return tasks
+    return list(synthetic_tasks("train", COUNT, size=32))
 
 
 def map_tasks() -> list[Task]:
