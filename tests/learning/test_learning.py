@@ -150,15 +150,6 @@ def test_equal_applications_have_one_loss_and_it_holds_none_of_them() -> None:
     assert alive() is None
 
 
-def test_over_tasks_is_the_mean_over_tasks(tasks: Tasks, rng: Generator) -> None:
-    loss = over_tasks(EXACT, count=5)
-    drawn = loss.draw(tasks, rng, 1.0)
-    grads, losses = loss.gradient({"x": torch.zeros(3).double()}, drawn.batch, {}, graph=False)
-    expected = {name: 0.5 * float(c.square().sum()) for name, c in zip(NAMES, tasks.data["c"], strict=True)}
-    torch.testing.assert_close(losses.tolist(), [expected[name] for name in drawn.names])
-    torch.testing.assert_close(grads["x"], -tasks.data["c"].mean(0))
-
-
 def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> None:
     loss, counts = over_tasks(EXACT, count=3), dict.fromkeys(NAMES, 0)
     for _ in range(300):

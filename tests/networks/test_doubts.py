@@ -30,8 +30,9 @@ def bricks(offset: int = 0) -> Tensor:
 # Regular structure
 
 
-def test_what_keeps_regular_structure_is_not_doubted() -> None:
-    assert of_order("texture", bricks(), bricks(5)) == []
+def test_what_keeps_regular_structure_is_not_doubted_nor_what_had_none() -> None:
+    for photo, made in ((bricks(), bricks(5)), (0.5 + noise(1), bricks()), (0.5 + noise(1), 0.5 + noise(2))):
+        assert of_order("texture", photo, made) == []
 
 
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
@@ -45,11 +46,6 @@ def test_what_loses_regular_structure_is_told_how_much_and_what_copies_it(app: s
     assert kept
     assert 0 <= float(kept[1]) < KEPT
     assert kept[2] in {name for offer in door.offers_of(door.Baselines, app) for name in offer.names}
-
-
-def test_photos_without_regular_structure_lose_none() -> None:
-    assert of_order("texture", 0.5 + noise(1), bricks()) == []
-    assert of_order("texture", 0.5 + noise(1), 0.5 + noise(2)) == []
 
 
 # Highlights

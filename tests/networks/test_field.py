@@ -59,12 +59,6 @@ def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> No
     assert set(columns.tolist()) == {9, 10, 11, 12}
 
 
-def test_fields_beside_each_other_are_independent(rng: Generator) -> None:
-    theta = FIELD.init(rng, 3)
-    alone = FIELD({key: value[1:2] for key, value in theta.items()}, places(3)[1:2])
-    torch.testing.assert_close(FIELD(theta, places(3))[1:2], alone)
-
-
 # A code on a finer grid
 
 

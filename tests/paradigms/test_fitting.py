@@ -14,10 +14,9 @@ from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, last, task_loss
 from metapp.learning.recipe import Adam, Guard
-from metapp.learning.rules import fixed_adam, rule_of
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.paradigms.quickft import to_alpha
 from tests.marked import long
 from tests.paradigms.small import KINDS, PAIRS, prepared_for, rng, untrained
 
@@ -147,15 +146,6 @@ def test_what_is_doubtful_is_known_of_named_rules_after_their_own_steps(app: App
         assert meta.guard(job._replace(steps=recipe.steps + 1)) == plain
         assert 0 < meta.guard(job).fall <= 1
     assert meta.guard(Job(app, recipe, "sgd+loss")) == plain
-
-
-def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
-    settings = Adam(0.02, 0.7, 0.9, 1e-6, 0.1)
-    prepared = prepared_for(paradigms()["quickft"], job)._replace(alpha=to_alpha(settings))
-    theta, steps = paradigms()["general"].fit(job, prepared, tasks, rng()), job.recipe.steps
-    tuned = paradigms()["quickft"].rule(job, prepared, theta, steps)
-    for key, value in fixed_adam(settings, theta, steps).alpha.items():
-        torch.testing.assert_close(tuned.alpha[key], value)
 
 
 # What an application makes of tasks

@@ -23,7 +23,7 @@ from metapp.paradigms.validation import split_validation
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.marked import long
-from tests.paradigms.small import ONE_QUICK, OWN_RULES, prepared_for, rng
+from tests.paradigms.small import OWN_RULES, prepared_for, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
@@ -146,15 +146,6 @@ def test_ctrl_c_at_any_moment_loses_no_step(
     assert as_file(made, path) == expected
     assert len(reached) > 1  # it was cut off
     assert reached == sorted(reached)
-
-
-@pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
-def test_training_draws_from_its_own_generator_alone(job: Job, tasks: Tasks) -> None:
-    """What else was random would not be in a checkpoint."""
-    before = torch.get_rng_state()
-    run("general", job, tasks)
-    run(job.recipe.rule, job, tasks)
-    assert torch.equal(torch.get_rng_state(), before)
 
 
 @pytest.fixture

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
 
 from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Tasks
@@ -42,82 +41,68 @@ def bowl(adam: Adam) -> float:
     return sum(each * each for each in away)
 
 
-class Search(NamedTuple):
-    """What a search looked at and what it found."""
+class Search:
+    """A search from an Adam on that is told errors in closed form, and what it looked at."""
 
-    looked: list[Adam]
-    job: Job
-    run: Callable[..., list[Progress]]
-
-
-@pytest.fixture
-def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
-    """A search that starts at an Adam and that is told errors in closed form."""
-
-    def make(first: Adam, error: Callable[[Adam], float] = bowl) -> Search:
-        job = Job(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first), "meta-sgd")
-        looked: list[Adam] = []
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
+        self.job = Job(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first), "meta-sgd")
+        self.looked: list[Adam] = []
 
         def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Any, seeds: int = 2) -> float:
             assert paradigm.name == "quickft"
-            looked.append(adam_of(job, prepared))
-            return error(looked[-1])
+            self.looked.append(adam_of(job, prepared))
+            return error(self.looked[-1])
 
         monkeypatch.setattr(tuning, "validation_error", told)
-        encoder = MetaParameters(encoder={"w": torch.ones(2)})
         none: Any = None  # what errors are told without
-        data = TrainingData(none, none, rng(), encoder)
-        return Search(looked, job, lambda steps=None: list(QUICKFT.prepare(job, data._replace(steps=steps))))
-
-    return make
+        encoder = MetaParameters(encoder={"w": torch.ones(2)})
+        self.path = list(QUICKFT.prepare(self.job, TrainingData(none, none, rng(), encoder)))
+        self.tuned = result(self.path)
+        self.found = adam_of(self.job, self.tuned.phi)
 
 
 @pytest.mark.parametrize(
     "first", [Adam(1e-2), Adam(5e-2, 0.9, 0.99, 1e-8, 0.0), Adam(1.0, 0.3, 0.8), Adam(2e-3, 0.9, 0.999, 1e-3)]
 )
-def test_the_search_finds_the_best_adam(first: Adam, search: Callable[..., Search]) -> None:
+def test_the_search_finds_the_best_adam(first: Adam, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also from a rate that is 25 times too small or 20 times too large; the rate to a third of its grid's step."""
-    searching = search(first)
-    tuned = result(searching.run())
-    found = adam_of(searching.job, tuned.phi)
+    search = Search(monkeypatch, first)
+    found = search.found
     assert (found.beta1, found.beta2, found.final) == (BEST.beta1, BEST.beta2, BEST.final)
     assert found.eps == pytest.approx(BEST.eps)
     assert abs(math.log2(found.rate / BEST.rate)) < 1 / 6
-    assert tuned.validation == pytest.approx(bowl(found))
+    assert search.tuned.validation == pytest.approx(bowl(found))
 
 
-def test_the_search_goes_on_around_the_best_so_far(search: Callable[..., Search]) -> None:
+def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """One line of choices at a time changes its own quantities, and those before it stay at their best."""
     first = Adam(0.05, 0.9, 0.999, 1e-8, 1.0)
-    searching = search(first)
-    path = searching.run()
-    looked, lines = searching.looked, [len(line) for line in tuning.SEARCHED]
+    search = Search(monkeypatch, first)
+    looked, lines = search.looked, [len(line) for line in tuning.SEARCHED]
     assert (looked[0], len(looked)) == (first, 1 + sum(lines))
-    for i, now in enumerate(path, 1):
+    for i, now in enumerate(search.path, 1):
         assert (now.done, now.total, now.errors) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
         best, found = min(looked[:i], key=bowl), result([now])
-        assert adam_of(searching.job, found.phi) == best == looked[found.step - 1]
+        assert adam_of(search.job, found.phi) == best == looked[found.step - 1]
         assert found.validation == found.curve[-1][2] == bowl(best)
     for each in looked[1 : 1 + lines[0]]:
         assert replace(each, rate=first.rate) == first
     for each in looked[1 + sum(lines[:2]) : sum(lines)]:
         assert (each.beta1, each.beta2) == (BEST.beta1, BEST.beta2)
-    errors = [error for _, _, error in result(path).curve]
+    errors = [error for _, _, error in search.tuned.curve]
     assert errors == sorted(errors, reverse=True)
 
 
-def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(search: Callable[..., Search]) -> None:
+def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     first = Adam(0.0123, 0.77, 0.95, 3e-5, 0.2)
     for error in (lambda adam: 1.0, lambda adam: 0.5 if adam == first else math.inf):
-        searching = search(first, error)
-        tuned = result(searching.run())
-        assert adam_of(searching.job, tuned.phi) == first
-        assert (tuned.step, len(tuned.curve)) == (1, 1)
-    searching = search(Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf)
-    tuned = result(searching.run())
-    assert math.isfinite(tuned.validation)
-    assert adam_of(searching.job, tuned.phi).rate < 3
+        search = Search(monkeypatch, first, error)
+        assert search.found == first
+        assert (search.tuned.step, len(search.tuned.curve)) == (1, 1)
+    search = Search(monkeypatch, Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf)
+    assert math.isfinite(search.tuned.validation)
+    assert search.found.rate < 3
 
 
 @pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
