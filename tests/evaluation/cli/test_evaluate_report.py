@@ -11,17 +11,6 @@ import pytest
 
 from metapp.evaluation.figures import FIGURES
 from metapp.evaluation.tables import table_names
-from tests.evaluation.cli.subjects import call, few_steps
-
-
-@pytest.fixture(scope="session")
-def drawn(data: Path, done: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the figures and the report of all that has been run."""
-    folder = tmp_path_factory.mktemp("drawn")
-    words = ("--data", data, "--out", done / "runs", "--no-run", "--quiet", "--json")
-    with few_steps():
-        assert call("evaluate", "brdf", *words, "--report", folder / "report", "--figures", folder / "figures") == 0
-    return folder
 
 
 def headings(text: str) -> list[str]:
@@ -29,12 +18,14 @@ def headings(text: str) -> list[str]:
 
 
 @pytest.mark.long
-def test_the_report_has_all_tables_and_links_to_all_figures(drawn: Path) -> None:
+def test_the_report_has_all_tables_and_links_to_all_figures(evaluate: Callable, done: Path, tmp_path: Path) -> None:
+    words = ("--out", done / "runs", "--no-run", "--quiet", "--json")
+    assert evaluate(*words, "--report", tmp_path / "report", "--figures", tmp_path / "figures").code == 0
     figures = {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
-    assert {file.name for file in (drawn / "figures").iterdir()} == figures
-    assert {file.name for file in (drawn / "report").iterdir()} == figures | {"index.md"}
-    assert (drawn / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
-    text = (drawn / "report" / "index.md").read_text()
+    assert {file.name for file in (tmp_path / "figures").iterdir()} == figures
+    assert {file.name for file in (tmp_path / "report").iterdir()} == figures | {"index.md"}
+    assert (tmp_path / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
+    text = (tmp_path / "report" / "index.md").read_text()
     assert set(re.findall(r"^!\[.+\]\((.*)\)$", text, re.MULTILINE)) == {f"brdf-{name}.png" for name in FIGURES}
     assert len(headings(text)) == len(table_names()) + len(FIGURES)
     assert {"Error and time", "Storage"} < set(headings(text))
