@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from metapp.door import Converter, Export, Format, InMemory, Option
+from dataclasses import dataclass
+from typing import Annotated
 
-SAMPLES = Option(
-    "samples",
-    65_536,
-    "Samples (pairs of directions) per material; the first half is for fits to see.",
-    "N",
-    low=2,
-    high=10_000_000,
-)
+from metapp.door import Converter, Export, Format, InMemory
+from metapp.options import Option
+
+
+@dataclass(frozen=True)
+class SampleOptions:
+    """Options of conversions of BRDFs."""
+
+    samples: Annotated[
+        int,
+        Option(
+            "Samples (pairs of directions) per material; the first half is for fits to see.",
+            "N",
+            low=2,
+            high=10_000_000,
+        ),
+    ] = 65_536
+
 
 MERL = """Convert MERL tables, measured BRDFs.
 
@@ -42,7 +53,7 @@ OFFERS = (
         "data_tools.readers.merl",
         "MERL .binary files",
         command=Converter(
-            MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", (SAMPLES,)
+            MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", SampleOptions
         ),
     ),
     Format(
@@ -50,7 +61,9 @@ OFFERS = (
         "brdf",
         "data_tools.readers.nbrdf",
         "folders with an NBRDF network",
-        command=Converter(NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", (SAMPLES,)),
+        command=Converter(
+            NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", SampleOptions
+        ),
     ),
     Export("merl", ("brdf",), "data_tools.readers.merl:export"),
     Export("nbrdf", ("brdf",), "data_tools.readers.nbrdf:export", holds=("w1", "w2", "w3", "b1", "b2", "b3")),

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from metapp.door import Converter, Format, InMemory, Option
+from dataclasses import dataclass
+from typing import Annotated
 
-ROWS = Option("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
+from metapp.door import Converter, Format, InMemory
+from metapp.options import Option
+
+
+@dataclass(frozen=True)
+class LavalOptions:
+    """Options of conversions of environment maps."""
+
+    rows: Annotated[int, Option("Rows of the maps; the recipe full fits 128.", "N", low=32, high=1024)] = 64
+
 
 LAVAL = """Convert HDR environment maps, such as those of the Laval indoor set.
 
 Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
-linear Rec.709 of 64 x 128 texels (--size), averaged over solid angle, of mean luminance 1 beside the scale it had, and
+linear Rec.709 of 64 x 128 texels (--rows), averaged over solid angle, of mean luminance 1 beside the scale it had, and
 four photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one found
 in a folder is skipped with a warning.
 
@@ -24,9 +34,9 @@ OFFERS = (
         "illumination",
         "data_tools.readers.latlong",
         "HDR maps (.exr, .hdr)",
-        takes=("size",),
+        takes=("rows",),
         command=Converter(
-            LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)
+            LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", LavalOptions
         ),
     ),
     InMemory("illumination", "data_tools.readers.picture_objects:light"),

@@ -2,43 +2,78 @@
 
 from __future__ import annotations
 
-from data_tools.formats.options import EXPOSURE, FOV_OF_FITS
-from metapp.door import Converter, Format, InMemory, Option
+from dataclasses import dataclass
+from typing import Annotated
 
-SIZE = Option("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
-FOV = Option(
-    "fov",
-    0.0,
-    "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
-    "DEGREES",
-    low=0.0,
-    high=150.0,
-)
-FIT_FOV = FOV_OF_FITS._replace(help="Field of view, shorter side; default: EXIF's, else 45.")
-NORMALS = Option(
-    "normals",
-    "auto",
-    "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a height "
-    "field could have it.",
-    choices=("opengl", "directx", "auto"),
-)
-GAMMA = Option("gamma", 1.0, "Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)
-WHITE = Option(
-    "white",
-    1.35,
-    "How bright white would be right below the flash, where 1 clips; that of the published ones by default.",
-    "W",
-    low=0.01,
-    high=100,
-)
+from metapp.door import Converter, Format, InMemory
+from metapp.networks.options import field_of_view
+from metapp.options import Option
 
-PREDICTED = Option(
-    "predicted",
-    "",
-    "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; where "
-    "they show the middle alone, so do the tasks.",
-    "FOLDER",
-)
+Size = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
+Normals = Annotated[
+    str,
+    Option(
+        "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a "
+        "height field could have it.",
+        "opengl|directx|auto",
+        choices=("opengl", "directx", "auto"),
+    ),
+]
+
+
+@dataclass(frozen=True)
+class ImageOptions:
+    """Options of conversions of photographs."""
+
+    size: Size = 256
+
+
+@dataclass(frozen=True)
+class FlashOptions(ImageOptions):
+    """Options of conversions of flash photographs."""
+
+    fov: Annotated[
+        float,
+        Option(
+            "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
+            "DEGREES",
+            low=0.0,
+            high=150.0,
+            parse=field_of_view,
+        ),
+    ] = 0.0
+
+
+@dataclass(frozen=True)
+class MapsOptions(ImageOptions):
+    """Options of conversions of maps."""
+
+    normals: Normals = "auto"
+
+
+@dataclass(frozen=True)
+class StripsOptions(ImageOptions):
+    """Options of conversions of strips."""
+
+    gamma: Annotated[float, Option("Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)] = 1.0
+    white: Annotated[
+        float,
+        Option(
+            "How bright white would be right below the flash, where 1 clips; that of the published ones by default.",
+            "W",
+            low=0.01,
+            high=100,
+        ),
+    ] = 1.35
+    predicted: Annotated[
+        str,
+        Option(
+            "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; "
+            "where they show the middle alone, so do the tasks.",
+            "FOLDER",
+        ),
+    ] = ""
+
 
 IMAGES = """Convert photographs of textures.
 
@@ -110,14 +145,13 @@ OFFERS = (
         "svbrdf_stationary",
         "data_tools.readers.flash",
         "flash photos",
-        takes=("size", "least"),
-        options=(FIT_FOV,),
+        takes=("size", "least", "fov_rad"),
         command=Converter(
             FLASH,
             "photograph",
             "FILES...",
             "Photographs, and folders searched at any depth.",
-            (SIZE, FOV),
+            FlashOptions,
             FLASH_SPLIT,
         ),
     ),
@@ -127,7 +161,7 @@ OFFERS = (
         "data_tools.readers.photos",
         "images",
         takes=("size", "least"),
-        command=Converter(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", (SIZE,)),
+        command=Converter(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", ImageOptions),
     ),
     Format(
         "maps",
@@ -135,7 +169,7 @@ OFFERS = (
         "data_tools.readers.material_maps",
         "",  # `svbrdf` takes them
         command=Converter(
-            MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", (SIZE, NORMALS), MAPS_SPLIT
+            MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", MapsOptions, MAPS_SPLIT
         ),
     ),
     Format(
@@ -148,7 +182,7 @@ OFFERS = (
             "strip",
             "FILES...",
             "Strips, and folders searched at any depth.",
-            (SIZE, GAMMA, WHITE, PREDICTED),
+            StripsOptions,
             STRIPS_SPLIT,
         ),
     ),
@@ -157,8 +191,7 @@ OFFERS = (
         "svbrdf_nonstationary",
         "data_tools.readers.svbrdf_inputs",
         "flash photos, strips, a material's maps",
-        takes=("size",),
-        options=(FIT_FOV, EXPOSURE),
+        takes=("size", "fov_rad", "stops"),
     ),
     InMemory("texture", "data_tools.readers.picture_objects:texture"),
     InMemory("svbrdf_stationary", "data_tools.readers.picture_objects:flash_photo"),

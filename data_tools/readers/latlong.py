@@ -79,18 +79,18 @@ class Header(NamedTuple):
         return f"{self.width}x{self.height} px"
 
 
-def read_task(path: Path, size: int = HEIGHT) -> Task:
+def read_task(path: Path, rows: int = HEIGHT) -> Task:
     """Turn an HDR map into a task named by the file's stem, as `map_task`; the photographs depend on the name alone.
 
     Args:
         path: the file.
-        size: rows of the map.
+        rows: of the map.
 
     Raises:
         ValueError: as `read_map`.
     """
-    light = read_map(path, size)
-    return map_task(path.stem, light, _draws(path.stem), size)
+    light = read_map(path, rows)
+    return map_task(path.stem, light, _draws(path.stem), rows)
 
 
 def task_of_array(radiance: NDArray[np.float32], name: str, size: int = HEIGHT) -> Task:
@@ -104,9 +104,9 @@ def _draws(name: str) -> Rng:
     return stream(*hashlib.sha256(name.encode()).digest())
 
 
-def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
+def conversion(paths: Iterable[Path], split: str, *, rows: int) -> Conversion:
     """Conversion of maps to tasks."""
-    read, notes = partial(read_task, size=size), {"made_by": "metapp data laval", "rows": size}
+    read, notes = partial(read_task, rows=rows), {"made_by": "metapp data laval", "rows": rows}
     return Conversion("illumination", "map", UNITS, find, read, notes)
 
 

@@ -67,26 +67,26 @@ def flash_photo(
 
 
 def material(
-    source: object, name: str, *, size: int = SIZE, fov_rad: float = 0.0, exposure: float = 0.0, **_: object
+    source: object, name: str, *, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, **_: object
 ) -> Task:
     """Make the task of a material.
 
     Args:
         source: maps; or a picture, the flash photograph of a material.
         name: of the task.
-        size, fov_rad, exposure: as of the reader.
+        size, fov_rad, stops: as of the reader.
 
     Raises:
         ValueError: none of these; values of another shape or out of range, maps that are missing; as the reader.
     """
     found = _maps_or_photo(name, source)
     if isinstance(found, Pixels):
-        return svbrdf_inputs.task_of_pixels(found, name, size, fov_rad, exposure)
+        return svbrdf_inputs.task_of_pixels(found, name, size, fov_rad, stops)
     return material_maps.task_of_pixels(found, name, size, min(size, SIZE))
 
 
 def light(
-    source: object, name: str, *, size: int = latlong.HEIGHT, fov_rad: float = 0.0, observe: str = "", **_: object
+    source: object, name: str, *, rows: int = latlong.HEIGHT, fov_rad: float = 0.0, observe: str = "", **_: object
 ) -> Task:
     """Make the task of an environment map or of the photograph of a ball.
 
@@ -94,7 +94,7 @@ def light(
         source: linear Rec.709 radiance, floating point, [H, 2 H, 3] or gray [H, 2 H], lat-long, rows from the top (+y),
             the middle looks to +z; or the photograph of a ball, a picture.
         name: of the task.
-        size, fov_rad: as of the reader.
+        rows, fov_rad: as of the reader.
         observe: what fits see: "photo" takes floating-point values for a photograph where they are not twice as wide as
             high.
 
@@ -107,7 +107,7 @@ def light(
         values = planes_of(name, source)
         if values.dtype.kind == "f" and latlong.is_latlong(*values.shape[:2]):
             with np.errstate(over="ignore"):  # what is infinite is refused
-                return latlong.task_of_array(_rgb(values).astype(np.float32), name, size)
+                return latlong.task_of_array(_rgb(values).astype(np.float32), name, rows)
         if values.dtype.kind == "f" and observe != "photo":
             raise ValueError(
                 f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is "
@@ -117,7 +117,7 @@ def light(
     readers = [files for files in (form.files() for form in forms) if hasattr(files, "task_of_pixels")]
     if not readers:
         raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
-    task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, size, fov_rad)
+    task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, rows, fov_rad)
     return task
 
 

@@ -49,14 +49,14 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list({source.resolve(): source for source in sources}.values()), skipped
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, exposure: float = 0.0) -> Task:
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:
     """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
 
     Args:
         path: the file.
         size: side in px; where it is more than 256, of files as fine as that alone.
         fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
-        exposure: by how many stops a photograph is too bright; of strips and materials that says nothing.
+        stops: by how many stops a photograph is too bright; of strips and materials that says nothing.
 
     Returns:
         As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
@@ -72,13 +72,13 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, exposure: floa
     if strips.is_strip(path):
         return strips.read_task(path, size, least=least)
     photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)
-    return Task(task_name(path.stem), {"photo": rightly_exposed(photo, exposure)})
+    return Task(task_name(path.stem), {"photo": rightly_exposed(photo, stops)})
 
 
-def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, fov_rad: float = 0.0, exposure: float = 0.0) -> Task:
+def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:
     """The same of a photograph in memory."""
     photo = photo_of(pixels, name, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
-    return Task(task_name(name), {"photo": rightly_exposed(photo, exposure)})
+    return Task(task_name(name), {"photo": rightly_exposed(photo, stops)})
 
 
 def _elsewhere(files: Iterable[Path], folders: Collection[Path]) -> list[Path]:

@@ -37,7 +37,7 @@ from metapp.learning.task import Task
 
 _STRONGEST_CAST = 1.2  # of red over blue, in the mean of a map, as a power of 2
 
-SIZE = latlong.HEIGHT  # rows of a map
+ROWS = latlong.HEIGHT  # rows of a map
 UNITS = {**latlong.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
 COUNTS: dict[Split, int] = {"train": 900, "test": 16}
 FAMILIES: dict[str, Callable[[Rng], Scene]] = {
@@ -60,14 +60,14 @@ FAMILIES: dict[str, Callable[[Rng], Scene]] = {
 }
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, rows: int = ROWS) -> Iterator[Task]:
     """The environments of one split, one by one.
 
     Args:
         split: "train" or "test"; the same families, other draws.
         count: how many. A larger set begins with the smaller one.
         seed: of all draws, >= 0.
-        size: rows of the maps, at least 32; the environments are the same at all sizes.
+        rows: of the maps, at least 32; the environments are the same at all sizes.
 
     Returns:
         Tasks with unique names such as "meadow-016" ("meadow-t000" in the test split), as `latlong.map_task` makes
@@ -77,11 +77,11 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in turns("environments", FAMILIES, COUNTS, split, count, seed):
-        light = environment(FAMILIES[family], rng, 2 * max(1, math.ceil(size / SIZE)), size)
-        yield latlong.map_task(name, light, rng, size)
+        light = environment(FAMILIES[family], rng, 2 * max(1, math.ceil(rows / ROWS)), rows)
+        yield latlong.map_task(name, light, rng, rows)
 
 
-def environment(family: Callable[[Rng], Scene], rng: Rng, supersampling: int = 2, rows: int = SIZE) -> Tensor:
+def environment(family: Callable[[Rng], Scene], rng: Rng, supersampling: int = 2, rows: int = ROWS) -> Tensor:
     """A map of a family's next scene, turned to anywhere and seen by a camera of some white balance.
 
     Returns:

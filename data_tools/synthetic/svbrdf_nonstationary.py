@@ -72,6 +72,7 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
 }
 
 SIZE = 128
+PHOTOS = 1
 EVEN = {f"even_{name}": functools.partial(piece, names=(name,)) for name in FLAT}  # in sets of larger maps, too
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
@@ -81,7 +82,7 @@ def units_of(photos: int = 1, **_: object) -> dict[str, str]:
     return UNITS | (SEVERAL_UNITS if photos > 1 else {})
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = 1) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = PHOTOS) -> Iterator[Task]:
     """The patches of one split, one by one.
 
     Args:

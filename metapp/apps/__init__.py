@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from metapp import door
+from metapp.options import AppOptions
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
@@ -45,6 +46,11 @@ def class_of(name: str) -> type[App]:
 def protocols_of(name: str) -> tuple[str, ...]:
     """The protocols of an application, the values of --observe, the default first; () where there is no choice."""
     return application_of(name).protocols
+
+
+def options_of(name: str) -> type[AppOptions]:
+    """The dataclass of an application's own options."""
+    return application_of(name).options or AppOptions
 
 
 def recipe_offers(name: str, protocol: str = "") -> dict[str, door.Recipe]:

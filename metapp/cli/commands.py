@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Annotated
 
 import typer
 
 from metapp import door
+from metapp.cli.apps import app_group
 from metapp.cli.data import group as data
-from metapp.cli.fits.command import FitCommand, make_command
+from metapp.cli.fit import SUMMARIES, command_of
 from metapp.cli.group import Group, add_commands
 from metapp.runs.reporter import say
-
-SUMMARIES = {
-    "general": "One forward pass of an encoder trained over all tasks.",
-    "overfit": "Train on each task alone, from a random initialisation.",
-    "finetune": "A tenth of Overfit's steps, from General's result.",
-    "quickft": "As many Adam steps as Meta takes, from General's result.",
-    "meta": "A few steps of a learned rule from a learned initialisation.",
-}
 
 app = typer.Typer(
     cls=Group,
@@ -48,6 +42,6 @@ def options(
 
 
 for name, summary in SUMMARIES.items():
-    app.command(name, cls=FitCommand)(make_command(name, summary))
+    app.add_typer(app_group(functools.partial(command_of, name), summary), name=name)
 add_commands(app, "")
 app.add_typer(data.app, name="data")

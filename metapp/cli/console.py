@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from metapp.cli.streams import leave, one_line
-from metapp.runs import BadOption
+from metapp.options import BadOption
 from metapp.runs.reporter import Reporter, reporting
 from metapp.storage import Document
 from metapp.storage.text import as_text

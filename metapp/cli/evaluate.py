@@ -13,8 +13,8 @@ from metapp import door
 from metapp.cli import completion
 from metapp.cli.options import Json, Overwrite, check_new, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
+from metapp.runs.options import check_name, check_protocol, fit_options
 from metapp.runs.reporter import say
-from metapp.runs.requests.request import Request
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
@@ -146,8 +146,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
     from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.requests.checks import check_name, check_protocol
-    from metapp.runs.requests.plan import plan
+    from metapp.runs.plan import plan
 
     run = not options.no_run
     names = options.apps or app_names()
@@ -164,7 +163,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     first = None if options.whole else 1
     plans = [
         plan(
-            Request(
+            fit_options(
                 name,
                 "general",  # by the application's own network; rows make the plans of other paradigms of it
                 observe=protocol,
@@ -208,7 +207,7 @@ def has_general(subject: Subject, options: Evaluation) -> bool:
 
 def say_missing(subjects: list[Subject], tables: Sequence[Table], which: str) -> None:
     """Say how much has no record yet of each application, and which command measures it."""
-    from metapp.runs.requests.naming import name_of
+    from metapp.runs.naming import name_of
 
     commands = []
     for subject in subjects:

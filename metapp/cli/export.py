@@ -7,20 +7,29 @@ from typing import Annotated
 
 import typer
 
+from data_tools.formats import exports_of
 from metapp import door
+from metapp.apps import app_names
 from metapp.cli import completion
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import check_folder
-from metapp.cli.fits.options import exports
-from metapp.cli.options import FittedData, Json, extended
+from metapp.cli.options import FittedData, Json
 from metapp.runs.reporter import say
-from metapp.runs.requests.options import all_shown_options
+
+
+def _exports() -> str:
+    """The values of KIND; applications that have the same ones once."""
+    apps: dict[str, list[str]] = {}
+    for app in app_names():
+        if exports_of(app):
+            apps.setdefault(", ".join(exports_of(app)), []).append(app)
+    return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
+
 
 FILES = {name: offer for offer in door.offers(door.FileExport) for name in offer.names}
-KINDS = "; ".join([exports(), *(f"{offer.files}: {', '.join(offer.names)}" for offer in door.offers(door.FileExport))])
+KINDS = "; ".join([_exports(), *(f"{offer.files}: {', '.join(offer.names)}" for offer in door.offers(door.FileExport))])
 
 
-@extended(all_shown_options().values())
 def command(
     source: Annotated[
         Path,
@@ -40,9 +49,11 @@ def command(
         Path | None,
         typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND, of files KIND."),
     ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="HxW|N", help="Output size in pixels of maps and textures.")
+    ] = None,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
-    **own: object,
 ) -> None:
     """Write the fits of a run, or measured BRDFs and checkpoints without a fit, in another file format.
 
@@ -54,12 +65,13 @@ def command(
     from metapp.runs.outputs.recorded import holds_runs
 
     if form in FILES and not holds_runs(source):
-        if inputs or data or own:
+        if inputs or data or size:
             raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
         folder = out or Path(form)
         files = door.load(FILES[form].write)(source, form, folder, quiet)
         done = Exported(form, str(folder), [file.stem for file in files])
     else:
+        own = {"size": size} if size else {}
         done = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
         say(f"written as {done.form}: {listed(Path(done.out), done.tasks)}")

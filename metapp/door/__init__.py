@@ -35,8 +35,6 @@ from metapp.door.finding import offers as offers
 from metapp.door.finding import offers_of as offers_of
 from metapp.door.finding import problems as problems
 from metapp.door.finding import switched_off as switched_off
-from metapp.door.options import Option as Option
-from metapp.door.options import keyword_of as keyword_of
 from metapp.door.outputs import Baselines as Baselines
 from metapp.door.outputs import Command as Command
 from metapp.door.outputs import Export as Export

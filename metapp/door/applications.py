@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from metapp.door.options import Option
-
 
 class Application(NamedTuple):
     """An application.
@@ -13,8 +11,9 @@ class Application(NamedTuple):
     Attributes:
         name: as on the command line.
         app: its subclass of `metapp.learning.app.App`.
+        help: the application in a sentence.
         protocols: the values of --observe, the default first; () where there is no choice.
-        options: that change its recipe or are fields of its class.
+        options: a dataclass, `metapp.options.AppOptions` with its own; None for none.
         examples: what follows `metapp` ({} stands for a folder of input files), and what that makes.
         files: the input files of the examples, `files(app, folder) -> paths written`; "" for none.
         needs_vgg: whether its fits read features of VGG.
@@ -22,8 +21,9 @@ class Application(NamedTuple):
 
     name: str
     app: str
+    help: str = ""
     protocols: tuple[str, ...] = ()
-    options: tuple[Option, ...] = ()
+    options: type | None = None
     examples: tuple[tuple[str, str], ...] = ()
     files: str = ""
     needs_vgg: bool = False

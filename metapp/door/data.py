@@ -9,7 +9,6 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from metapp.door.finding import module_of
-from metapp.door.options import Option, keyword_of
 
 Task = Any  # metapp.learning.task.Task, which imports torch
 
@@ -64,7 +63,7 @@ class Converter(NamedTuple):
         help: paragraphs and examples.
         noun: what one source is called, such as "MERL file".
         metavar, paths: of its arguments, and their help.
-        options: its own.
+        options: a dataclass of its own options, as of `metapp.options`; None for none.
         split_help: of --split, where files or names tell more than the general rule.
     """
 
@@ -72,7 +71,7 @@ class Converter(NamedTuple):
     noun: str
     metavar: str
     paths: str
-    options: tuple[Option, ...] = ()
+    options: type | None = None
     split_help: str = SPLIT
 
 
@@ -87,8 +86,7 @@ class Format(NamedTuple):
             than these, `conversion(paths, split, **options)`.
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
         takes: what fits tell `read_task` of themselves: "size", px a side or rows of what the file becomes; "least",
-            what smaller photos are enlarged to.
-        options: that `read_task` takes as keywords.
+            what smaller photos are enlarged to; further names are keywords of `AppOptions.reading`.
         command: that converts files, if any.
     """
 
@@ -97,7 +95,6 @@ class Format(NamedTuple):
     module: str
     inputs: str = ""
     takes: tuple[str, ...] = ()
-    options: tuple[Option, ...] = ()
     command: Converter | None = None
 
     def files(self) -> ModuleType:
@@ -124,8 +121,7 @@ class Format(NamedTuple):
 
     def taken(self, arguments: Mapping[str, object]) -> dict[str, object]:
         """Those of the arguments of readers, by keyword, that the format takes."""
-        takes = {*self.takes, *(keyword_of(option) for option in self.options)}
-        return {key: arguments[key] for key in takes & arguments.keys()}
+        return {key: arguments[key] for key in set(self.takes) & arguments.keys()}
 
     def conversion(self, paths: list[Path], split: str, options: Mapping[str, object]) -> Conversion:
         """The conversion of files to tasks by the command's options; ValueError for bad paths."""
@@ -144,12 +140,12 @@ class Merge(NamedTuple):
 
     Attributes:
         app: the application.
-        option: whose value says how.
+        option: the application's own option whose value says how.
         merge: `merge(paths, value, size=..., **options of the format) -> task`.
     """
 
     app: str
-    option: Option
+    option: str
     merge: str
 
 
@@ -182,7 +178,7 @@ class Synthetic(NamedTuple):
         app: the application of its tasks.
         module: that draws them, as `metapp.runs.inputs.embedded` says.
         help: a few words for `metapp data synth --help`: kinds, size of a task, training + test tasks.
-        options: that `synthetic_tasks` takes as keywords.
+        options: names of options that `synthetic_tasks` takes as keywords.
         files: other forms that it can be written in: the value of --as, `write(folder, split, count, seed) -> names` of
             files as they are written, and a file's bytes.
     """
@@ -190,5 +186,5 @@ class Synthetic(NamedTuple):
     app: str
     module: str
     help: str
-    options: tuple[Option, ...] = ()
+    options: tuple[str, ...] = ()
     files: tuple[tuple[str, str, int], ...] = ()

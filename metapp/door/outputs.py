@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib.util
 from typing import NamedTuple
 
-from metapp.door.options import Option
-
 
 class Export(NamedTuple):
     """A form that fits are written in for other programs.
@@ -58,13 +56,13 @@ class Output(NamedTuple):
 
     Attributes:
         app: the application.
-        option: that asks for it.
+        option: the application's own option that asks for it.
         output: `output(app, task, theta, value) -> metapp.learning.pictures.Rendered`.
         examples: as of the application, after its own.
     """
 
     app: str
-    option: Option
+    option: str
     output: str
     examples: tuple[tuple[str, str], ...] = ()
 

@@ -22,7 +22,7 @@ from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_
 from metapp.evaluation.tables.results import result_row
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
-from metapp.runs.requests.naming import factor_of, name_of
+from metapp.runs.naming import factor_of, name_of
 
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
 TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
@@ -166,7 +166,7 @@ def rates(subject: Subject) -> Drawn | None:
     """Magnitudes of learned step sizes, layer above layer."""
     fit = subject.fits["meta"]
     alpha = fit.prepared.alpha if fit.checkpoint else {}
-    sizes = step_sizes(fit.job.rule, alpha)
+    sizes = step_sizes(fit.paradigm.rule_name, alpha)
     if not sizes:
         return None
     logs = {key: np.log10(np.abs(values[values != 0])) for key, values in sizes.items()}
@@ -181,13 +181,13 @@ def rates(subject: Subject) -> Drawn | None:
         axis.step(edges[:-1], heights, where="post", color=INK, linewidth=0.5)
     axis.set_yticks([-i for i in range(len(logs))], list(logs), fontsize=7)
     axis.set_xlabel("learned step size, power of ten")
-    axis.set_title(f"{subject.title}: {fit.job.rule}")
+    axis.set_title(f"{subject.title}: {fit.paradigm.rule_name}")
     negative = {key: float((values < 0).mean()) for key, values in sizes.items()}
     more = f"; negative: {np.mean(list(negative.values())):.0%}" if any(negative.values()) else ""
     middle = np.median(np.concatenate(list(logs.values())))
     if all(len(np.unique(value.flatten(1)[0].numpy())) == 1 for value in _weight_rates(alpha)):
         more += "; the same for all weights, as its Adam was searched"
-    what = f"step sizes that {fit.job.rule} has learned, a row a layer; median {10**middle:.1e}{more}"
+    what = f"step sizes that {fit.paradigm.rule_name} has learned, a row a layer; median {10**middle:.1e}{more}"
     return Drawn(figure, f"{subject.title}: {what}.")
 
 

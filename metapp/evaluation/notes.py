@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from metapp.evaluation.rows import Row, Table, paired_of
 from metapp.evaluation.subject import Subject
+from metapp.runs.naming import factor_of
 from metapp.runs.outputs.statistics import FEWEST, Paired, apart
 from metapp.runs.reporter import number
-from metapp.runs.requests.naming import factor_of
 
 
 def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:

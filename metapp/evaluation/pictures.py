@@ -19,7 +19,7 @@ def draw_paradigms(subject: Subject) -> Path | None:
 
 def draw_cells(subject: Subject, cells: Mapping[str, Cell], kind: str) -> Path | None:
     """Draw fits that are complete, by their names; None where there are none."""
-    request, app = subject.plan.request, subject.app
+    request, app = subject.plan.options, subject.app
     words = [kind, subject.label, request.recipe, f"seed{request.seed}", *filter(None, [app.protocol])]
     runs = [(name, cell.folder.path, cell.records()) for name, cell in cells.items() if cell.folder]
     if not runs:

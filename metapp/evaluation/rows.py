@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.runs.fits.fitter import ROSE
+from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.outputs.statistics import Errors, Paired, paired, statistics_of
 from metapp.runs.reporter import number
-from metapp.runs.requests.naming import is_first_protocol, observe_of
 from metapp.storage import Document
 from metapp.storage.records import Record, guarded
 

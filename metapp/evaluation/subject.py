@@ -10,14 +10,14 @@ from contextlib import suppress
 from metapp.evaluation.cell import Cell, Measure
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.paradigms import paradigms
+from metapp.paradigms import PARADIGMS
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.fits.fitter import fit_tasks
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import tasks_of_data
+from metapp.runs.naming import name_of, title_of
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.requests.naming import name_of, title_of
-from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.records import FIT, Record, RunFolder
 
@@ -52,11 +52,11 @@ class Subject:
         Raises:
             ValueError: a checkpoint is missing that a row must have, and that is an error.
         """
-        fits = {name: self._found(name) for name in paradigms()}
-        request, job = self.plan.request, self.plan.job
+        fits = {name: self._found(name) for name in PARADIGMS}
+        options = self.plan.options
         # on data of one's own the others that ship would say little
-        others = job.recipe.meta if request.checkpoint or not request.data else ()
-        for rule in (rule for rule in others if rule != job.rule):
+        others = self.plan.recipe.meta if options.checkpoint or not options.data else ()
+        for rule in (rule for rule in others if rule != self.plan.paradigm.rule_name):
             with suppress(ValueError):  # there is no checkpoint of this rule
                 fits[f"meta:{rule}"] = find_checkpoint(self.plan.by("meta", rule))
         return fits
@@ -84,11 +84,11 @@ class Subject:
 
     @functools.cached_property
     def _data(self) -> tuple[list[Task], str]:
-        request = self.plan.request
-        make_folder(request.out)
-        if not self.run and not request.data and not embedded_exists(self.app.name):
+        options = self.plan.options
+        make_folder(options.out)
+        if not self.run and not options.data and not embedded_exists(self.app.name):
             return [], "none"  # there are no records of a data set that was never made
-        return tasks_of_data(self.app, request.data, request.quiet)
+        return tasks_of_data(self.app, options.data, options.quiet)
 
     @property
     def tasks(self) -> list[Task]:
@@ -140,16 +140,23 @@ class Subject:
             entries: of records, beside the name.
             of_fits: whether they are of fits of several paradigms: with the rule.
         """
-        request, job = self.plan.request, self.plan.job
-        words = [self.label, request.recipe, f"seed{request.seed}", *([job.rule] if of_fits else [])]
-        path = request.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
+        options = self.plan.options
+        words = [
+            self.label,
+            options.recipe,
+            f"seed{options.seed}",
+            *([self.plan.paradigm.rule_name] if of_fits else []),
+        ]
+        path = options.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
         return RunFolder(path, settings, entries, self.plan.origin())
 
     def command(self, which: str) -> str:
         """The command that fills a table for this application."""
         words = ["metapp", "evaluate", self.app.name, "--which", which, *shared_words(self.plan)]
         words += ["--whole"] if self.whole else []
-        words += ["--rule", self.plan.job.rule] if self.plan.job.rule != self.plan.job.recipe.rule else []
+        words += (
+            ["--rule", self.plan.paradigm.rule_name] if self.plan.paradigm.rule_name != self.plan.recipe.rule else []
+        )
         return shlex.join(words)
 
 
@@ -161,8 +168,8 @@ def evenly(tasks: list[Task], count: int) -> list[Task]:
 
 def shared_words(plan: Plan) -> list[str]:
     """The options that commands of one evaluation share."""
-    request, protocol = plan.request, plan.app.protocol
-    words = ["--out", str(request.out), "--recipe", request.recipe]
+    options, protocol = plan.options, plan.app.protocol
+    words = ["--out", str(options.out), "--recipe", options.recipe]
     words += ["--observe", protocol] if protocol else []
-    words += ["--checkpoint", str(request.checkpoint)] if request.checkpoint else []
-    return words + ["--seed", str(request.seed)] + (["--data", str(request.data)] if request.data else [])
+    words += ["--checkpoint", str(options.checkpoint)] if options.checkpoint else []
+    return words + ["--seed", str(options.seed)] + (["--data", str(options.data)] if options.data else [])

@@ -2,33 +2,91 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from metapp.door import Option
+from metapp.options import FIT, INPUT, OUTPUT, AppOptions, Option
+
+NARROWEST = 0.5  # degrees of a field of view
 
 
-def size_of(text: str) -> tuple[int, int]:
-    """Height and width in px of "HxW".
+def size_of(value: object) -> tuple[int, int]:
+    """Height and width in px of "HxW", of "N" for a square, of a number or of a pair.
 
     Raises:
-        ValueError: it is no such text.
+        ValueError: another form.
+
+    >>> size_of("512"), size_of("512x1024")
+    ((512, 512), (512, 1024))
     """
-    sides = re.fullmatch(r"(\d{1,18})x(\d{1,18})", text)
-    if not sides:
-        raise ValueError("expected HEIGHTxWIDTH in px, such as 1024x1024")
-    return int(sides[1]), int(sides[2])
+    sides = value if isinstance(value, tuple | list) else re.split("x", str(value))
+    if not 1 <= len(sides) <= 2 or not all(re.fullmatch(r"\d{1,18}", str(side)) for side in sides):
+        raise ValueError("expected HEIGHTxWIDTH in px, such as 512x1024, or one number for a square")
+    return int(sides[0]), int(sides[-1])
+
+
+def field_of_view(degrees: float) -> float:
+    """A camera's field of view in degrees; 0, which is not known, stays 0.
+
+    Raises:
+        ValueError: narrower than a telescope's.
+    """
+    if 0 < degrees < NARROWEST:
+        raise ValueError(f"expected 0 or {NARROWEST:g} to 150 degrees")
+    return float(degrees)
 
 
 def size(limits: str) -> Option:
     """The option --size of files that fits make; `limits` say how large they may be."""
-    return Option("size", "", f"Output size in pixels: {limits}.", "HxW", panel="Output", convert=size_of)
+    return Option(f"Output size in pixels: {limits}.", "HxW|N", panel=OUTPUT, parse=size_of)
 
 
-DETAIL = Option(
-    "detail",
-    0,
-    "Resolution at which photos are read and fitted: 256 (the default) or 512, which is four times as slow.",
-    "PX",
-    low=256,
-    adapt="metapp.networks.exemplar:with_detail",
+def fov(default: str) -> Option:
+    """The option --fov of photos that fits read; `default` says what 0 means."""
+    about = f"Camera field of view along the shorter side; default: {default}."
+    return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=field_of_view)
+
+
+STOPS = Option(
+    "Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
+    "STOPS",
+    low=-4.0,
+    high=4.0,
+    panel=INPUT,
+    protocol="photo",
 )
+
+
+@dataclass(frozen=True)
+class CameraOptions(AppOptions):
+    """The option of applications that read photos of a known camera."""
+
+    fov: Annotated[float, fov("from EXIF, else 45")] = 0.0
+
+    def reading(self) -> dict[str, Any]:
+        """Readers take the field of view in rad."""
+        return super().reading() | ({"fov_rad": math.radians(self.fov)} if self.fov else {})
+
+
+@dataclass(frozen=True)
+class ExemplarOptions(AppOptions):
+    """The options of applications that fit a texture to an exemplar."""
+
+    size: Annotated[tuple[int, int] | None, size("textures and maps up to 4096x4096")] = None
+    detail: Annotated[
+        int,
+        Option(
+            "Resolution at which photos are read and fitted: 256 (the default) or 512, which is four times as slow.",
+            "PX",
+            low=256,
+            panel=FIT,
+        ),
+    ] = 0
+
+    def adapt(self, recipe: Any) -> Any:
+        """The recipe for exemplars of `detail` px a side."""
+        from metapp.networks.exemplar import with_detail
+
+        return with_detail(recipe, self.detail) if self.detail else recipe

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from metapp.paradigms.finetune import FINETUNE
-from metapp.paradigms.general import GENERAL
-from metapp.paradigms.meta import META
-from metapp.paradigms.overfit import OVERFIT
-from metapp.paradigms.paradigm import Job, Paradigm
-from metapp.paradigms.quickft import QUICKFT
+from metapp.paradigms.finetune import Finetune
+from metapp.paradigms.general import General
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.overfit import Overfit
+from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms.quickft import QuickFT
 
-__all__ = ["Job", "Paradigm", "paradigms"]
+__all__ = ["PARADIGMS", "Paradigm"]
 
-
-def paradigms() -> dict[str, Paradigm]:
-    """Return all five by name, in the order of the paper's tables."""
-    return {paradigm.name: paradigm for paradigm in (GENERAL, OVERFIT, FINETUNE, QUICKFT, META)}
+# by name, in the order of the paper's tables
+PARADIGMS: dict[str, type[Paradigm]] = {kind.name: kind for kind in (General, Overfit, Finetune, QuickFT, Meta)}

@@ -1,12 +1,20 @@
 """Finetune: General's result, then Adam for about a tenth of Overfit's steps."""
 
-from metapp.paradigms.general import GENERAL, beginning
-from metapp.paradigms.paradigm import by_adam
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.paradigms.general import General
 
-FINETUNE = GENERAL._replace(
-    name="finetune",
-    initialisation=beginning,
-    rule=by_adam(lambda job, prepared: job.recipe.finetune),
-    steps=lambda recipe: recipe.finetune_steps,
-    adam=lambda job, prepared: job.recipe.finetune,
-)
+
+class Finetune(General):
+    """Adam from General's prediction."""
+
+    name = "finetune"
+
+    @property
+    def recipe_steps(self) -> int:
+        """Finetune's."""
+        return self.recipe.finetune_steps
+
+    def adam(self, phi: MetaParameters) -> Adam:
+        """The recipe's, for Finetune."""
+        return self.recipe.finetune

@@ -10,25 +10,58 @@ from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
 from metapp.learning.progress import Progress
-from metapp.learning.rules import fixed_adam
+from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Rng, Tasks, drawn
 from metapp.paradigms.outer_loop import train
-from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
+from metapp.paradigms.paradigm import Paradigm, TrainingData
 
 
-def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-    """theta = encode(I)."""
-    encoded = job.app.encode(prepared.encoder, drawn(job.app.condition, tasks, rng))
+class General(Paradigm):
+    """theta = encode(I), without a step."""
+
+    name = "general"
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The encoder."""
+        return ("general",)
+
+    @property
+    def recipe_steps(self) -> int:
+        """None."""
+        return 0
+
+    @property
+    def training(self) -> OuterLoop | None:
+        """The encoder's."""
+        return self.recipe.general
+
+    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+        """The encoder's prediction; where steps follow, beside it the parameters that tasks give themselves."""
+        return (self.app.known(tasks) if self.recipe_steps else {}) | predicted(self.app, phi, tasks, rng)
+
+    def outer_problem(self, rng: Generator) -> tuple[MetaParameters, Loss]:
+        """The untrained encoder and the loss that trains it."""
+        app, training = self.app, self.recipe.general
+        loss = after_encoding(task_outer_loss(app, self.recipe.batch), Encoding(app.condition, app.encode))
+        outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
+        # staged before tasks are augmented: what is not seen need not be made
+        return MetaParameters(encoder=app.init_encoder(rng)), staged(outer, app.stage)
+
+    def prepare(self, data: TrainingData) -> Iterator[Progress]:
+        """Train the encoder."""
+        phi, loss = self.outer_problem(data.rng)
+        return train(self, data.first if data.first.encoder else phi, loss, self.recipe.general, data)
+
+
+def predicted(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+    """encode(I), the parameters that an encoder predicts of tasks, [T, ...]."""
+    encoded = app.encode(phi.encoder, drawn(app.condition, tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 
-def beginning(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-    """The same where steps follow: beside it are the parameters that tasks give themselves and that it leaves out."""
-    return job.app.known(tasks) | initialisation(job, prepared, tasks, rng)
-
-
 def encoding(app: App) -> Encoding:
-    """The encoding of `beginning`: its condition is that of General's encoder, and what tasks give themselves."""
+    """General's prediction, with the parameters that tasks give themselves, as a function of tasks."""
 
     def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
         return app.condition(tasks, rng), app.known(tasks)
@@ -37,29 +70,3 @@ def encoding(app: App) -> Encoding:
         return condition[1] | app.encode(encoder, condition[0])
 
     return Encoding(condition, encode)
-
-
-def outer_problem(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
-    """The untrained encoder and the loss that trains it."""
-    app, training = job.app, job.recipe.general
-    loss = after_encoding(task_outer_loss(app, job.recipe.batch), Encoding(app.condition, app.encode))
-    augment = app.augment if training.augment else None
-    outer = over_tasks(loss, count=training.tasks, augment=augment)
-    # staged before tasks are augmented: what is not seen need not be made
-    return MetaParameters(encoder=app.init_encoder(rng)), staged(outer, app.stage)
-
-
-def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
-    """Train the encoder."""
-    phi, loss = outer_problem(job, data.rng)
-    return train(GENERAL, job, data.first if data.first.encoder else phi, loss, job.recipe.general, data)
-
-
-GENERAL = Paradigm(
-    name="general",
-    needs=lambda job: ("general",),
-    initialisation=initialisation,
-    rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
-    steps=lambda recipe: 0,
-    prepare=prepare,
-)

@@ -13,18 +13,17 @@ from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
+from metapp.paradigms.paradigm import Paradigm, TrainingData
 from metapp.paradigms.validation import validation_error
 
 
 def train(
-    paradigm: Paradigm, job: Job, first: MetaParameters, loss: Loss, training: OuterLoop, data: TrainingData
+    paradigm: Paradigm, first: MetaParameters, loss: Loss, training: OuterLoop, data: TrainingData
 ) -> Iterator[Progress]:
     """Train a checkpoint by the outer loop and keep its best state on the validation tasks.
 
     Args:
         paradigm: whose fits validate.
-        job: application and recipe.
         first: phi before the first outer step.
         loss: on phi, in its flat tree.
         training: settings of the loop; `data.steps` goes before its own.
@@ -54,8 +53,8 @@ def train(
         if best.curve[-1:] and best.curve[-1][0] == now.step:
             continue  # it was cut off after this validation
         if now.step == steps or now.step % training.validate_every == 0:
-            error = validation_error(paradigm, job, MetaParameters.unflat(now.theta), data.to_validate)
-            mean = job.app.scale * float(torch.stack(losses).mean()) if losses else None
+            error = validation_error(paradigm, MetaParameters.unflat(now.theta), data.to_validate)
+            mean = paradigm.app.scale * float(torch.stack(losses).mean()) if losses else None
             losses.clear()
             curve = (*best.curve, (now.step, mean, error))
             if error < best.validation:

@@ -3,25 +3,23 @@
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Rng, Tasks, drawn
-from metapp.paradigms.paradigm import Job, Paradigm, by_adam
+from metapp.paradigms.paradigm import Paradigm
 
 
-def adam_of(job: Job, prepared: MetaParameters) -> Adam:
-    """Return the recipe's."""
-    return job.recipe.overfit
+class Overfit(Paradigm):
+    """Adam from a random initialisation, until it has converged."""
 
+    name = "overfit"
 
-def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-    """Return random parameters, but those that the tasks give themselves."""
-    random = drawn(lambda some, own: job.app.init(own, len(some)), tasks, rng)
-    return random | job.app.known(tasks)
+    @property
+    def recipe_steps(self) -> int:
+        """Overfit's."""
+        return self.recipe.overfit_steps
 
+    def adam(self, phi: MetaParameters) -> Adam:
+        """The recipe's, for Overfit."""
+        return self.recipe.overfit
 
-OVERFIT = Paradigm(
-    name="overfit",
-    needs=lambda job: (),
-    initialisation=initialisation,
-    rule=by_adam(adam_of),
-    steps=lambda recipe: recipe.overfit_steps,
-    adam=adam_of,
-)
+    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+        """Random parameters, but those that the tasks give themselves."""
+        return drawn(lambda some, own: self.app.init(own, len(some)), tasks, rng) | self.app.known(tasks)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple, Self
 
 from torch import Generator
 
@@ -12,27 +14,11 @@ from metapp.learning.app import App
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
 from metapp.learning.progress import Progress
-from metapp.learning.recipe import Adam, Guard, Recipe
+from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Rng, Tasks
 
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
-
-
-class Job(NamedTuple):
-    """The application of a fit, and its settings.
-
-    Attributes:
-        app: the application.
-        recipe: its settings.
-        rule: Meta's learned rule, a name or a composition (`rules.rule_of`).
-        steps: gradient steps instead of the recipe's number; None keeps that.
-    """
-
-    app: App
-    recipe: Recipe
-    rule: str
-    steps: int | None = None
 
 
 class TrainingData(NamedTuple):
@@ -56,81 +42,116 @@ class TrainingData(NamedTuple):
     first: MetaParameters = MetaParameters()
 
 
-def nothing(job: Job, data: TrainingData) -> Iterator[Progress]:
-    """The preparation of a paradigm that needs none."""
-    raise ValueError("nothing to prepare.")
-
-
-def plain_loss(job: Job) -> Loss:
-    """The application's own loss."""
-    return task_loss(job.app, job.recipe.batch)
-
-
-PlainAdam = Callable[[Job, MetaParameters], Adam]
-
-
-def by_adam(adam: PlainAdam) -> Callable[[Job, MetaParameters, Params, int], UpdateRule]:
-    """Make the rule of a paradigm that fits by a plain Adam."""
-    return lambda job, prepared, theta, steps: fixed_adam(adam(job, prepared), theta, steps)
-
-
-class Paradigm(NamedTuple):
-    """A way of training.
+@dataclass(frozen=True)
+class Paradigm(ABC):
+    """A way of training, for an application by a recipe; here for Adam from any initialisation.
 
     Attributes:
+        app: the application.
+        recipe: its settings.
+        learned_rule: Meta's rule, a name or a composition (`rules.rule_of`); "" for the recipe's.
+        asked_steps: gradient steps instead of the recipe's number; None keeps that.
+        guarding: whether the guard of learned rules is on.
         name: as on the command line.
-        needs: job -> names of what must be prepared: what it fits from ("general" or a rule), then what is tuned for
-            that ("quickft"); () for nothing.
-        initialisation: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
-        rule: (job, prepared, initialisation, steps) -> how the steps move them.
-        steps: recipe -> number of gradient steps.
-        prepare: (job, training data) -> how far the preparation is of the last of what it needs, again and again; the
-            others are given.
-        adam: (job, prepared) -> the plain Adam that it fits by; None where the rule is a learned one, or there is none.
-        guard: job -> what guards its fits; None where the rule is none that was learned.
-        loss: job -> what the steps descend.
     """
 
-    name: str
-    needs: Callable[[Job], tuple[str, ...]]
-    initialisation: Callable[[Job, MetaParameters, Tasks, Rng], Params]
-    rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
-    steps: Callable[[Recipe], int]
-    prepare: Callable[[Job, TrainingData], Iterator[Progress]] = nothing
-    adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
-    guard: Callable[[Job], Guard | None] = lambda job: None
-    loss: Callable[[Job], Loss] = plain_loss
+    app: App
+    recipe: Recipe
+    learned_rule: str = ""
+    asked_steps: int | None = None
+    guarding: bool = True
+    name: ClassVar[str]
 
-    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+    @property
+    def rule_name(self) -> str:
+        """The name of Meta's learned rule."""
+        return self.learned_rule or self.recipe.rule
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of checkpoints: what it fits from ("general" or a rule), then what is tuned for that ("quickft")."""
+        return ()
+
+    @property
+    @abstractmethod
+    def recipe_steps(self) -> int:
+        """The recipe's number of gradient steps."""
+
+    @property
+    def steps(self) -> int:
+        """Number of gradient steps: 0 for General, whatever was asked for."""
+        usual = self.recipe_steps
+        return usual if self.asked_steps is None or usual == 0 else self.asked_steps
+
+    @abstractmethod
+    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+        """Parameters [T, ...] before the first step."""
+
+    def adam(self, phi: MetaParameters) -> Adam | None:
+        """The plain Adam of the steps; None where the rule is a learned one, or there are no steps."""
+        return None
+
+    def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
+        """The rule of so many steps from the initialisation `theta`."""
+        adam = self.adam(phi)
+        assert adam is not None
+        return fixed_adam(adam, theta, steps)
+
+    @property
+    def loss(self) -> Loss:
+        """The loss that the steps descend."""
+        return task_loss(self.app, self.recipe.batch)
+
+    @property
+    def guard(self) -> Guard | None:
+        """The guard of its fits; None where the rule is not learned."""
+        return None
+
+    @property
+    def training(self) -> OuterLoop | None:
+        """The outer loop of its preparation; None where there is none."""
+        return None
+
+    def prepare(self, data: TrainingData) -> Iterator[Progress]:
+        """Prepare the last of what it needs; the others are given.
+
+        Yields:
+            How far it is, before each outer step and after each validation; at the end `best` is the result.
+
+        Raises:
+            ValueError: there is nothing to prepare.
+            FloatingPointError: the training loss is not finite; names tasks and step.
+        """
+        raise ValueError(f"{self.name}: nothing to prepare.")
+
+    def fit(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""
-        return last(self.descend(job, prepared, tasks, rng)).theta
+        return last(self.descend(phi, tasks, rng)).theta
 
-    def descend(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[Step]:
-        """Fit tasks, one or many: descend from initialisation(task) by the rule, one step at a time.
+    def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[Step]:
+        """Fit tasks, one or many: descend from the initialisation by the rule, one step at a time.
 
         Args:
-            job, prepared: what fits.
+            phi: its checkpoint.
             tasks: one or many.
             rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
 
         Yields:
-            Where the fit is before its first step and after each; a learned rule's guard may add a last one.
+            The fit before its first step and after each; a learned rule's guard may add a last one.
 
         Raises:
             FloatingPointError: a loss is not finite; names the tasks and the step.
         """
-        theta = self.initialisation(job, prepared, tasks, rng)
-        steps, guard = self.count(job), self.guard(job)
+        theta, steps = self.initialisation(phi, tasks, rng), self.steps
         if steps == 0:
             yield Step(0, theta, {})
             return
-        rule, loss = self.rule(job, prepared, theta, steps), self.loss(job)
+        rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if self.guarding else None
         if guard:
             yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, engine=fastest())
         else:
             yield from checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=fastest()))
 
-    def count(self, job: Job) -> int:
-        """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""
-        usual = self.steps(job.recipe)
-        return usual if job.steps is None or usual == 0 else job.steps
+    def unguarded(self, steps: int | None = None) -> Self:
+        """The same without a guard, for so many steps."""
+        return replace(self, guarding=False, asked_steps=self.asked_steps if steps is None else steps)

@@ -1,58 +1,46 @@
-"""Prepare what a paradigm needs on the training tasks, by name, and say what a checkpoint is."""
+"""What prepares a checkpoint, by its name, and the description that its file holds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 
-from metapp.learning.progress import Prepared, Progress
+from metapp.learning.progress import Prepared
 from metapp.learning.recipe import OuterLoop
-from metapp.paradigms import paradigms
-from metapp.paradigms.paradigm import Job, TrainingData
+from metapp.paradigms import PARADIGMS
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 
 
-def prepare(name: str, job: Job, data: TrainingData) -> Iterator[Progress]:
-    """Prepare what a paradigm needs, by its name: "general", "quickft", or a learned rule.
+def preparing(paradigm: Paradigm, name: str) -> Paradigm:
+    """The paradigm that prepares a checkpoint: "general", "quickft", or a learned rule.
 
-    Args:
-        name: what to prepare.
-        job: application and recipe.
-        data: the training tasks.
-
-    Yields:
-        How far it is, before each outer step and after each validation; at the end `best` is the result.
-
-    Raises:
-        FloatingPointError: the training loss is not finite; names tasks and step.
+    A checkpoint is learned through the recipe's number of steps.
     """
-    # a checkpoint is learned through the recipe's number of steps
-    job = job._replace(steps=None, rule=name if name not in paradigms() else job.rule)
-    return paradigms().get(name, paradigms()["meta"]).prepare(job, data)
+    if name in PARADIGMS:
+        return PARADIGMS[name](paradigm.app, paradigm.recipe, paradigm.rule_name)
+    return Meta(paradigm.app, paradigm.recipe, name)
 
 
-def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
-    """The training of a checkpoint, with outer steps instead of the recipe's; None where there is only a search."""
-    if name == "quickft":
-        return None
-    training = job.recipe.general if name == "general" else job.recipe.training(name)
-    if training.steps and steps is not None:
+def training_of(paradigm: Paradigm, steps: int | None) -> OuterLoop | None:
+    """The outer loop of a preparation, with other steps than the recipe's; None where there is only a search."""
+    training = paradigm.training
+    if training and training.steps and steps is not None:
         training = replace(training, steps=steps)
     return training
 
 
-def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, object]:
+def describe(paradigm: Paradigm, prepared: Prepared, steps: int | None = None) -> dict[str, object]:
     """The description of a checkpoint in its file: JSON-ready.
 
     Args:
-        job: application and recipe.
-        name: what was prepared.
+        paradigm: that prepared it.
         prepared: the result.
         steps: outer steps instead of the recipe's.
     """
-    recipe, training = job.recipe, training_of(job, name, steps)
+    recipe, training = paradigm.recipe, training_of(paradigm, steps)
     return {
-        "app": job.app.name,
-        "checkpoint": name,
+        "app": paradigm.app.name,
+        "checkpoint": paradigm.needs[-1],
         "inner_steps": recipe.steps,
         "batch": recipe.batch,
         "training": training and asdict(training),

@@ -7,22 +7,22 @@ import sys
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
+from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
+from metapp.paradigms.paradigm import Paradigm, TrainingData
 from metapp.paradigms.validation import validation_error
 
 
 def search(
-    paradigm: Paradigm, job: Job, first: Adam, phi_of: Callable[[Adam], MetaParameters], data: TrainingData
+    paradigm: Paradigm, first: Adam, phi_of: Callable[[Adam], MetaParameters], data: TrainingData
 ) -> Generator[Progress, None, Progress]:
     """The best Adam on validation tasks: a coordinate search, one setting or two at a time.
 
     Args:
         paradigm: whose fits are judged.
-        job: application and recipe.
         first: where the search begins.
         phi_of: what is fitted from with an Adam.
         data: validation tasks; `steps` is how many Adams are tried at most.
@@ -33,7 +33,7 @@ def search(
     Returns:
         How far it is at the end.
     """
-    tasks, earlier = to_tune_on(job, data.to_validate), data.since.errors
+    tasks, earlier = to_tune_on(paradigm.app, data.to_validate), data.since.errors
     total = min(1 + sum(len(choices) for choices in SEARCHED), data.steps or sys.maxsize)
     best, best_adam = Prepared(phi_of(first)), first
     errors: list[float] = []
@@ -47,7 +47,7 @@ def search(
 
     for adam in candidates():
         phi, tried = phi_of(adam), len(errors)
-        errors.append(earlier[tried] if tried < len(earlier) else validation_error(paradigm, job, phi, tasks))
+        errors.append(earlier[tried] if tried < len(earlier) else validation_error(paradigm, phi, tasks))
         error, done = errors[-1], len(errors)
         if error < best.validation:
             best, best_adam = Prepared(phi, error, done, (*best.curve, (done, None, error))), adam
@@ -57,9 +57,9 @@ def search(
     return Progress(tuple(errors), best=best)
 
 
-def to_tune_on(job: Job, tasks: Tasks) -> Tasks:
+def to_tune_on(app: App, tasks: Tasks) -> Tasks:
     """All validation tasks where fits are cheap, else up to TUNED_ON of them, evenly spaced."""
-    if job.app.cheap_fits:
+    if app.cheap_fits:
         return tasks
     count = min(len(tasks), TUNED_ON)
     return tasks.select([i * len(tasks) // count for i in range(count)])

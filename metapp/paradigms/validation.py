@@ -7,7 +7,7 @@ from torch import Generator
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
-from metapp.paradigms.paradigm import AT_ONCE, Job, Paradigm
+from metapp.paradigms.paradigm import AT_ONCE, Paradigm
 
 
 def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
@@ -32,20 +32,20 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
     )
 
 
-def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks) -> float:
+def validation_error(paradigm: Paradigm, prepared: MetaParameters, tasks: Tasks) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges.
 
     Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
     """
-    paradigm = paradigm._replace(guard=lambda job: None)
-    total, weights, seeds = 0.0, tasks.weights(), 1 if job.app.deterministic else 2
+    paradigm, app = paradigm.unguarded(), paradigm.app
+    total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for some in torch.arange(len(tasks)).split(AT_ONCE):
             part = tasks.select(some)
             try:
-                theta = paradigm.fit(job, prepared, part, rng)
+                theta = paradigm.fit(prepared, part, rng)
             except FloatingPointError:
                 return float("inf")
-            total += float((weights[some] * job.app.errors(theta, part)["error"]).sum())
-    return job.app.scale * total / (seeds * float(weights.sum()))
+            total += float((weights[some] * app.errors(theta, part)["error"]).sum())
+    return app.scale * total / (seeds * float(weights.sum()))

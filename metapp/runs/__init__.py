@@ -1,5 +1,1 @@
-"""Runs: a request, its plan, its execution, checkpoints, outputs. Nothing here prints, exits or knows typer or rich."""
-
-
-class BadOption(ValueError):
-    """An option or argument that cannot be used as it is given."""
+"""Runs: options of fits, what they name, the loop over inputs, checkpoints, outputs; nothing here prints."""

@@ -20,31 +20,24 @@ from data_tools.readers.brdf_objects import unit_vectors
 from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Params, Task
-from metapp.runs import BadOption
 from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.choosing import recipe_of_tasks
 from metapp.runs.fits.fitter import fit_tasks
 from metapp.runs.inputs.memory import in_memory
 from metapp.runs.inputs.sources import tasks_to_fit
-from metapp.runs.outputs.files import export_fit
+from metapp.runs.naming import factor_of, title_of
+from metapp.runs.options import FitOptions, check_export, fit_options
+from metapp.runs.outputs.files import export_fit, outputs_of
 from metapp.runs.outputs.pictures import beside, image_of
-from metapp.runs.requests.checks import check_export, check_name, check_protocol, check_types
-from metapp.runs.requests.choosing import recipe_of_tasks
-from metapp.runs.requests.naming import factor_of, title_of
-from metapp.runs.requests.options import all_options, outputs_of
-from metapp.runs.requests.plan import Plan, plan
-from metapp.runs.requests.request import Request
+from metapp.runs.plan import Plan, plan
 from metapp.runs.surroundings import threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.images import png_address, png_bytes
-from metapp.storage.text import meant
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-# options of `Request` that programs give
-GENERAL = ("observe", "rule", "recipe", "steps", "data", "checkpoint", "seed", "device")
 
 
 class Fit:
@@ -152,7 +145,7 @@ class Fit:
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
         """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
-        made = outputs_of(self.app.name, self.plan.options)
+        made = outputs_of(self.plan.options)
         with threads(threads_of(self.app)):
             files = [
                 door.load(output.output)(self.app, self.task, self.parameters, value).files for output, value in made
@@ -252,45 +245,23 @@ def fit_all(
     if sources is not None and not (sources := list(sources)):
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
     try:
-        request, sources = _request(app, paradigm, options), sources or []
-        if in_memory(sources):
-            return _fitted(replace(request, objects=sources))
-        return _fitted(replace(request, inputs=[Path(source) for source in sources]))
+        given = sources or []
+        if not in_memory(given):
+            given = [Path(source) for source in given]
+        return _fitted(fit_options(app, paradigm, given, quiet=True, **options))
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
         raise
 
 
-def _request(app: str, paradigm: str, options: Mapping[str, object]) -> Request:
-    """The request of options as programs give them, without inputs.
-
-    Raises:
-        BadOption: no such application, protocol or general option, or one of another type.
-    """
-    general: dict[str, Any] = {name: value for name, value in options.items() if name in GENERAL}
-    for key in ("data", "checkpoint"):
-        if isinstance(general.get(key), str | PathLike):
-            general[key] = Path(general[key])
-    names = [*GENERAL, "app", "paradigm", *all_options()]
-    for name in options:
-        if name not in names:
-            raise BadOption(f"{name}: no option of a fit, expected one of {', '.join(names)}.{meant(name, names)}")
-    check_types({"app": app, "paradigm": paradigm, **general})
-    check_name(app)
-    own = {name: value for name, value in options.items() if name not in GENERAL}
-    request = Request(app, paradigm, options=own, quiet=True, **general)
-    check_protocol(request.observe, app)
-    return request
-
-
-def _fitted(request: Request) -> list[Fit]:
-    """Fits of a request's inputs, or of the objects that it has instead."""
-    planned = plan(request)
+def _fitted(options: FitOptions) -> list[Fit]:
+    """Fits of the inputs that options name."""
+    planned = plan(options)
     with threads(threads_of(planned.app)):
         tasks, label = tasks_to_fit(planned)
-        if request.objects and not request.recipe:
-            planned = plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
+        if options.objects and not options.recipe:
+            planned = plan(replace(options, recipe=recipe_of_tasks(options, tasks)))
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from metapp.learning.app import App
-from metapp.runs import BadOption
+from metapp.options import BadOption
 from metapp.storage.text import meant
 
 

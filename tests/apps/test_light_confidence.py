@@ -32,8 +32,8 @@ from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
 from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan
 from tests.marked import long
 
 pytestmark = pytest.mark.usefixtures("scene")
@@ -148,7 +148,7 @@ def test_records_and_pictures_of_photographs_say_it() -> None:
 
 def fitted(paradigm: str, recipe: str, tasks: Callable[[Illumination], Tasks]) -> tuple[Illumination, Params, Tasks]:
     """Fits by what ships."""
-    found = find_checkpoint(plan(Request("illumination", paradigm, observe="photo", recipe=recipe, quiet=True)))
+    found = find_checkpoint(plan(fit_options("illumination", paradigm, observe="photo", recipe=recipe, quiet=True)))
     assert isinstance(found.app, Illumination)
     made = tasks(found.app)
     theta = found.paradigm.fit(found.job, found.prepared, made, Generator().manual_seed(0))

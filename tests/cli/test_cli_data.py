@@ -106,7 +106,7 @@ BAD_USAGE = """
 merl in --out out --split valid    | 'valid' is not one of 'train', 'test', 'auto'
 nbrdf in --out file/below          | a file, expected a folder to write to
 merl in                            | Missing option '--out'
-nbrdf in --out out --samples 1     | '--samples':
+nbrdf in --out out --samples 1     | --samples 1: expected 2
 synth brdf --count 0               | '--count':
 synth glass                        | 'glass' has no embedded data set, expected one of brdf
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
@@ -114,8 +114,8 @@ synth brdf --as merl               | expected a folder for the merl files
 synth brdf --as merl --out merl    | merl/test: is there already
 cornell --out out --count 0        | '--count':
 images in --out out --size x        | valid integer
-strips in --out out --gamma 0       | '--gamma':
-maps in --out out --normals left    | '--normals':
+strips in --out out --gamma 0       | --gamma 0.0: expected 0.1 to 10
+maps in --out out --normals left    | --normals 'left': expected one of opengl
 """
 
 

@@ -254,7 +254,6 @@ meta --steps -1                        | --steps ; 0
 meta --steps ten                       | --steps ; integer
 meta --batch 0                         | --batch
 meta --device tpu                      | tpu ; cuda
-overfit --train                        | needs no preparation
 meta --train-steps 5                   | --train
 overfit --seed -1                      | --seed
 evaluate --which nothing               | nothing ; results

@@ -178,7 +178,7 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = exports_of(SVBRDF)["asset"]._replace(needs=("no_such_module", "no-such-package"))
-    monkeypatch.setattr("metapp.runs.requests.checks.exports_of", lambda app: {"asset": form})
+    monkeypatch.setattr("metapp.runs.options.exports_of", lambda app: {"asset": form})
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
     assert not Path("runs").exists()
@@ -186,16 +186,16 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
 
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
-    fits = {stops: metapp(*common, "--exposure", stops).document for stops in ("0", "-1")}
+    fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
     assert fits["0"]["data"] != fits["-1"]["data"]  # read otherwise, the same files are other data
     runs = [read_run(Path(fit["out"])).records for fit in fits.values()]
     (one,), (other,) = (tasks_as(run, plan_as(run[0]["settings"]).app, [], None).values() for run in runs)
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
-    batches = {stops: metapp(*common, "--batch", "1", "--exposure", stops).document["out"] for stops in ("0", "-1")}
+    batches = {stops: metapp(*common, "--batch", "1", "--stops", stops).document["out"] for stops in ("0", "-1")}
     assert batches["0"] != batches["-1"]
-    misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--exposure", "1").misuse
-    assert "--exposure: only with --observe photo; add that." in misuse
-    misuse = metapp("overfit", SVBRDF, "--observe", "photo", "--exposure", "1").misuse
-    assert "--exposure: about INPUT alone; name what to fit." in misuse
-    misuse = metapp("overfit", "texture", shot, "--exposure", "1").misuse
-    assert "--exposure: texture has no such option, only svbrdf_nonstationary" in misuse
+    misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse
+    assert "--stops: only with --observe photo; add that." in misuse
+    misuse = metapp("overfit", SVBRDF, "--observe", "photo", "--stops", "1").misuse
+    assert "--stops: about INPUT alone; name what to fit." in misuse
+    misuse = metapp("overfit", "texture", shot, "--stops", "1").misuse
+    assert "No such option: --stops" in misuse

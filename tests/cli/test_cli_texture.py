@@ -117,7 +117,7 @@ def test_files_of_another_size(app: str, data: str, metapp: Callable, wall: Path
     assert {"outputs", "png16"} == {file.relative_to(run).parts[0] for file in files}
     assert {size_of(file) for file in files} == {(32, 48)}
     assert f"--size 33x48: {app} expects multiples of " in metapp(*common, "--size", "33x48").misuse
-    assert "--size '48': expected HEIGHTx" in metapp(*common, "--size", "48").misuse
+    assert "--size '48x': expected HEIGHTx" in metapp(*common, "--size", "48x").misuse
 
 
 @pytest.mark.parametrize("app", ["svbrdf_stationary"], indirect=True)

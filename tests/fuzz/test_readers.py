@@ -99,11 +99,11 @@ def small_tasks() -> Any:
 def read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, and one step of a fit."""
     from metapp.runs.checkpoints.finding import find_checkpoint
-    from metapp.runs.requests.plan import plan
-    from metapp.runs.requests.request import Request
+    from metapp.runs.options import fit_options
+    from metapp.runs.plan import plan
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
-    by = find_checkpoint(plan(Request("brdf", **options, device="cpu", quiet=True)))
+    by = find_checkpoint(plan(fit_options("brdf", **options, device="cpu", quiet=True)))
     try:
         theta = by.paradigm.fit(by.job, by.prepared, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged

@@ -36,6 +36,6 @@ def test_a_file_is_read_so(tmp_path: Path) -> None:
     pixels = encoded(RADIANCE / 2).permute(1, 2, 0).contiguous().numpy()
     image = oiio.ImageBuf(pixels)
     assert image.write(str(path))
-    photos = [read_task(path, 32, exposure=stops).data["photo"] for stops in (0.0, -1.0)]
+    photos = [read_task(path, 32, stops=stops).data["photo"] for stops in (0.0, -1.0)]
     assert torch.equal(photos[1], rightly_exposed(photos[0], -1.0))
     assert float(linear(photos[1]).mean() / linear(photos[0]).mean()) == pytest.approx(2, rel=0.01)

@@ -260,8 +260,8 @@ def test_a_photo_in_memory_is_fitted_alone(tmp_path: Path) -> None:
     file = pictures.write(tmp_path / "object.png", pixels)
     fit = by_general("svbrdf_nonstationary", pixels, observe="photo")
     assert_same(fit, by_general("svbrdf_nonstationary", file, observe="photo"))
-    darker = by_general("svbrdf_nonstationary", pixels, observe="photo", exposure=1.0)
-    assert_same(darker, by_general("svbrdf_nonstationary", file, observe="photo", exposure=1.0))
+    darker = by_general("svbrdf_nonstationary", pixels, observe="photo", stops=1.0)
+    assert_same(darker, by_general("svbrdf_nonstationary", file, observe="photo", stops=1.0))
     assert darker.task.data["photo"].float().mean() < 0.8 * fit.task.data["photo"].float().mean()
     with pytest.raises(ValueError, match=r"object: a flash photo, expected a material's maps .* --observe photo\."):
         by_general("svbrdf_nonstationary", pixels)
@@ -325,17 +325,16 @@ def test_sources_are_all_paths_or_none() -> None:
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"steps": -1}, "steps: -1, expected 0 to 1,000,000,000"),
-        ({"steps": 10**23}, "steps: 100000000000000000000000, expected 0 to 1,000,000,000"),
-        ({"seed": 2**63}, "seed: 9223372036854775808, expected 0 to 9,223,372,036,854,775,807"),
-        ({"steps": "ten"}, "steps: 'ten', expected int or None"),
-        ({"steps": True}, "steps: True, expected int or None"),
-        ({"seed": "a"}, "seed: 'a', expected int"),
-        ({"size": 512}, "size: 512, expected str"),
-        ({"fov": "wide"}, "fov: 'wide', expected float"),
+        ({"steps": -1}, "--steps -1: expected 0 to 1,000,000,000"),
+        ({"steps": 10**23}, "--steps 100000000000000000000000: expected 0 to 1,000,000,000"),
+        ({"seed": 2**63}, "--seed 9223372036854775808: expected 0 to 9,223,372,036,854,775,807"),
+        ({"steps": "ten"}, "--steps 'ten': expected int or None"),
+        ({"steps": True}, "--steps True: expected int or None"),
+        ({"seed": "a"}, "--seed 'a': expected int"),
+        ({"conserve": "wide"}, "--conserve 'wide': expected bool"),
         ({"paradigm": 3}, "paradigm: 3, expected str"),
-        ({"data": 3}, "data: 3, expected Path or None"),
-        ({"step": 3}, "step: no option of a fit, expected one of observe, .* Did you mean 'steps'?"),
+        ({"data": 3}, "--data 3: expected Path or None"),
+        ({"step": 3}, "step: no option of a fit, expected one of batch, .* Did you mean 'steps'?"),
     ],
 )
 def test_options_of_other_types_are_refused_in_a_line(options: dict[str, Any], line: str) -> None:

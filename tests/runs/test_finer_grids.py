@@ -10,8 +10,8 @@ import torch
 
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import shipped_path
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan
 from metapp.storage.records import load_checkpoint, save_checkpoint
 
 APPS = [
@@ -24,7 +24,7 @@ APPS = [
 
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
-    planned = plan(Request(name, observe=observe, recipe="full", out=tmp_path))
+    planned = plan(fit_options(name, observe=observe, recipe="full", out=tmp_path))
     prepared = find_checkpoint(planned).prepared
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
@@ -38,18 +38,18 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     start, info = load_checkpoint(shipped_path("illumination", "meta-lgd"))
     bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
-    request = Request("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
+    request = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
         find_checkpoint(plan(request))
 
 
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
-    planned = plan(Request(name, observe=observe, recipe="full"))
-    assert planned.app == replace(planned.job.recipe.app, protocol=observe)
+    planned = plan(fit_options(name, observe=observe, recipe="full"))
+    assert planned.app == replace(planned.recipe.app, protocol=observe)
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.runs.checkpoints.finding._require_conditions", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
-        find_checkpoint(plan(Request("texture", rule="meta-basis", out=tmp_path)))
+        find_checkpoint(plan(fit_options("texture", rule="meta-basis", out=tmp_path)))

@@ -12,8 +12,8 @@ import pytest
 from data_tools.readers.nbrdf import SHAPES, read_nbrdf
 from metapp.learning.task import Task
 from metapp.runs.inputs.sources import Source, marks_of, numbered, sources_to_fit
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan
 
 
 def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,7 +27,7 @@ def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: p
         return original(self)
 
     monkeypatch.setattr(Path, "iterdir", iterdir)
-    sources, _ = sources_to_fit(plan(Request("brdf", inputs=[tmp_path])))
+    sources, _ = sources_to_fit(plan(fit_options("brdf", inputs=[tmp_path])))
     for source in sources:
         assert read_nbrdf(source.place)["fc1"].shape == (6, 21)
     assert len(sources) == 8
@@ -71,5 +71,5 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
     first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
     first.write_text("")
     link.symlink_to(first)
-    origin = plan(Request("brdf", "general", inputs=[link], out=tmp_path, quiet=True)).origin()
+    origin = plan(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True)).origin()
     assert origin["inputs"] == [str(link)]

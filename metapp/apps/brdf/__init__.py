@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, Chosen, Network, Option, Recipe, recipes_in
+from metapp.apps.brdf.options import BrdfOptions
+from metapp.door import Application, Chosen, Network, Recipe, recipes_in
 
 _HERE = "metapp.apps.brdf"
 OFFERS = (
     Application(
         "brdf",
         f"{_HERE}.app:Brdf",
+        help="BRDFs: reflectance of a material over pairs of directions.",
         examples=(
             ("meta brdf {}/paint.csv", "a network fitted to a table of measurements, and a picture of both"),
             (
@@ -23,15 +25,7 @@ OFFERS = (
             ),
         ),
         files="data_tools.synthetic.examples:write_example",
-        options=(
-            Option(
-                "conserve",
-                False,
-                "Limit fits to reflecting no more light than they receive.",
-                panel="Fit",
-                adapt=f"{_HERE}.energy:with_conservation",
-            ),
-        ),
+        options=BrdfOptions,
     ),
     *recipes_in("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
     Recipe(

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from metapp.apps.illumination.options import IlluminationOptions
 from metapp.door import Application, recipes_in
-from metapp.networks.options import size
 
 _HERE = "metapp.apps.illumination"
 OFFERS = (
     Application(
         "illumination",
         f"{_HERE}.app:Illumination",
+        help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
         protocols=("reference", "photo"),
-        options=(size("of the map, up to 1024x2048"),),
+        options=IlluminationOptions,
         examples=(
             ("general illumination {}/courtyard.exr", "an environment map as a network, by one forward pass"),
             (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from metapp.apps.svbrdf_nonstationary.options import SvbrdfNonstationaryOptions
 from metapp.door import Application, recipes_in
 
 _HERE = "metapp.apps.svbrdf_nonstationary"
@@ -9,7 +10,9 @@ OFFERS = (
     Application(
         "svbrdf_nonstationary",
         f"{_HERE}.app:SvbrdfNonstationary",
+        help="Maps of a flat material from one or several flash photographs.",
         protocols=("reference", "photo"),
+        options=SvbrdfNonstationaryOptions,
         examples=(
             (
                 "general svbrdf_nonstationary {}/mosaic.png --observe photo",

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from metapp.apps.svbrdf_stationary.options import SvbrdfStationaryOptions
 from metapp.door import Application, recipes_in
-from metapp.networks.options import DETAIL, size
 
 _HERE = "metapp.apps.svbrdf_stationary"
 OFFERS = (
     Application(
         "svbrdf_stationary",
         f"{_HERE}.app:SvbrdfStationary",
-        options=(size("textures and maps up to 4096x4096"), DETAIL),
+        help="Tiling maps of a flat material from one flash photograph.",
+        options=SvbrdfStationaryOptions,
         examples=(
             (
                 "baseline svbrdf_stationary {}/leather.png --method quilting",

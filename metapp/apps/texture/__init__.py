@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from metapp.door import Application, recipes_in
-from metapp.networks.options import DETAIL, size
+from metapp.networks.options import ExemplarOptions
 
 _HERE = "metapp.apps.texture"
 OFFERS = (
     Application(
         "texture",
         f"{_HERE}.app:Texture",
-        options=(size("textures and maps up to 4096x4096"), DETAIL),
+        help="Textures that look like the photograph of an exemplar.",
+        options=ExemplarOptions,
         examples=(
             ("baseline texture {}/bricks.png --method quilting", "a texture quilted of the photo, without a network"),
             ("general texture {}/bricks.png", "a texture like the photo, by one forward pass"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from metapp.apps.transport.options import TransportOptions
 from metapp.door import Application, recipes_in
 
 _HERE = "metapp.apps.transport"
@@ -9,6 +10,8 @@ OFFERS = (
     Application(
         "transport",
         f"{_HERE}.app:Transport",
+        help="Light transport of a scene: densities that guide its paths.",
+        options=TransportOptions,
         examples=(
             (
                 "general transport {}/box.xml",

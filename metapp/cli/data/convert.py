@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,8 @@ import typer
 
 from metapp import door
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Overwrite, extended
+from metapp.cli.options import Json, Overwrite, parameters_of, signed
+from metapp.options import parse
 from metapp.runs.inputs.convert import Converted, convert
 from metapp.runs.reporter import say
 
@@ -35,7 +37,7 @@ def check_folder(path: Path | None) -> Path | None:
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]
-SplitOption = Annotated[Split, typer.Option("--split", help=door.SPLIT)]
+SplitOption = Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=door.SPLIT)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
@@ -51,17 +53,23 @@ def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
         as_json: Json = False,
         **own: object,
     ) -> None:
-        conversion = form.conversion(paths, split.value, own)
+        conversion = form.conversion(paths, split.value, vars(parse(kind, own)))
         for line in conversion.remarks:
             say(f"warning: {line}")
         report(convert(conversion, paths, folder, split.value, overwrite=overwrite, quiet=quiet), quiet, as_json)
 
+    kind = about.options or NoOptions
     command.__name__, command.__doc__ = form.name, about.help
     command.__annotations__ |= {
         "paths": Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)],
-        "split": Annotated[Split, typer.Option("--split", help=about.split_help)],
+        "split": Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=about.split_help)],
     }
-    return extended(about.options, given=False)(command)
+    return signed(command, command, [*parameters_of(command), *parameters_of(kind)])
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """A conversion without options of its own."""
 
 
 def report(done: Converted, quiet: bool, as_json: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,8 @@ import typer
 from metapp import door
 from metapp.cli import completion
 from metapp.cli.data.convert import Quiet, check_folder, report
-from metapp.cli.options import Json, Overwrite, Seed, check_new, extended
+from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
+from metapp.options import Option
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_offer, split_counts
 from metapp.runs.reporter import progress
@@ -21,8 +23,35 @@ SHARDS = "shards"
 _FORMS = [form for offer in door.offers(door.Synthetic) for form, _, _ in offer.files]
 
 
-@extended(option for offer in door.offers(door.Synthetic) for option in offer.options)
+@dataclass(frozen=True)
+class SynthOptions:
+    """Options of embedded sets; None and False stand for what a set has by itself."""
+
+    size: Annotated[
+        int | None,
+        Option(
+            "Side of the pictures of texture, svbrdf_stationary (256) and svbrdf_nonstationary (128).",
+            "PX",
+            low=32,
+            high=4096,
+        ),
+    ] = None
+    rows: Annotated[int | None, Option("Rows of the maps of illumination (64).", "N", low=32, high=1024)] = None
+    photos: Annotated[
+        int | None,
+        Option(
+            "Flash photos of each material of svbrdf_nonstationary, all but the first from places of their own (1).",
+            "N",
+            low=1,
+            high=9,
+        ),
+    ] = None
+    anisotropic: Annotated[bool, Option("Of brdf: brushed metals, cloths and others that depend on phi_h.")] = False
+
+
+@takes(SynthOptions)
 def synth(
+    options: SynthOptions,
     name: Annotated[
         str,
         typer.Argument(metavar="APP", autocompletion=completion.applications, help=f"{', '.join(embedded_apps())}."),
@@ -60,9 +89,9 @@ def synth(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
-    **own: object,
 ) -> None:
     """Draw an embedded data set: synthetic tasks, the same on every machine."""
+    own = {key: value for key, value in vars(options).items() if value}
     apps = embedded_apps()
     if name not in apps:
         raise typer.BadParameter(

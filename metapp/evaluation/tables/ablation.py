@@ -14,17 +14,34 @@ from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import COMPARED, result_row
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
-from metapp.paradigms import Paradigm
-from metapp.paradigms.meta import META
-from metapp.paradigms.quickft import QUICKFT, adam_of
+from metapp.learning.task import Params, Rng, Tasks
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.quickft import QuickFT
+from metapp.runs.naming import caption_of
 from metapp.runs.outputs.statistics import apart
-from metapp.runs.requests.naming import caption_of
-from metapp.runs.requests.plan import Checkpoint
+from metapp.runs.plan import Checkpoint
 from metapp.storage.records import tensor_digest
 
-# which fits by a rule are doubtful is known from its own initialisation alone
-RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
-INITIALISATION_ALONE = Paradigm("ablation-start", META.needs, META.initialisation, QUICKFT.rule, QUICKFT.steps)
+
+class RuleAlone(Meta):
+    """Meta's rule from General's prediction."""
+
+    name = "ablation-rule"
+
+    @property
+    def guard(self) -> Guard:
+        """A fit is doubtful by its own initialisation alone."""
+        return Guard(self.recipe.quickft)
+
+
+class InitialisationAlone(QuickFT):
+    """QuickFT's Adam from Meta's initialisation."""
+
+    name = "ablation-start"
+
+    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+        """Meta's initialisation."""
+        return Meta(self.app, self.recipe, self.rule_name).initialisation(phi, tasks, rng)
 
 
 def learned(subject: Subject) -> list[str]:
@@ -45,26 +62,27 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
     meta, general, quickft = (subject.fits[row] for row in (name, "general", "quickft"))
     if meta.checkpoint is None or general.checkpoint is None or quickft.checkpoint is None:
         return []
-    rule, adam = meta.job.rule, adam_of(meta.job, quickft.checkpoint.prepared)
+    rule, adam = meta.paradigm.rule_name, quickft.paradigm.adam(quickft.checkpoint.prepared)
     if same_initialisation(subject, name):
         return [("general", rule, subject.cell(name)), (f"meta ({rule})", "adam", subject.cell("quickft"))]
     digest = "+".join(fit.checkpoint.digest for fit in (meta, general, quickft) if fit.checkpoint)
     combinations = (
         (
-            RULE_ALONE,
+            RuleAlone,
             ("general", rule),
             MetaParameters(alpha=meta.checkpoint.prepared.alpha, encoder=general.checkpoint.prepared.encoder),
             None,
         ),
         (
-            INITIALISATION_ALONE,
+            InitialisationAlone,
             (f"meta ({rule})", "adam"),
             meta.checkpoint.prepared._replace(alpha=quickft.checkpoint.prepared.alpha),
-            asdict(adam),
+            adam and asdict(adam),
         ),
     )
     halves = []
-    for paradigm, (initialisation, by), prepared, settings in combinations:
+    for kind, (initialisation, by), prepared, settings in combinations:
+        paradigm = kind(meta.app, meta.recipe, rule, meta.paradigm.asked_steps)
         checkpoint = Checkpoint(prepared, "combined", digest)
         plan = replace(meta, paradigm=paradigm, checkpoint=checkpoint)
         cell = subject.fit_cell(f"ablation {initialisation} + {by}", plan, {"rule": rule, "adam": settings}, rule)
@@ -90,7 +108,7 @@ def rows(subject: Subject) -> list[Row]:
     """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
     all_rows = [result_row(subject, "quickft") | {"start": "general", "rule": "adam"}]
     for name in learned(subject):
-        rule, steps = subject.fits[name].job.rule, subject.fits[name].steps
+        rule, steps = subject.fits[name].paradigm.rule_name, subject.fits[name].steps
         for start, by, cell in combined(subject, name):
             what = f"{start}+{by}"
             entries = {"start": start, "rule": by, "steps": steps, "paper_error": None}
@@ -105,8 +123,8 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """Notes on rows that are the same by construction, and on adam."""
     lines = ["adam: QuickFT's, searched on validation tasks for General's initialisation", caption_of(subject.app)]
     lines += [
-        f"{subject.fits[name].job.rule} begins at General's own prediction: rows that differ in the initialisation "
-        "alone are of the same fits"
+        f"{subject.fits[name].paradigm.rule_name} begins at General's own prediction: rows that differ in the "
+        "initialisation alone are of the same fits"
         for name in learned(subject)
         if same_initialisation(subject, name)
     ]

@@ -19,8 +19,8 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits.fitter import rng_of
-from metapp.runs.requests.naming import observe_of
-from metapp.runs.requests.plan import Plan
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Plan
 from metapp.storage.records import Record, digest
 
 TRACED = 5  # tasks
@@ -108,7 +108,7 @@ def path_steps(steps: int) -> set[int]:
 
 def states_of(plan: Plan, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
-    descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng_of(plan, task))
+    descent = plan.paradigm.descend(plan.prepared, stacked, rng_of(plan, task))
     return {now.step: now.theta for now in descent if now.step in wanted}
 
 
@@ -126,13 +126,13 @@ def further_errors(
     Returns:
         (steps, error); each is a descent of its own, whose rate decays to the end.
     """
-    job = subject.plan.job
+    recipe = subject.plan.recipe
     errors: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
     for steps in FURTHER:
         if wanted is None or near(errors[-1][1], wanted):
             break
         rng = rng_of(subject.plan, task)
-        rule, loss = fixed_adam(job.recipe.finetune, theta, steps), task_loss(job.app, job.recipe.batch)
+        rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(subject.app, recipe.batch)
         errors.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors
 

@@ -19,9 +19,9 @@ from metapp.evaluation.pictures import draw_paradigms
 from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of, values_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
+from metapp.runs.naming import caption_of, is_first_protocol
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import number
-from metapp.runs.requests.naming import caption_of, is_first_protocol
 
 COMPARED = ("quickft", "general")
 EQUAL = ("general", "quickft", "meta")  # rows of the table of equal steps
@@ -40,7 +40,7 @@ def rows(subject: Subject) -> list[Row]:
 def result_row(subject: Subject, name: str) -> Row:
     """Error and time of one paradigm, or of one of Meta's rules, also beside QuickFT's and General's."""
     fit = subject.fits[name]
-    rule = fit.job.rule if fit.paradigm.name == "meta" else None
+    rule = fit.paradigm.rule_name if fit.paradigm.name == "meta" else None
     versus = against(subject, name, *COMPARED)
     entries = {"rule": rule, "steps": fit.steps, "shared_error": shared_error(subject, name)}
     entries |= {"few": subject.is_of_few(name)}

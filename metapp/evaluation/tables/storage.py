@@ -7,8 +7,8 @@ from torch import Generator
 from metapp.evaluation.rows import Row, Table, blank, bytes_column, columns, numbers, paper
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
-from metapp.runs.requests.naming import observe_of
-from metapp.runs.requests.plan import Checkpoint, Plan
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Checkpoint, Plan
 
 COUNTS = (1, 10, 100, 1000)
 
@@ -65,14 +65,14 @@ def sample_rows(subject: Subject) -> list[Row]:
 
 
 def _sample_row(subject: Subject, name: str, fit: Plan) -> Row:
-    batch = fit.job.recipe.batch
+    batch = fit.recipe.batch
     row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
     row |= {"steps": fit.steps, "batch": batch if fit.steps else None}
     row |= dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     visible = subject.app.visible(subject.tasks[0]) if subject.tasks else None
     if visible is None:
         return row
-    encodes = "general" in fit.paradigm.needs(fit.job) or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
+    encodes = "general" in fit.paradigm.needs or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
     count = min(fit.steps * batch + (visible.encoder if encodes else 0), visible.samples)
     return row | {
         "tasks": len(subject.tasks),

@@ -19,10 +19,9 @@ from metapp.learning.task import Params, Task
 from metapp.runs.fits.fitter import rng_of
 from metapp.runs.inputs.embedded import embedded_data, embedded_exists
 from metapp.runs.inputs.sources import data_folder, data_label
+from metapp.runs.naming import observe_of
 from metapp.runs.outputs.pictures import PICTURE
-from metapp.runs.requests.naming import observe_of
-from metapp.runs.requests.options import recorded_options
-from metapp.runs.requests.plan import Plan
+from metapp.runs.plan import Plan
 from metapp.runs.surroundings import versions
 from metapp.storage.records import Record
 from metapp.storage.shards import read_manifest, read_shard
@@ -38,7 +37,7 @@ def training_folder(plan: Plan, baseline: Baseline) -> Path | None:
 
     None where it learns nothing or neither has any: the embedded one is not made for this.
     """
-    app, data, quiet = plan.app.name, plan.request.data, plan.request.quiet
+    app, data, quiet = plan.app.name, plan.options.data, plan.options.quiet
     folders = [data_folder(plan.app, data, quiet)] if baseline.learns and (data or embedded_exists(app)) else []
     folders += [embedded_data(app, quiet=quiet)] if baseline.learns and embedded_exists(app) else []
     return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
@@ -52,14 +51,14 @@ def training_of(app: App, folder: Path | None) -> Training:
 
 def allowed_for(plan: Plan) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
-    recipe = plan.job.recipe
+    recipe = plan.recipe
     return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(plan.app).values()))
 
 
 def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
     """Everything that figures of a baseline on data of this name depend on."""
-    app, request = plan.app, plan.request
-    options, source = recorded_options(app.name, plan.options), training_folder(plan, baseline)
+    app, request = plan.app, plan.options
+    own, source = plan.options.own.recorded(), training_folder(plan, baseline)
     return {
         "app": app.name,
         **observe_of(app),
@@ -68,7 +67,7 @@ def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
         "training": source and data_label(source),
         "allowed": allowed_for(plan)._asdict(),
         "recipe": request.recipe,
-        **({"options": options} if options else {}),
+        **({"options": own} if own else {}),
         "seed": request.seed,
         "versions": versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),

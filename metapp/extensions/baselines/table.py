@@ -22,9 +22,9 @@ from metapp.extensions.baselines.fits import (
     training_folder,
 )
 from metapp.learning.task import Params, Task
+from metapp.runs.naming import caption_of, name_of
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import say
-from metapp.runs.requests.naming import caption_of, name_of
 from metapp.storage.records import Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from data_tools.formats.options import fov_rad
+from metapp.networks import options
 
 
 def field_of_view(unsaid: str) -> object:
@@ -15,7 +15,7 @@ def field_of_view(unsaid: str) -> object:
 
 def _checked_view(degrees: float) -> float:
     try:
-        fov_rad(degrees)
+        options.field_of_view(degrees)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     return degrees

@@ -67,8 +67,8 @@ def _table(compared: Comparison) -> Table:
     """One line a task, and the means."""
     from rich.table import Table
 
+    from metapp.runs.naming import caption_of, title_of
     from metapp.runs.outputs.statistics import FEWEST
-    from metapp.runs.requests.naming import caption_of, title_of
 
     one, other = compared.sides
     overall, app = compared.ratio, one.app

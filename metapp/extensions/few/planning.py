@@ -12,8 +12,8 @@ from metapp.extensions.few.design import Limits, Posterior, expected_errors, pla
 from metapp.extensions.few.network import NETWORK
 from metapp.learning.task import Params
 from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.requests.plan import plan as plan_of
-from metapp.runs.requests.request import Request
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan as plan_of
 
 
 def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple[Tensor, Tensor, tuple[float, float]]:
@@ -32,7 +32,7 @@ def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple
     Raises:
         ValueError: no direction is within the limits.
     """
-    planned = find_checkpoint(plan_of(Request("brdf", "meta", recipe="few", device="cpu", quiet=True)))
+    planned = find_checkpoint(plan_of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
     assert planned.checkpoint is not None  # or it would have been refused
     encoder = planned.checkpoint.prepared.encoder
     seen = directions_to_full_circle(before.wi, before.wo)

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-from metapp.door import Option, Output, Plugin
+from metapp.door import Output, Plugin
 
 _HERE = "metapp.extensions.guided"
 GUIDED_NEE = "guided_path + NEE"  # guided at all bounces
-RENDER = Option(
-    "render",
-    0,
-    "Also render each scene at this size, with path guiding and without it in equal time.",
-    "PX",
-    low=1,
-    high=4096,
-    panel="Output",
-)
 OFFERS = (
     Plugin(
         "metapp_guided_path",
@@ -24,7 +15,7 @@ OFFERS = (
     ),
     Output(
         "transport",
-        RENDER,
+        "render",
         f"{_HERE}.rendering:rendered",
         examples=(
             ("meta transport {}/box.xml --render 64", "the scene guided at all bounces, and unguided in the same time"),

@@ -11,10 +11,9 @@ from metapp.extensions.onnx_files.photographs import FEATURES, STEP, photographs
 from metapp.extensions.onnx_files.runtime import VERSION, runtime
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import FULL
+from metapp.runs.options import FitOptions, check_new_files, fit_options
+from metapp.runs.plan import plan
 from metapp.runs.reporter import progress, say
-from metapp.runs.requests.checks import check_new_files
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
 from metapp.storage.files import write_atomically
 from metapp.storage.records import load_checkpoint
 
@@ -59,7 +58,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     return [file]
 
 
-def _request(path: Path) -> Request:
+def _request(path: Path) -> FitOptions:
     """General of the checkpoint that a file is, or that ships by a name."""
     if path.is_file():
         about = load_checkpoint(path)[1]
@@ -73,8 +72,8 @@ def _request(path: Path) -> Request:
     return _general(recipe[0] if recipe else FULL)
 
 
-def _general(recipe: str, checkpoint: Path | None = None) -> Request:
-    return Request(APP, "general", recipe=recipe, observe="photo", checkpoint=checkpoint, quiet=True)
+def _general(recipe: str, checkpoint: Path | None = None) -> FitOptions:
+    return fit_options(APP, "general", recipe=recipe, observe="photo", checkpoint=checkpoint, quiet=True)
 
 
 def _runtime(quiet: bool) -> dict[str, bytes]:

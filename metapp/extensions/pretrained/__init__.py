@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from data_tools.formats.pictures import MAPS_SPLIT, NORMALS, SIZE
+from dataclasses import dataclass
+
+from data_tools.formats.pictures import MAPS_SPLIT, MapsOptions, Size
 from metapp.door import Chosen, Converter, Format, Recipe
 
 _HERE = "metapp.extensions.pretrained"
@@ -19,6 +21,14 @@ Examples:
   metapp data materials scans drawn --split train --out mixed
   metapp data materials scans/rock scans/bark games --size 512 --out real
 """
+
+
+@dataclass(frozen=True)
+class MaterialsOptions(MapsOptions):
+    """Options of conversions of real materials."""
+
+    size: Size = 512
+
 
 OFFERS = (
     Recipe(
@@ -45,7 +55,7 @@ OFFERS = (
             "material",
             "FOLDERS...",
             "Folders of maps, searched at any depth, and data sets.",
-            (SIZE._replace(default=512), NORMALS),
+            MaterialsOptions,
             MAPS_SPLIT,
         ),
     ),

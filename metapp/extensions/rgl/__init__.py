@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from data_tools.formats.brdf import SAMPLES
+from data_tools.formats.brdf import SampleOptions
 from metapp.door import Converter, Export, FileExport, Format
 
 _HERE = "metapp.extensions.rgl"
@@ -24,7 +24,9 @@ OFFERS = (
         "brdf",
         f"{_HERE}.rgl",
         "RGL .bsdf files",
-        command=Converter(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
+        command=Converter(
+            RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", SampleOptions
+        ),
     ),
     Export("bsdf", ("brdf",), f"{_HERE}.rgl:export"),
     Export("bsdf-spectral", ("brdf",), f"{_HERE}.rgl:export_spectral"),

@@ -17,8 +17,8 @@ from data_tools.readers.merl_table import merl_evaluate, tabulate
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.spectra import in_rgb, in_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
+from metapp.runs.options import check_new_files
 from metapp.runs.reporter import progress, say
-from metapp.runs.requests.checks import check_new_files
 from metapp.storage.files import named
 
 ENDINGS = {"merl": ".binary", "bsdf": rgl.SUFFIX, "bsdf-spectral": f"{rgl.SPECTRAL}{rgl.SUFFIX}"}  # of what is written

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from data_tools.formats.options import EXPOSURE
 from metapp.door import Chosen, Format, Recipe
 
 _HERE = "metapp.extensions.several"
@@ -12,8 +11,7 @@ OFFERS = (
         "svbrdf_nonstationary",
         f"{_HERE}.photos",
         "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
-        takes=("size",),
-        options=(EXPOSURE,),
+        takes=("size", "stops"),
     ),
     Recipe(
         "svbrdf_nonstationary",

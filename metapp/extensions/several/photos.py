@@ -30,13 +30,13 @@ def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
     return list({folder.resolve(): folder for path in paths for folder in placed_in(path)}.values()), []
 
 
-def read_task(folder: Path, size: int = PX, exposure: float = 0.0) -> Task:
+def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
     """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
 
     Args:
         folder: of photographs and text files.
         size: side in px; where it is more than 256, of photographs as fine as that alone.
-        exposure: by how many stops all of them are too bright.
+        stops: by how many stops all of them are too bright.
 
     Raises:
         ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
@@ -56,7 +56,7 @@ def read_task(folder: Path, size: int = PX, exposure: float = 0.0) -> Task:
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
-    photo, *others = (rightly_exposed(read_photo(path, size, least=min(size, PX)), exposure) for path in paths)
+    photo, *others = (rightly_exposed(read_photo(path, size, least=min(size, PX)), stops) for path in paths)
     given = torch.stack([places.camera, places.light], 1)
     return Task(task_name(folder.resolve().name), {"photo": photo, "others": torch.stack(others), "places": given})
 

@@ -88,8 +88,8 @@ def try_all(
     begin = time.perf_counter()
     from metapp.apps import app_names
     from metapp.extensions.viewer.viewing import try_app, view_page
-    from metapp.runs import BadOption
-    from metapp.runs.requests.checks import check_name
+    from metapp.options import BadOption
+    from metapp.runs.options import check_name
 
     runs, fits = list[Path](), []
     for app in apps or ():

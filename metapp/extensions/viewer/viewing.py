@@ -17,11 +17,11 @@ from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.fits.execution import execute
+from metapp.runs.naming import factor_of, title_of
+from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import Recorded, plan_as, read_run, tasks_as
+from metapp.runs.plan import plan
 from metapp.runs.reporter import number, progress, say
-from metapp.runs.requests.naming import factor_of, title_of
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
@@ -202,8 +202,9 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
     """
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS)[0]
-    request = Request(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True)
-    run = execute(plan(request))
+    run = execute(
+        plan(fit_options(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True))
+    )
     assert run is not None  # of several ranks only
     (fit,) = run.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}

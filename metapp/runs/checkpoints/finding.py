@@ -14,13 +14,13 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from metapp.networks.field import regridded
-from metapp.paradigms import paradigms
+from metapp.paradigms import PARADIGMS
 from metapp.paradigms.quickft import TUNED
 from metapp.runs.checkpoints.shipped import QUICK, shipped_path, ships
 from metapp.runs.inputs.sources import data_folder, data_label
+from metapp.runs.naming import is_first_protocol, name_of
+from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import say
-from metapp.runs.requests.naming import is_first_protocol, name_of
-from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.storage import Document
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 
@@ -33,7 +33,7 @@ def find_checkpoint(plan: Plan) -> Plan:
     Raises:
         ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
     """
-    needs = plan.paradigm.needs(plan.job)
+    needs = plan.paradigm.needs
     if not needs:
         return replace(plan, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
     needed, *tuned = needs
@@ -41,7 +41,7 @@ def find_checkpoint(plan: Plan) -> Plan:
     prepared, info = load_checkpoint(path, plan.device, _shipped(plan, "general"))
     app, name = info.get("app"), info.get("checkpoint")
     if (app, name) != (plan.app.name, needed):
-        a_rule = isinstance(name, str) and name not in paradigms()
+        a_rule = isinstance(name, str) and name not in PARADIGMS
         other = app == plan.app.name and a_rule and plan.paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
         raise ValueError(f"{path}: a checkpoint of {app} {name}, expected {plan.app.name} {needed}{remedy}.")
@@ -51,12 +51,12 @@ def find_checkpoint(plan: Plan) -> Plan:
     try:
         require_fit(path, plan, prepared)
     except ValueError as error:
-        if path.parent == shipped_path(plan.app.name, needed).parent and plan.request.recipe != QUICK:
+        if path.parent == shipped_path(plan.app.name, needed).parent and plan.options.recipe != QUICK:
             raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
         raise
     checkpoint = Checkpoint(prepared, str(path), digest(path))
-    if path == _shipped(plan, needed) and not plan.request.checkpoint:
-        note = ", trained on other data, which may hold these tasks" if plan.request.data else ""
+    if path == _shipped(plan, needed) and not plan.options.checkpoint:
+        note = ", trained on other data, which may hold these tasks" if plan.options.data else ""
         checkpoint = checkpoint._replace(source=f"the checkpoint that ships{note}")
     for name in tuned:
         checkpoint = _with_tuning(plan, checkpoint, name)
@@ -65,8 +65,8 @@ def find_checkpoint(plan: Plan) -> Plan:
 
 def trained_path(plan: Plan, name: str) -> Path:
     """Where a checkpoint that is trained on this data is kept."""
-    label = data_label(data_folder(plan.app, plan.request.data, plan.request.quiet))
-    run = f"{label}-{plan.request.recipe}-seed{plan.request.seed}"
+    label = data_label(data_folder(plan.app, plan.options.data, plan.options.quiet))
+    run = f"{label}-{plan.options.recipe}-seed{plan.options.seed}"
     return _of_app(plan) / FOLDER / run / f"{checkpoint_name(plan.app, name)}.safetensors"
 
 
@@ -85,12 +85,12 @@ def ships_general(plan: Plan) -> bool:
 
     On a data set of the user's own none may: the shipped one may have seen its test tasks.
     """
-    return not plan.request.data and _has_shipped(plan) and _shipped(plan, "general").is_file()
+    return not plan.options.data and _has_shipped(plan) and _shipped(plan, "general").is_file()
 
 
 def _of_app(plan: Plan) -> Path:
     """The folder of all runs of an application."""
-    return plan.request.out / plan.app.name
+    return plan.options.out / plan.app.name
 
 
 def _require_protocol(path: Path, app: App, info: Document) -> None:
@@ -115,11 +115,11 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Do
 
 def _with_tuning(plan: Plan, checkpoint: Checkpoint, name: str) -> Checkpoint:
     """Put the Adam that was tuned for this very encoder into its checkpoint: one beside that, or the one that ships."""
-    request, app = plan.request, plan.app
+    options, app = plan.options, plan.app
     encoder = tensor_digest(checkpoint.prepared.encoder)
     candidates = [_shipped(plan, name)]
-    if request.checkpoint:
-        folder = request.checkpoint if request.checkpoint.is_dir() else request.checkpoint.parent
+    if options.checkpoint:
+        folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
         candidates.insert(0, folder / f"{checkpoint_name(app, name)}.safetensors")
     for path in candidates:
         if path.is_file():
@@ -129,7 +129,7 @@ def _with_tuning(plan: Plan, checkpoint: Checkpoint, name: str) -> Checkpoint:
                 return tuned_by(checkpoint, tuned, path)
     words = ["metapp", name, app.name, "--train"]
     words += ["--observe", app.protocol] if app.protocol else []
-    remedy = shlex.join(words + (["--data", str(request.data)] if request.data else []))
+    remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
     say(f"{name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
     return checkpoint
 
@@ -140,7 +140,7 @@ def tuned_by(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoi
 
 
 def _checkpoint_path(plan: Plan, name: str) -> Path:
-    given = plan.request.checkpoint
+    given = plan.options.checkpoint
     if given and given.is_dir():
         path = given / f"{checkpoint_name(plan.app, name)}.safetensors"
         if not path.is_file():
@@ -155,17 +155,17 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
     if path.is_file() and _has_shipped(plan):
         return path
     raise ValueError(
-        f"{name_of(plan.app)} {name}, recipe {plan.request.recipe}: no checkpoint ships; train one with --train, or "
+        f"{name_of(plan.app)} {name}, recipe {plan.options.recipe}: no checkpoint ships; train one with --train, or "
         "name one with --checkpoint."
     )
 
 
 def _has_shipped(plan: Plan) -> bool:
-    return ships(plan.app.name, plan.request.recipe, plan.request.observe)
+    return ships(plan.app.name, plan.options.recipe, plan.options.observe)
 
 
 def _shipped(plan: Plan, name: str) -> Path:
-    return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.request.recipe, plan.request.observe)
+    return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.options.recipe, plan.options.observe)
 
 
 def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:
@@ -191,10 +191,10 @@ def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
 
 def _fresh_alpha(plan: Plan) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
-    recipe = plan.job.recipe
+    recipe = plan.recipe
     network = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
-    first = recipe.training(plan.job.rule).first
-    return rule_of(plan.job.rule).alpha(plan.app, network, recipe.steps, first)
+    first = recipe.training(plan.paradigm.rule_name).first
+    return rule_of(plan.paradigm.rule_name).alpha(plan.app, network, recipe.steps, first)
 
 
 def require_fit(path: Path, plan: Plan, prepared: MetaParameters) -> None:

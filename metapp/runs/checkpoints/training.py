@@ -13,16 +13,16 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Tasks
-from metapp.paradigms import paradigms, ranks
+from metapp.options import BadOption
+from metapp.paradigms import PARADIGMS, ranks
 from metapp.paradigms.paradigm import TrainingData
-from metapp.paradigms.training import describe, prepare, training_of
+from metapp.paradigms.training import describe, preparing, training_of
 from metapp.paradigms.validation import split_validation
-from metapp.runs import BadOption
 from metapp.runs.checkpoints.finding import find_checkpoint, ships_general, trained_path
 from metapp.runs.inputs.sources import data_folder, data_label
+from metapp.runs.naming import name_of, observe_of
+from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import progress, say
-from metapp.runs.requests.naming import name_of, observe_of
-from metapp.runs.requests.plan import Checkpoint, Plan
 from metapp.runs.surroundings import make_folder, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.files import remove_partial
@@ -59,11 +59,11 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         BadOption: there is nothing to train, or a folder of checkpoints was given.
         ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
     """
-    name, app, request = _name_of(plan), plan.app, plan.request
-    path = trained_path(plan, name)
-    make_folder(request.out)
+    name, app, options = _name_of(plan), plan.app, plan.options
+    paradigm, path = preparing(plan.paradigm, name), trained_path(plan, name)
+    make_folder(options.out)
     make_folder(path.parent)
-    folder = data_folder(app, request.data, request.quiet)
+    folder = data_folder(app, options.data, options.quiet)
     first = _first(plan, name)
     begins = not first.digest and _needs_general(plan, name)
     general = general or general_of(plan, steps) if begins else None
@@ -76,16 +76,16 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
         kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
-        save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, previous)
+        save_checkpoint(file, kept, describe(paradigm, prepared, steps) | info, previous)
 
     writes, phi = ranks.number() == 0, first.prepared
-    checkpoint, since = _opened(path, settings, plan, training_of(plan.job, name, steps))
-    with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
-        rng = Generator(plan.device).manual_seed(request.seed)
+    checkpoint, since = _opened(path, settings, plan, training_of(paradigm, steps))
+    with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
+        rng = Generator(plan.device).manual_seed(options.seed)
         prepared: Prepared | None = None
         try:
             data = TrainingData(*split_validation(tasks), rng, encoder, steps, since, phi)
-            for now in prepare(name, plan.job, data):
+            for now in paradigm.prepare(data):
                 prepared = now.best
                 if writes:
                     checkpoint.keep(now)
@@ -137,7 +137,7 @@ def _tasks_of(plan: Plan, name: str, folder: Path) -> Tasks:
 
 def _first(plan: Plan, name: str) -> Checkpoint:
     """The checkpoint that a training goes on from; an empty one where none was given, or a General to begin at."""
-    given = plan.request.checkpoint
+    given = plan.options.checkpoint
     if not given or (_needs_general(plan, name) and load_checkpoint(given)[1].get("checkpoint") == "general"):
         return Checkpoint(MetaParameters(), "", "")
     if name == "quickft":
@@ -168,10 +168,10 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
     Raises:
         ValueError: there is a General of other settings in its place, which is not replaced.
     """
-    request = replace(plan.request, paradigm="general")
-    plan = replace(plan, request=request, paradigm=paradigms()["general"])
-    if not request.checkpoint and not ships_general(plan):
-        begin = replace(plan, request=replace(request, checkpoint=None))
+    options = replace(plan.options, paradigm="general")
+    plan = replace(plan, options=options, paradigm=PARADIGMS["general"](plan.app, plan.recipe, plan.paradigm.rule_name))
+    if not options.checkpoint and not ships_general(plan):
+        begin = replace(plan, options=replace(options, checkpoint=None))
         path = trained_path(begin, "general")
         if path.is_file() and not _is_trained(begin, steps):
             found = "a General that was trained by other settings"
@@ -179,7 +179,7 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
         if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
             train_checkpoint(begin, steps)
-        plan = replace(plan, request=replace(request, checkpoint=path))
+        plan = replace(plan, options=replace(options, checkpoint=path))
     checkpoint = find_checkpoint(plan).checkpoint
     assert checkpoint is not None
     say(f"General: {checkpoint.source}")
@@ -189,29 +189,29 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
 def _is_trained(plan: Plan, steps: int | None) -> bool:
     """True if the General that would be trained now is there, by the same settings."""
     path = trained_path(plan, "general")
-    folder = data_folder(plan.app, plan.request.data, plan.request.quiet)
+    folder = data_folder(plan.app, plan.options.data, plan.options.quiet)
     settings = _settings(plan, "general", steps, folder, None) | _about(plan, "general", folder, None)
     return load_checkpoint(path)[1].get("training_digest") == digest(settings)
 
 
 def _name_of(plan: Plan) -> str:
     """The checkpoint to train: the last of those that the paradigm needs."""
-    needs = plan.paradigm.needs(plan.job)
+    needs = plan.paradigm.needs
     if not needs:
         raise BadOption(f"--train: {plan.paradigm.name} needs no preparation; leave the option out.")
-    if plan.request.checkpoint and plan.request.checkpoint.is_dir():
-        raise BadOption(f"--checkpoint {plan.request.checkpoint}: a folder; with --train name a file in it.")
+    if plan.options.checkpoint and plan.options.checkpoint.is_dir():
+        raise BadOption(f"--checkpoint {plan.options.checkpoint}: a folder; with --train name a file in it.")
     return needs[-1]
 
 
 def _needs_general(plan: Plan, name: str) -> bool:
-    return name == "quickft" or (name != "general" and plan.job.recipe.training(name).from_general)
+    return name == "quickft" or (name != "general" and plan.recipe.training(name).from_general)
 
 
 def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> Document:
     """The part of a checkpoint's header about the data it was trained on."""
     return (
-        {"data": data_label(folder), "recipe": plan.request.recipe, "seed": plan.request.seed}
+        {"data": data_label(folder), "recipe": plan.options.recipe, "seed": plan.options.seed}
         | ({} if name == "general" else observe_of(plan.app))
         | plan.app.conditions()
         | precision_of(plan.app, plan.device)
@@ -226,7 +226,7 @@ def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: M
         "app": plan.app.name,
         "checkpoint": name,
         "steps": steps,
-        "settings of the recipe": digest(repr(plan.job.recipe)),
+        "settings of the recipe": digest(repr(plan.recipe)),
         "content of the data": fingerprint(folder),
         "General": encoder and tensor_digest(encoder.flat()),
     }

@@ -16,12 +16,11 @@ from metapp.runs.checkpoints.finding import find_checkpoint, tuned_by
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.fitter import Fitter
 from metapp.runs.inputs.sources import Source, content_of, numbered, sources_to_fit
-from metapp.runs.outputs.files import OUTPUTS, export_fit, listed, write_files, write_outputs
+from metapp.runs.naming import name_of, observe_of
+from metapp.runs.outputs.files import OUTPUTS, export_fit, listed, outputs_of, write_files, write_outputs
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
-from metapp.runs.requests.naming import name_of, observe_of
-from metapp.runs.requests.options import outputs_of
-from metapp.runs.requests.plan import Plan
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
@@ -94,7 +93,7 @@ class Run(NamedTuple):
             "tasks": [{key: record[key] for key in fields if key in record} for record in self.records],
             "out": str(self.folder.path),
         }
-        if plan.request.resumes:
+        if plan.options.resumes:
             failures = [{"source": failure.source, "reason": failure.reason} for failure in self.failures]
             document |= {"tasks_per_second": self.tasks_per_second, "failures": failures}
         return document
@@ -112,11 +111,11 @@ def execute(plan: Plan) -> Run | None:
     """
     with threads(threads_of(plan.app)):
         if ranks.number() > 0:
-            if plan.request.train:
+            if plan.options.train:
                 with reporting(Reporter()):
-                    _with_checkpoint(replace(plan, request=replace(plan.request, quiet=True)))
+                    _with_checkpoint(replace(plan, options=replace(plan.options, quiet=True)))
             return None
-        make_folder(plan.request.out)
+        make_folder(plan.options.out)
         sources, label = sources_to_fit(plan)
         plan = replace(plan, checkpoint=_with_checkpoint(plan).checkpoint)
         folder = _folder(plan, label)
@@ -125,12 +124,12 @@ def execute(plan: Plan) -> Run | None:
 
 def _with_checkpoint(plan: Plan) -> Plan:
     """The plan with its checkpoint, trained first if that is asked for, by all ranks together."""
-    if plan.request.train:
+    if plan.options.train:
         with ranks.joined(plan.device):
-            trained = train_checkpoint(plan, plan.request.train_steps)
+            trained = train_checkpoint(plan, plan.options.train_steps)
         if plan.paradigm.name == "quickft" and trained.general:  # which may ship
             return replace(plan, checkpoint=tuned_by(trained.general, trained.prepared.phi, trained.path))
-        plan = replace(plan, request=replace(plan.request, checkpoint=trained.path))
+        plan = replace(plan, options=replace(plan.options, checkpoint=trained.path))
     return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
@@ -143,15 +142,15 @@ def _folder(plan: Plan, label: str) -> RunFolder:
 
 
 def _is_batched(plan: Plan) -> bool:
-    return (plan.request.batch or 1) > 1
+    return (plan.options.batch or 1) > 1
 
 
 def _run(plan: Plan, sources: list[Source], folder: RunFolder) -> Run:
     loop = _Loop(plan, sources, folder)
-    if not plan.request.quiet:
-        _announce(plan, len(sources), len(loop.records) if plan.request.resumes else 0)
+    if not plan.options.quiet:
+        _announce(plan, len(sources), len(loop.records) if plan.options.resumes else 0)
     begin = time.perf_counter()
-    with progress(plan.paradigm.name, len(sources), done=len(loop.records), quiet=plan.request.quiet) as bar:
+    with progress(plan.paradigm.name, len(sources), done=len(loop.records), quiet=plan.options.quiet) as bar:
         loop.fit(bar)
     rate = loop.count / (time.perf_counter() - begin) if loop.count else None
     if not loop.records:
@@ -195,19 +194,19 @@ class _Loop:
             for source in sources
             if source.place in earlier and earlier[source.place].get("stamp", "") == source.stamp
         }
-        if not plan.request.resumes and len(self.records) == len(sources):
+        if not plan.options.resumes and len(self.records) == len(sources):
             self.records, earlier = {}, {}  # a finished run is run anew, one that was cut off is completed
         self._earlier = earlier
         # of tasks by name: sources of different stems may hold tasks of one name
         self._places: dict[str, str] = {record["name"]: place for place, record in earlier.items()}
         self._fitter = Fitter(plan, warns=True)
-        self._outputs = outputs_of(plan.app.name, plan.options)
+        self._outputs = outputs_of(plan.options)
         self._columns: dict[str, Column] = {}
         self._bar = Bar()
 
     def fit(self, bar: Bar) -> None:
         """Fit inputs that have no record and keep each fit; a bar shows each."""
-        self._bar, size = bar, self.plan.request.batch or 1
+        self._bar, size = bar, self.plan.options.batch or 1
         left = [source for source in self.sources if source.place not in self.records]
         for first in range(0, len(left), size):
             for group in alike(self._read(left[first : first + size])):
@@ -227,7 +226,7 @@ class _Loop:
             self._columns[source.place] = column_of_fit(self.plan.app, task, theta)
 
     def _fail(self, source: Source, error: Exception) -> None:
-        resumes = self.plan.request.resumes
+        resumes = self.plan.options.resumes
         if not (resumes or isinstance(error, FORESEEN)):
             raise error
         self.failures.append(Failure(source.place, str(named(error, Path(source.place))), resumes or source.named))
@@ -286,7 +285,7 @@ class _Loop:
     def _export(self, task: Task, theta: Params) -> None:
         """Write a fit that is kept in each form of --export."""
         run = self.folder.path
-        for form in self.plan.request.exports:
+        for form in self.plan.options.exports:
             path = run / form / file_name(task.name)
             try:
                 with torch.no_grad():

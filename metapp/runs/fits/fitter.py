@@ -15,9 +15,8 @@ from torch import Generator
 from metapp.learning.app import stack
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
-from metapp.paradigms import Job
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
@@ -83,7 +82,7 @@ class Fitter:
         self._warm_up(tasks[0])
         rng, begin = self._rng(tasks), _now(plan.device)
         stacked = stack(app, tasks, plan.device)
-        descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng)
+        descent = plan.paradigm.descend(plan.prepared, stacked, rng)
         first = next(descent)
         fit = last(chain([first], descent))
         theta = app.finish(fit.theta)
@@ -101,9 +100,7 @@ class Fitter:
             record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
             record |= app.remarks(task, theta_of_task)
-            record |= (
-                {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
-            )
+            record |= {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard else {}
             if self.warns and "note" in record:
                 say(f"{task.name}: {record['note']}")
             results.append(Result(record | ({"warning": "; ".join(clauses)} if clauses else {}), theta_of_task))
@@ -118,9 +115,9 @@ class Fitter:
             return
         self._warm = True
         plan, few = self.plan, min(self.plan.steps, WARM)
-        unguarded = plan.paradigm._replace(guard=lambda job: None)  # what a guard looks at takes longer than a step
         tasks = stack(plan.app, [task], plan.device)
-        unguarded.fit(plan.job._replace(steps=few), plan.prepared, tasks, self._rng([task]))
+        # what a guard looks at takes longer than a step
+        plan.paradigm.unguarded(few).fit(plan.prepared, tasks, self._rng([task]))
 
     def _rng(self, tasks: Sequence[Task]) -> Rng:
         rngs = tuple(rng_of(self.plan, task) for task in tasks)
@@ -164,22 +161,22 @@ def warnings_of(plan: Plan, stacked: Tasks, first: Step, fit: Step) -> list[list
     app = plan.app
     doubts = app.doubts(fit.theta, stacked)
     compared = fit.guarded is not None or not plan.steps
-    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan.job, stacked, first, fit)
+    rises = [[] for _ in range(len(stacked))] if compared else _rises(plan, stacked, first, fit)
     return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
 
 
-def _rises(job: Job, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
+def _rises(plan: Plan, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
     """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
-        batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
-        before, after = (job.app.loss(step.theta, batch, {}).tolist() for step in (first, fit))
+        batch = drawn(lambda some, own: plan.app.sample(some, own, plan.recipe.batch), stacked, again)
+        before, after = (plan.app.loss(step.theta, batch, {}).tolist() for step in (first, fit))
     pairs = zip(before, after, strict=True)
     return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]
 
 
 def rng_of(plan: Plan, task: Task) -> Generator:
     """The source of a fit's draws: it depends on the task's name alone, whatever is fitted beside it."""
-    text = f"{plan.request.seed} {task.name}"
+    text = f"{plan.options.seed} {task.name}"
     seed = int.from_bytes(hashlib.sha256(text.encode(errors="surrogatepass")).digest()[:6], "big")
     return Generator(plan.device).manual_seed(seed)

@@ -125,19 +125,19 @@ def embedded_data(
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
-    module, offered = embedded_module(app), {option.name: option for option in embedded_offer(app).options}
+    module, offered = embedded_module(app), embedded_offer(app).options
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
     for name, value in options.items():
         if name not in offered:
             raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
-        if value not in (offered[name].default, getattr(module, name.upper(), None)):
+        if value != getattr(module, name.upper(), None):
             notes[name] = value
     return notes
 
 
 def _drawn(app: str, notes: Document) -> dict[str, object]:
     """The options that a set was drawn by."""
-    return {option.name: notes[option.name] for option in embedded_offer(app).options if option.name in notes}
+    return {name: notes[name] for name in embedded_offer(app).options if name in notes}
 
 
 def embedded_exists(app: str) -> bool:

@@ -18,9 +18,8 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.inputs.memory import tasks_of_objects
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.requests.options import merge_of, read_options, recorded_options
-from metapp.runs.requests.plan import Plan
 from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
@@ -90,12 +89,11 @@ def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
     Raises:
         ValueError: a path that is missing or no input of the application, a damaged file, no test task.
     """
-    if plan.request.objects:
+    if plan.options.objects:
         app = plan.app
         how: dict[str, object] = {"observe": app.protocol}
-        for form in inputs_of(app.name):
-            how |= _arguments(plan, form)
-        tasks = _renamed(tasks_of_objects(app.name, plan.request.objects, how))
+        how |= _arguments(plan)
+        tasks = _renamed(tasks_of_objects(app.name, plan.options.objects, how))
         return tasks, label_of(tasks)
     sources, label = sources_to_fit(plan)
     tasks = []
@@ -119,23 +117,23 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
     Raises:
         ValueError: a path that is missing or no input of the application; no test task.
     """
-    app, request = plan.app, plan.request
-    if not request.inputs:
-        tasks, label = tasks_of_data(app, request.data, request.quiet)
+    app, options = plan.app, plan.options
+    if not options.paths:
+        tasks, label = tasks_of_data(app, options.data, options.quiet)
         return sources_of(tasks), label
-    merging = merge_of(app.name, plan.options)
-    sources = [_merged(plan, *merging)] if merging else _sources_of_files(plan)
-    roots = sorted(str(path.resolve()) for path in request.inputs)
+    merges = [merge for merge in door.offers_of(door.Merge, app.name) if merge.option in options.own.given()]
+    sources = [_merged(plan, merges[0])] if merges else _sources_of_files(plan)
+    roots = sorted(str(path.resolve()) for path in options.paths)
     # read otherwise, the same files are other tasks
-    ways = [f"{name}={value}" for name, value in recorded_options(app.name, plan.options).items()]
-    return sources, _label(_stem(str(request.inputs[0].resolve())), len(roots), _digest(*roots, *ways))
+    ways = [f"{name}={value}" for name, value in options.own.recorded().items()]
+    return sources, _label(_stem(str(options.paths[0].resolve())), len(roots), _digest(*roots, *ways))
 
 
 def _sources_of_files(plan: Plan) -> list[Source]:
     """Files and what folders hold, each once, in the order of inputs, marked by stems: parts of a run know no more."""
     sources: dict[str, Source] = {}
     stamp = _stamps()
-    for path in plan.request.inputs:
+    for path in plan.options.paths:
         for places, read in _found(plan, path):
             for place in places:
                 whole, is_named = str(place.resolve()), len(places) == 1 or place == path
@@ -234,23 +232,25 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
         places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(form.read, arguments=_arguments(plan, form))
+        yield places, functools.partial(form.read, arguments=_arguments(plan))
 
 
-def _arguments(plan: Plan, form: door.Format) -> dict[str, object]:
-    """The arguments of readers, by keyword: the size that fits have, and options of the format that were given."""
+def _arguments(plan: Plan) -> dict[str, object]:
+    """The arguments of readers, by keyword: the size that fits have, and the options about INPUT that were given."""
     reads = plan.app.read_size
-    return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | read_options(form, plan.options)
+    return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | plan.options.own.reading()
 
 
-def _merged(plan: Plan, merge: door.Merge, value: object) -> Source:
+def _merged(plan: Plan, merge: door.Merge) -> Source:
     """The one source of all inputs, as an option merges them."""
     app = plan.app
-    places = [place for path in plan.request.inputs for some, _ in _found(plan, path) for place in some]
+    places = [place for path in plan.options.paths for some, _ in _found(plan, path) for place in some]
     (form, *_) = (form for form in inputs_of(app.name) if form.recognises(places[0]))
 
     def read() -> Task:
-        task: Task = door.load(merge.merge)(places, value, **form.taken(_arguments(plan, form)))
+        task: Task = door.load(merge.merge)(
+            places, getattr(plan.options.own, merge.option), **form.taken(_arguments(plan))
+        )
         return task
 
     stamp = _stamps()

@@ -17,20 +17,26 @@ from metapp.appearance.colour import stretched, tone_map
 from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
+from metapp.options import OUTPUT
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import QUICK
+from metapp.runs.options import FitOptions, check_export, check_name, fit_options
 from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
+from metapp.runs.plan import plan
 from metapp.runs.reporter import number, progress, say
-from metapp.runs.requests.checks import check_export, check_name
-from metapp.runs.requests.options import check_options
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
 from metapp.storage import Document
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import RunFolder, file_name, read_theta
 
 OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
+
+
+def outputs_of(options: FitOptions) -> list[tuple[door.Output, object]]:
+    """The outputs of a run beside files of its fits, and the values of the options that ask for them."""
+    given = options.own.given(OUTPUT)
+    offers = [offer for offer in door.offers_of(door.Output, options.app) if offer.option in given]
+    return [(offer, given[offer.option]) for offer in offers]
 
 
 def write_files(app: App, task: Task, theta: Params, folder: Path) -> None:
@@ -121,10 +127,10 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
         task: what was fitted.
         theta: parameters of one task, without a task axis.
     """
-    by = find_checkpoint(plan(Request(app.name, "finetune", recipe=QUICK, quiet=True)))
+    by = find_checkpoint(plan(fit_options(app.name, "finetune", recipe=QUICK, quiet=True)))
     evaluated = app.evaluated(theta, task)
     assert evaluated is not None, f"{app.name} has one network"
-    fitted = by.paradigm.fit(by.job, by.prepared, stack(by.app, [evaluated]), Generator().manual_seed(by.request.seed))
+    fitted = by.paradigm.fit(by.prepared, stack(by.app, [evaluated]), Generator().manual_seed(by.options.seed))
     before, after = (
         number(app.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
         for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
@@ -166,7 +172,7 @@ def export_run(
     (name,) = apps
     check_name(name)
     check_export(form, name)
-    check_options(Request(name, options=options), "")
+    fit_options(name, **options)
     target = out or folder / form
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None

@@ -15,7 +15,7 @@ from torch import Tensor
 from metapp.appearance.colour import to_srgb
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.requests.naming import factor_of, title_of
+from metapp.runs.naming import factor_of, title_of
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.images import in_8_bits

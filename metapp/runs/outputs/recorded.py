@@ -8,14 +8,13 @@ from typing import Any, NamedTuple
 
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.paradigms import paradigms
-from metapp.runs import BadOption
+from metapp.options import BadOption
+from metapp.paradigms import PARADIGMS
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.options import fit_options, own_of_record
+from metapp.runs.plan import Plan, plan
 from metapp.runs.reporter import say
-from metapp.runs.requests.options import options_from_record
-from metapp.runs.requests.plan import Plan, plan
-from metapp.runs.requests.request import Request
 from metapp.storage import Document
 from metapp.storage.records import FIT, read_records
 from metapp.storage.text import entry_of, meant, path_of
@@ -107,25 +106,19 @@ def plan_as(settings: Document, options: Mapping[str, object] | None = None, **m
         BadOption: one of `options`.
         ValueError: settings that are not known here.
     """
-    kept = options_from_record(settings["app"], settings.get("options", {}), inputs=bool(more.get("inputs")))
-    request = Request(
-        settings["app"],
-        settings.get("paradigm", "meta"),
-        rule=settings.get("rule", "") if settings.get("paradigm") == "meta" else "",
-        recipe=settings["recipe"],
-        observe=settings.get("observe", ""),
-        options=kept | dict(options or {}),
-        quiet=True,
-        **more,
-    )
-    if request.paradigm not in paradigms():
-        raise ValueError(f"paradigm '{request.paradigm}': not known, expected {', '.join(paradigms())}; fit again.")
+    app, inputs = settings["app"], more.pop("inputs", ())
+    own = own_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
+    paradigm = settings.get("paradigm", "meta")
+    if paradigm not in PARADIGMS:
+        raise ValueError(f"paradigm '{paradigm}': not known, expected {', '.join(PARADIGMS)}; fit again.")
+    given = {"rule": settings.get("rule", "") if paradigm == "meta" else "", "recipe": settings["recipe"]}
+    given |= {"observe": settings.get("observe", ""), "quiet": True, **more}
     try:
-        return plan(request)
+        return plan(fit_options(app, paradigm, inputs, **own, **given))
     except BadOption as error:
         if options:
             raise
-        raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
+        raise ValueError(f"{app}: a fit of other settings than are known ({error})") from None
 
 
 def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:

@@ -25,15 +25,15 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
-from metapp.runs.requests.plan import Checkpoint, plan
-from metapp.runs.requests.request import Request
+from metapp.runs.options import fit_options
+from metapp.runs.plan import Checkpoint, plan
 from tests.evaluation.cli.subjects import rows, subject_of
 from tests.evaluation.test_notes import row
 
 
 def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:
     """But of rules with a network of their own."""
-    planned = Subject(plan(Request("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
+    planned = Subject(plan(fit_options("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
     assert "meta:ridge" in planned.fits
     assert learned(planned) == [name for name in planned.fits if name.startswith("meta") and name != "meta:ridge"]
     ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}

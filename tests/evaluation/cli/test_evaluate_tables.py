@@ -135,7 +135,7 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, m
     )
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
     assert not any("*" in note for note in table.notes(subject, list(whole.values())))
-    assert short.command("results").endswith("--seed 0 --data " + str(short.plan.request.data))
+    assert short.command("results").endswith("--seed 0 --data " + str(short.plan.options.data))
     assert "--whole" in subject.command("results")
     # what is measured for one table counts for the other
     assert not short.cell("overfit").missing()

@@ -23,9 +23,9 @@ from metapp.extensions.baselines.baseline import Allowed, Training
 from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
 from tests.marked import long
@@ -80,7 +80,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], Subject]:
     def make(name: str, protocol: str) -> Subject:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
-        planned = plan(Request(name, "general", **of_app, device="cpu", quiet=True))
+        planned = plan(fit_options(name, "general", **of_app, device="cpu", quiet=True))
         return Subject(planned, run=True, strict=False)
 
     return make
@@ -155,17 +155,17 @@ def test_its_table_prints_them(
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    folder = RunFolder(subject.plan.request.out / "meta", {"of": "meta"})
+    folder = RunFolder(subject.plan.options.out / "meta", {"of": "meta"})
     for task in subject.tasks:
         folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
-    made = subject.plan.request.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
+    made = subject.plan.options.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
     draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
     draw([subject], ["baselines"])
     assert made.read_bytes().startswith(b"\x89PNG")
-    kept = subject.plan.request.out / "texture" / "baselines" / "quilting" / f"{subject.label}-quick-seed0"
+    kept = subject.plan.options.out / "texture" / "baselines" / "quilting" / f"{subject.label}-quick-seed0"
     assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
 
 
@@ -231,7 +231,7 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject_of: Callable[[str, str], Subject], data: Callable[[str], Path]
 ) -> None:
     subject = subject_of("brdf", "")
-    manifest = subject.plan.request.data / "manifest.json"  # type: ignore[operator]
+    manifest = subject.plan.options.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
     folders = {baseline.name: baseline_cell(subject, baseline).folder for baseline in baselines_of(subject.app)}
     assert {name for name, folder in folders.items() if folder} == {"ggx_2"}

@@ -65,7 +65,7 @@ def test_bad_options_are_a_line(metapp: Callable, photo: Path, tmp_path: Path, o
 @pytest.mark.long
 def test_fits_merge_photos_of_several_exposures(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
     options = ["--observe", "photo", "--recipe", "quick", "--out", tmp_path / "runs", "--json", "--quiet"]
-    said = metapp("general", "illumination", *bracket, "--exposures", "1/40,1/20,1/10", *options).done
+    said = metapp("general", "illumination", *bracket, "--shutter", "1/40,1/20,1/10", *options).done
     assert [task["name"] for task in said["tasks"]] == ["b"]
     assert metapp("compare", said["out"], said["out"], "--json").done["picture"]  # the photos are found again
 
@@ -73,11 +73,7 @@ def test_fits_merge_photos_of_several_exposures(metapp: Callable, bracket: list[
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["illumination", "--observe", "photo", "--exposures", "1/20,1/60"], "exposures: 2 for 3 photos"),
-        (
-            ["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"],
-            "--exposures makes one input of all; leave out --batch",
-        ),
+        (["illumination", "--observe", "photo", "--shutter", "1/20,1/60"], "exposures: 2 for 3 photos"),
     ],
 )
 def test_fits_refuse_exposures_that_do_not_fit_in_a_line(

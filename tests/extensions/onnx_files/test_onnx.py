@@ -87,10 +87,10 @@ def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
 
 def _maps(photo: Tensor) -> tuple[Tensor, ...]:
     from metapp.runs.checkpoints.finding import find_checkpoint
-    from metapp.runs.requests.plan import plan
-    from metapp.runs.requests.request import Request
+    from metapp.runs.options import fit_options
+    from metapp.runs.plan import plan
 
-    found = find_checkpoint(plan(Request("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
+    found = find_checkpoint(plan(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
     with torch.no_grad():
         result: tuple[Tensor, ...] = photographs.Material(found.app, found.checkpoint.prepared.encoder)(photo)
     return result

@@ -16,10 +16,10 @@ from data_tools.readers import svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from metapp.extensions.several import photos
 from metapp.learning.task import Task
-from metapp.runs import BadOption
-from metapp.runs.requests.choosing import chosen_recipe, recipe_of_tasks
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
+from metapp.options import BadOption
+from metapp.runs.choosing import chosen_recipe, recipe_of_tasks
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan
 from metapp.storage.shards import ShardWriter
 
 APP = "svbrdf_nonstationary"
@@ -85,7 +85,7 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: s
     one = "full" if lacking else "pretrained"
 
     def recipe(*inputs: Path, observe: str = "photo") -> str:
-        return plan(Request(APP, "general", inputs, observe=observe)).request.recipe
+        return plan(fit_options(APP, "general", inputs, observe=observe)).options.recipe
 
     assert recipe(folder) == "several"
     assert recipe(folder.parent) == "several"
@@ -99,7 +99,7 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tm
     task = photos.read_task(folder)
     with ShardWriter(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), {}) as writer:
         writer.add(task, "test")
-    request = Request(APP, "meta", observe="photo", data=tmp_path / "set")
+    request = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
     assert chosen_recipe(request) == recipe_of_tasks(request, [task]) == "several"
     one = Task("one", {"photo": task.data["photo"]})
     assert recipe_of_tasks(request, [one]) == ("full" if lacking else "pretrained")
@@ -113,9 +113,9 @@ def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, m
     )
     for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
         with pytest.raises(BadOption, match=re.escape(line)):
-            plan(Request(APP, "general", inputs, observe="photo"))
+            plan(fit_options(APP, "general", inputs, observe="photo"))
         for recipe in ("full", "several"):
-            assert plan(Request(APP, "general", inputs, observe="photo", recipe=recipe)).request.recipe == recipe
+            assert plan(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe == recipe
     result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
     assert result.code == 2
     assert "recipes for these differ; fit them by two commands" in " ".join(result.err.replace("\u2502", " ").split())

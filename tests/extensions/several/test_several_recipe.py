@@ -18,8 +18,8 @@ from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import FULL, shipped_path
-from metapp.runs.requests.plan import plan
-from metapp.runs.requests.request import Request
+from metapp.runs.options import fit_options
+from metapp.runs.plan import plan
 from metapp.storage.records import load_checkpoint, tensor_digest
 from tests.pictures import noise, write
 
@@ -51,7 +51,7 @@ def test_five_photos_say_more_than_one_by_default() -> None:
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "meta"), ("several", "quickft"), ("several", "general")):
-        by = find_checkpoint(plan(Request(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
+        by = find_checkpoint(plan(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
         theta = [by.paradigm.fit(by.job, by.prepared, stack(by.app, [task]), Generator()) for task in of]
         found = [float(by.app.errors(each, stack(by.app, [t]))["error"]) for each, t in zip(theta, of, strict=True)]
@@ -67,4 +67,4 @@ def test_without_the_extension_its_folders_are_refused_by_its_name(
     (tmp_path / "leaf" / CAMERA).write_text("0,0,16\n")
     monkeypatch.setenv(door.WITHOUT, "several")
     assert "the extension several reads it" in metapp("meta", APP, photo.parent, "--observe", "photo").refusal
-    assert plan(Request(APP, "meta", (photo,), observe="photo")).request.recipe == "full"
+    assert plan(fit_options(APP, "meta", (photo,), observe="photo")).options.recipe == "full"

@@ -56,20 +56,20 @@ class Capture(NamedTuple):
         return Task(name, {"photos": photo[None], "seen": self.seen, "certain": self.certain})
 
 
-def merge(paths: Sequence[Path], exposures: str, size: int = ROWS, fov_rad: float = 0.0) -> Task:
+def merge(paths: Sequence[Path], exposures: str, rows: int = ROWS, fov_rad: float = 0.0) -> Task:
     """Turn photographs of one mirror ball, of different exposures, into a task named by the first one's stem.
 
     Args:
         paths: the files.
         exposures: times in their order, such as "1/20,1/60"; "auto": as EXIF says.
-        size: rows of the map.
+        rows: rows of the map.
         fov_rad: as of `capture`.
 
     Raises:
         ValueError: as `capture`; no exposure times.
     """
     times = () if exposures == "auto" else parsed(exposures)
-    return capture(paths, times, fov_rad=fov_rad, rows=size).task(paths[0].stem)
+    return capture(paths, times, fov_rad=fov_rad, rows=rows).task(paths[0].stem)
 
 
 def capture(

@@ -29,7 +29,7 @@ def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
     return [file for file in files if not latlong.is_map(file)], skipped
 
 
-def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
+def read_task(path: Path, rows: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
     """Turn an LDR photograph of a ball into a task named by the file's stem.
 
     The ball is found in the photograph, unless one that touches the borders of the central square explains it as well,
@@ -37,7 +37,7 @@ def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> T
 
     Args:
         path: the file.
-        size: rows of a map.
+        rows: of a map.
         fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
 
     Returns:
@@ -47,15 +47,15 @@ def read_task(path: Path, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> T
     Raises:
         ValueError: as `data_tools.readers.photos.read_photo`; a picture twice as wide as high; a disc that is black.
     """
-    return _task(read_pixels(path), path.stem, str(path), size, fov_rad)
+    return _task(read_pixels(path), path.stem, str(path), rows, fov_rad)
 
 
-def task_of_pixels(pixels: Pixels, name: str, size: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
+def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
     """The same of a photograph in memory."""
-    return _task(pixels, name, name, size, fov_rad)
+    return _task(pixels, name, name, rows, fov_rad)
 
 
-def _task(pixels: Pixels, name: str, subject: str, size: int, fov_rad: float) -> Task:
+def _task(pixels: Pixels, name: str, subject: str, rows: int, fov_rad: float) -> Task:
     height, width = pixels.values.shape[:2]
     if latlong.is_latlong(height, width):
         raise ValueError(
@@ -68,7 +68,7 @@ def _task(pixels: Pixels, name: str, subject: str, size: int, fov_rad: float) ->
         raise ValueError(f"{subject}: {reason}")
     task = Task(name, {"photos": photo[None]})
     # what is transparent is no contour
-    return _with_ball(pixels, task, size, fov_rad) if pixels.values.shape[-1] == 3 else task
+    return _with_ball(pixels, task, rows, fov_rad) if pixels.values.shape[-1] == 3 else task
 
 
 def _with_ball(pixels: Pixels, task: Task, rows: int, fov_rad: float) -> Task:

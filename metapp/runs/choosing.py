@@ -1,4 +1,4 @@
-"""The recipe of a request that names none: the one that its inputs choose, else the usual one."""
+"""The recipe of a fit that names none: the one that its inputs choose, else the usual one."""
 
 from __future__ import annotations
 
@@ -9,49 +9,49 @@ from data_tools.formats import inputs_of
 from metapp import door
 from metapp.apps import recipe_offers
 from metapp.learning.task import Task
-from metapp.runs import BadOption
+from metapp.options import BadOption
 from metapp.runs.checkpoints.shipped import FULL, ships, usual_recipe
+from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
-from metapp.runs.requests.request import Request
 from metapp.storage.manifest import read_manifest
 
 
-def chosen_recipe(request: Request) -> str:
-    """The recipe that every input of a request, or every task of its data set, chooses, else the usual one.
+def chosen_recipe(options: FitOptions) -> str:
+    """The recipe that every input of options, or every task of its data set, chooses, else the usual one.
 
     Raises:
         BadOption: some inputs choose one, and others do not.
         ValueError: the data set cannot be read.
     """
-    app = request.app
-    for recipe, choice in _choices(request):
-        if choice.tells and request.resumes:  # it reads the inputs, which may be thousands
+    app = options.app
+    for recipe, choice in _choices(options):
+        if choice.tells and options.resumes:  # it reads the inputs, which may be thousands
             continue
-        if _all_choose(request, recipe, choice) if request.inputs else _is_set_of(choice, request.data):
+        if _all_choose(options, recipe, choice) if options.paths else _is_set_of(choice, options.data):
             if lacking := _lacking(choice):
                 say(f"{app}: {lacking}")
                 continue
-            what = "input" if request.inputs else f"task of {request.data}"
-            if not request.quiet:
+            what = "input" if options.paths else f"task of {options.data}"
+            if not options.quiet:
                 say(f"{app}: recipe {recipe}, since every {what} has {choice.has}")
             return recipe
     return usual_recipe(app)
 
 
-def recipe_of_tasks(request: Request, tasks: Sequence[Task]) -> str:
+def recipe_of_tasks(options: FitOptions, tasks: Sequence[Task]) -> str:
     """The same for tasks that were made in memory."""
-    for recipe, choice in _choices(request):
-        if all(_chooses_task(request.app, choice, task) for task in tasks) and not _lacking(choice):
+    for recipe, choice in _choices(options):
+        if all(_chooses_task(options.app, choice, task) for task in tasks) and not _lacking(choice):
             return recipe
-    return usual_recipe(request.app)
+    return usual_recipe(options.app)
 
 
-def _choices(request: Request) -> Iterator[tuple[str, door.Chosen]]:
+def _choices(options: FitOptions) -> Iterator[tuple[str, door.Chosen]]:
     """The recipes that inputs may choose, with checkpoints for the paradigm."""
-    for name, offer in recipe_offers(request.app, request.observe).items():
+    for name, offer in recipe_offers(options.app, options.observe).items():
         choice = offer.chosen
-        serves = choice and (not choice.paradigms or request.paradigm in choice.paradigms)
-        if choice and serves and ships(request.app, name, request.observe):
+        serves = choice and (not choice.paradigms or options.paradigm in choice.paradigms)
+        if choice and serves and ships(options.app, name, options.observe):
             yield name, choice
 
 
@@ -67,16 +67,16 @@ def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
     return tells(task)
 
 
-def _all_choose(request: Request, recipe: str, choice: door.Chosen) -> bool:
+def _all_choose(options: FitOptions, recipe: str, choice: door.Chosen) -> bool:
     """True if all inputs choose a recipe; BadOption where only some do."""
-    recognised = [(form, path) for form in inputs_of(request.app) for path in request.inputs if form.recognises(path)]
+    recognised = [(form, path) for form in inputs_of(options.app) for path in options.paths if form.recognises(path)]
     choosing = [(form, path) for form, path in recognised if _chooses(choice, form, path)]
     chosen = {path for _, path in choosing}
     others = [(form, path) for form, path in recognised if form.name not in choice.formats or path not in chosen]
     if choosing and others:
         (first, *_), (other, *_) = ((form.find([path])[0] or [path]) for form, path in (choosing[0], others[0]))
         raise BadOption(
-            f"{request.app}: {first} has {choice.has}, {other} has not, and recipes for these differ; fit them by two "
+            f"{options.app}: {first} has {choice.has}, {other} has not, and recipes for these differ; fit them by two "
             f"commands, or all by --recipe {recipe} or --recipe {FULL}."
         )
     return bool(choosing)

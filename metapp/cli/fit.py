@@ -1,18 +1,24 @@
-"""Execute a plan and show what came of it."""
+"""`metapp general|overfit|finetune|quickft|meta APP`: fit tasks by one paradigm."""
 
 from __future__ import annotations
 
+import inspect
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from data_tools.formats import exports_of
+from data_tools.formats import exports_of, inputs_of
 from metapp import door
-from metapp.cli.console import Exit, out, print_json
+from metapp.apps import options_of, protocols_of, recipe_offers
+from metapp.cli.console import Exit, importing, out, print_json
+from metapp.cli.options import parameter, parameter_of, signed
 from metapp.cli.streams import escaped, one_line
+from metapp.learning.names import rule_names
+from metapp.options import INPUT, OUTPUT, Declared, declared
+from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
 
@@ -21,10 +27,74 @@ if TYPE_CHECKING:
 
     from metapp.learning.app import App
     from metapp.runs.fits.execution import Run
-    from metapp.runs.requests.plan import Plan
+    from metapp.runs.plan import Plan
 
+SUMMARIES = {
+    "general": "One forward pass of an encoder trained over all tasks.",
+    "overfit": "Train on each task alone, from a random initialisation.",
+    "finetune": "A tenth of Overfit's steps, from General's result.",
+    "quickft": "As many Adam steps as Meta takes, from General's result.",
+    "meta": "A few steps of a learned rule from a learned initialisation.",
+}
+NO_RULE = {"rule": "only meta has learned rules"}
+# options that a paradigm takes and ignores, since scripts give all paradigms the same ones, and why
+IGNORED: dict[str, dict[str, str]] = {
+    "general": {**NO_RULE, "steps": "general takes none"},
+    "overfit": {
+        **NO_RULE,
+        "checkpoint": "overfit begins at random",
+        "train": "overfit has nothing to train",
+        "train_steps": "overfit has nothing to train",
+    },
+    "finetune": NO_RULE,
+    "quickft": NO_RULE,
+    "meta": {},
+}
 NARROWEST = 50  # columns of a table, so that titles stay on a line
 LISTED = 20  # tasks in the table of a run that lists what failed
+
+
+def command_of(paradigm: str, app: str) -> Callable[..., None]:
+    """The command that fits tasks of an application by a paradigm."""
+
+    def command(inputs: list[Path] | None, json: bool, export: Sequence[str] | None, **values: Any) -> None:
+        for option, remark in IGNORED[paradigm].items():
+            if values.pop(option) not in (None, False):
+                say(f"--{option.replace('_', '-')}: {remark}; the option is ignored.")
+        options = fit_options(app, paradigm, inputs or (), export=",".join(export or ()), **values)
+        with importing():
+            from metapp.runs.plan import plan
+        fit(plan(options), json=json)
+
+    shown = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
+    as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
+    parameters = [parameter("inputs", Annotated[list[Path] | None, shown])]
+    parameters += [_option(one, paradigm, app) for one in (*declared(FitOptions), *declared(options_of(app)))]
+    parameters.append(parameter("json", Annotated[bool, as_json], False))
+    return signed(command, command, parameters)
+
+
+def _option(one: Declared, paradigm: str, app: str) -> inspect.Parameter:
+    """An option with its help for an application; hidden where paradigm or application do not use it."""
+    exports, rules = ", ".join(exports_of(app)), ", ".join(rule_names())
+    texts = {
+        "observe": one.option.help if protocols_of(app) else "",
+        "export": f"{exports}; several separated by commas." if exports else "",
+        "recipe": f"{', '.join(recipe_offers(app))}; default: full, the best that ships.",
+        "rule": f"{rules}; or parts joined by +, such as adam+curvature; default: the recipe's.",
+    }
+    text = texts.get(one.name, one.option.help)
+    hidden = not text or one.name in IGNORED[paradigm]
+    panel = one.option.panel
+    shown = parameter_of(one, help=text, hidden=hidden, show_default=False, rich_help_panel=panel)
+    if one.name == "export":  # which may be given several times, too
+        return parameter("export", Annotated[list[str] | None, shown.annotation.__metadata__[0]])
+    return shown
+
+
+def _inputs(app: str) -> str:
+    forms = ", ".join(form.inputs for form in inputs_of(app))
+    return f"What to fit: {forms}; or folders of these; {TASKS}." if forms else f"No file; {TASKS}."
 
 
 def fit(plan: Plan, *, json: bool) -> None:
@@ -55,9 +125,9 @@ def _show(run: Run, *, json: bool) -> None:
     from metapp.runs.outputs.files import listed
 
     plan, paradigm = run.plan, run.plan.paradigm.name
-    if not plan.request.quiet:
+    if not plan.options.quiet:
         if not json:
-            resumes = plan.request.resumes
+            resumes = plan.options.resumes
             most, rate = (LISTED, run.tasks_per_second) if resumes else (None, None)
             out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
         folder, names = run.folder.path, [record["name"] for record in run.records]
@@ -65,7 +135,7 @@ def _show(run: Run, *, json: bool) -> None:
         say(f"picture: {run.picture}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}{made}")
         if any(offer.name == "view" for offer in door.offers(door.Command)):
             say(f"to look at: metapp view {shlex.quote(str(folder))}")
-        if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]:
+        if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.options.exports]:
             say(f"other forms ({', '.join(others)}): metapp export {shlex.quote(str(folder))} {others[0]}")
         for line in run.remarks:
             say(line)
@@ -101,7 +171,7 @@ def table_of(
     from rich.text import Text
 
     from metapp.evaluation.notes import warned
-    from metapp.runs.requests.naming import caption_of, factor_of, title_of
+    from metapp.runs.naming import caption_of, factor_of, title_of
     from metapp.storage.records import file_name, guarded, summary
 
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])

@@ -1,0 +1,30 @@
+"""Options of illumination."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from metapp.networks.options import CameraOptions, fov, size
+from metapp.options import INPUT, Option
+
+
+@dataclass(frozen=True)
+class IlluminationOptions(CameraOptions):
+    """Size of the map, camera and shutter times of photos of a mirror ball."""
+
+    size: Annotated[tuple[int, int] | None, size("of the map, up to 1024x2048")] = None
+    fov: Annotated[float, fov("from EXIF, else a distant camera")] = 0.0
+    shutter: Annotated[
+        str,
+        Option(
+            "Shutter times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
+            "T,T,...",
+            panel=INPUT,
+            protocol="photo",
+        ),
+    ] = ""
+
+    def reading(self) -> dict[str, Any]:
+        """Each photo is read without the shutter times, by which photos are merged."""
+        return {name: value for name, value in super().reading().items() if name != "shutter"}

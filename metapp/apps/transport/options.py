@@ -1,0 +1,45 @@
+"""Options of light transport."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from metapp.options import INPUT, OUTPUT, AppOptions, Option
+
+
+def folders(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The same paths; ValueError unless all are folders."""
+    if not all(path.is_dir() for path in paths):
+        raise ValueError("not there, expected folders")
+    return paths
+
+
+@dataclass(frozen=True)
+class TransportOptions(AppOptions):
+    """Folders of a scene's files, and the picture that is rendered of it."""
+
+    scene_root: Annotated[
+        tuple[Path, ...],
+        Option(
+            "Additional folder from which a scene may load files; may be given several times.",
+            "DIR",
+            panel=INPUT,
+            parse=folders,
+        ),
+    ] = ()
+    render: Annotated[
+        int,
+        Option(
+            "Also render each scene at this size, with path guiding and without it in equal time.",
+            "PX",
+            low=1,
+            high=4096,
+            panel=OUTPUT,
+        ),
+    ] = 0
+
+    def reading(self) -> dict[str, Any]:
+        """The reader calls the folders roots."""
+        return {"roots": self.scene_root} if self.scene_root else {}

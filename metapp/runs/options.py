@@ -1,0 +1,229 @@
+"""The options of a fit: of the command line, keywords of `metapp.fit`, and what a record keeps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from data_tools.formats import exports_of
+from metapp.apps import app_names, options_of, protocols_of, recipe_offers
+from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Declared, Option, declared, parse
+from metapp.storage.text import meant
+
+MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
+TASKS = "default: the test tasks of --data"
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """The options of all fits; those of one application are `own`.
+
+    Attributes:
+        app: name of the application.
+        paradigm: general, overfit, finetune, quickft or meta.
+        inputs: files and folders, or objects in memory; (): the test tasks of the data set.
+        own: the application's own options.
+    """
+
+    app: str
+    paradigm: str = "meta"
+    inputs: Sequence[object] = ()
+    own: AppOptions = field(default_factory=AppOptions)
+    data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.", "DIR", panel=INPUT)] = None
+    observe: Annotated[
+        str,
+        Option(
+            "What fits see: reference (ground truth, the default) or photo (photos alone; required for INPUT photos).",
+            "NAME",
+            panel=INPUT,
+        ),
+    ] = ""
+    recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", "NAME", panel=FIT)] = ""
+    rule: Annotated[
+        str,
+        Option("Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.", "NAME", panel=FIT),
+    ] = ""
+    steps: Annotated[
+        int | None, Option("Gradient steps; default: the recipe's.", "N", low=0, high=MOST_STEPS, panel=FIT)
+    ] = None
+    checkpoint: Annotated[
+        Path | None,
+        Option("Checkpoint, or folder of trained ones; default: the one that ships.", "FILE", panel=FIT),
+    ] = None
+    train: Annotated[
+        bool, Option("Train first, on the training tasks of --data, from --checkpoint if given.", panel=FIT)
+    ] = False
+    train_steps: Annotated[
+        int | None, Option("Outer training steps; default: the recipe's.", "N", low=1, high=MOST_STEPS, panel=FIT)
+    ] = None
+    seed: Annotated[int, Option("Random seed; default: 0.", "N", low=0, high=MOST_SEEDS, panel=FIT)] = 0
+    device: Annotated[
+        str, Option("auto, cpu, cuda; default: auto.", "NAME", choices=("auto", "cpu", "cuda"), panel=FIT)
+    ] = "auto"
+    batch: Annotated[
+        int | None,
+        Option(
+            "Fit N inputs in parallel; the same command resumes the run; failures are listed.", "N", low=1, panel=FIT
+        ),
+    ] = None
+    export: Annotated[
+        str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)
+    ] = ""
+    out: Annotated[Path, Option("Folder for runs and trained checkpoints; default: runs.", "DIR", panel=OUTPUT)] = Path(
+        "runs"
+    )
+    quiet: Annotated[bool, Option("No progress bar, no table.", flags=("--quiet", "-q"), panel=OUTPUT)] = False
+
+    @property
+    def exports(self) -> tuple[str, ...]:
+        """The forms to write fits in, each once."""
+        return tuple(dict.fromkeys(name for name in self.export.split(",") if name))
+
+    @property
+    def paths(self) -> list[Path]:
+        """The inputs that are paths."""
+        return [path for path in self.inputs if isinstance(path, Path)]
+
+    @property
+    def objects(self) -> list[object]:
+        """The inputs that are objects in memory."""
+        return [one for one in self.inputs if not isinstance(one, Path)]
+
+    @property
+    def resumes(self) -> bool:
+        """True if a run that is finished stays as it is, and failures are listed: with --batch."""
+        return self.batch is not None
+
+
+def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (), **values: Any) -> FitOptions:
+    """The options of a fit, checked; nothing large is imported.
+
+    Args:
+        app: name of the application.
+        paradigm: name of the paradigm.
+        inputs: paths, or objects in memory.
+        values: general options and the application's own, by name, as a command line or a program gives them.
+
+    Raises:
+        BadOption: no such application, option, protocol, recipe or export; a value that an option cannot have; options
+            that exclude each other.
+    """
+    if not isinstance(paradigm, str):
+        raise BadOption(f"paradigm: {paradigm!r}, expected str.")
+    check_name(app)
+    own_kind = options_of(app)
+    general = {one.name for one in declared(FitOptions)}
+    mine = {one.name for one in declared(own_kind)}
+    for name in values:
+        if name not in general | mine:
+            raise BadOption(_unknown(name, app, general | mine))
+    own_values = {name: value for name, value in values.items() if name in mine}
+    options = parse(
+        FitOptions,
+        {name: value for name, value in values.items() if name in general},
+        app=app,
+        paradigm=paradigm,
+        inputs=tuple(inputs),
+        own=parse(own_kind, own_values),
+    )
+    _check(options)
+    return options
+
+
+def check_name(app: str) -> None:
+    """A usage error that lists the applications where there is none of that name."""
+    if app not in app_names():
+        names = app_names()
+        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{meant(app, names)}")
+
+
+def check_protocol(protocol: str, app: str) -> None:
+    """A usage error where the application of a name has no such protocol."""
+    protocols = protocols_of(app)
+    if protocol and protocol not in protocols:
+        expected = f"expects one of {', '.join(protocols)}" if protocols else "has one protocol; leave it out"
+        raise BadOption(f"--observe '{protocol}': {app} {expected}.{meant(protocol, protocols)}")
+
+
+def check_new_files(paths: Iterable[Path]) -> None:
+    """A usage error where a file that is to be written is there already: it may be what was measured."""
+    for path in paths:
+        if os.path.lexists(path):
+            raise BadOption(f"{path}: is there already, expected a new file; choose another --out, or remove it.")
+
+
+def check_export(name: str, app: str) -> None:
+    """Refuse a form that fits of an application cannot be written in.
+
+    Raises:
+        BadOption: it cannot, or a library for it is missing.
+    """
+    forms = exports_of(app)
+    if name not in forms:
+        expected = f"expects one of {', '.join(forms)}" if forms else "has none; leave it out"
+        raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, forms)}")
+    if missing := forms[name].missing():
+        raise BadOption(missing)
+
+
+def _unknown(name: str, app: str, names: set[str]) -> str:
+    """An error line about an option that an application does not have."""
+    others = [other for other in app_names() if name in {one.name for one in declared(options_of(other))}]
+    if others:
+        flag = f"--{name.replace('_', '-')}"
+        return f"{flag}: {app} has no such option, only {', '.join(others)}; leave it out."
+    return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{meant(name, names)}"
+
+
+def _check(options: FitOptions) -> None:
+    """Refuse names that the application does not have and options that exclude each other.
+
+    Raises:
+        BadOption: there is such a one.
+    """
+    app = options.app
+    check_protocol(options.observe, app)
+    recipes = recipe_offers(app, options.observe)
+    if options.recipe and options.recipe not in recipes:
+        raise BadOption(
+            f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{meant(options.recipe, recipes)}"
+        )
+    for form in options.exports:
+        check_export(form, app)
+    if options.train_steps and not options.train:
+        raise BadOption("--train-steps: only with --train.")
+    protocol = options.observe or next(iter(protocols_of(app)), "")
+    given = [one for one in declared(type(options.own)) if one.name in options.own.given()]
+    for one in given:
+        _check_use(one, options, protocol)
+
+
+def _check_use(one: Declared, options: FitOptions, protocol: str) -> None:
+    option = one.option
+    if option.protocol and option.protocol != protocol:
+        raise BadOption(f"{one.flag}: only with --observe {option.protocol}; add that.")
+    if option.panel == INPUT and not options.inputs:
+        raise BadOption(f"{one.flag}: about INPUT alone; name what to fit.")
+    if option.panel == FIT and options.train:
+        raise BadOption(f"{one.flag}: of fits; checkpoints are trained without it, leave --train out.")
+
+
+def own_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
+    """An application's own options as a record states them; those about INPUT only with `inputs`.
+
+    Options that the application does not have are left out.
+    """
+    kinds = {one.name: one for one in declared(options_of(app))}
+    return {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in recorded.items()
+        if name in kinds and (inputs or kinds[name].option.panel != INPUT)
+    }
+
+
+def name_parts(own: AppOptions) -> list[str]:
+    """The parts of a run folder's name that state options of the recipe: detail512."""
+    return [name if value is True else f"{name}{value}" for name, value in own.given(FIT).items()]

@@ -1,1 +1,0 @@
-"""From the options of a fit to a plan."""
