@@ -4,7 +4,7 @@
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
     {"type": "metapp_guided_path", "max_depth": 8}
 
-All that extensions offer are registered. The last of these is an integrator: Mitsuba's `path` with path guiding that it
+All that extensions have are registered. The last of these is an integrator: Mitsuba's `path` with path guiding that it
 learns while it renders; see `metapp.extensions.guided.integrator`.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
@@ -17,7 +17,7 @@ Import it before mitsuba where an old libLLVM is installed beside one that works
 from __future__ import annotations
 
 import metapp.rendering.jit  # noqa: F401  (chooses a libLLVM that works)
-from metapp import door
+from metapp.registry import registry
 
-for plugin in door.offers(door.Plugin):
-    door.load(plugin.register)()
+for register in registry().loaded("plugins").values():
+    register()

@@ -90,7 +90,7 @@ def unknown_in(line: str, rules: Collection[str] = ()) -> str:
 def test_commands_exist() -> None:
     for page, line in lines_of_code():
         if METAPP.match(line) and not ANY_COMMAND.match(line):
-            declared = re.findall(r'Rule\("([\w-]+)"', page.read_text(encoding="utf-8"))
+            declared = re.findall(r'registry.rules\["([\w-]+)"', page.read_text(encoding="utf-8"))
             assert unknown_in(STANDS_FOR.sub("x", line), declared) == "", (page, line)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.door import Converter, Export, Format, InMemory
 from metapp.options import Option
+from metapp.registry import Converter, Entry, Export, Format, Registry
 
 
 @dataclass(frozen=True)
@@ -46,26 +46,27 @@ Examples:
   metapp data nbrdf trained/gold trained/tin --split test --out metals
 """
 
-OFFERS = (
-    Format(
-        "merl",
-        "brdf",
+
+def register(registry: Registry) -> None:
+    """Add MERL tables and NBRDF networks, as inputs and as exports, and objects of programs."""
+    registry.formats["merl"] = Format(
         "data_tools.readers.merl",
-        "MERL .binary files",
+        app="brdf",
+        inputs="MERL .binary files",
         command=Converter(
             MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", SampleOptions
         ),
-    ),
-    Format(
-        "nbrdf",
-        "brdf",
+    )
+    registry.formats["nbrdf"] = Format(
         "data_tools.readers.nbrdf",
-        "folders with an NBRDF network",
+        app="brdf",
+        inputs="folders with an NBRDF network",
         command=Converter(
             NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", SampleOptions
         ),
-    ),
-    Export("merl", ("brdf",), "data_tools.readers.merl:export"),
-    Export("nbrdf", ("brdf",), "data_tools.readers.nbrdf:export", holds=("w1", "w2", "w3", "b1", "b2", "b3")),
-    InMemory("brdf", "data_tools.readers.brdf_objects:from_object"),
-)
+    )
+    registry.exports["brdf", "merl"] = Export("data_tools.readers.merl:export")
+    registry.exports["brdf", "nbrdf"] = Export(
+        "data_tools.readers.nbrdf:export", holds=("w1", "w2", "w3", "b1", "b2", "b3")
+    )
+    registry.objects["brdf"] = Entry("data_tools.readers.brdf_objects:from_object")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.door import Converter, Format, InMemory
 from metapp.options import Option
+from metapp.registry import Converter, Entry, Format, Registry
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ Examples:
   metapp data laval office.exr street.hdr --split test --out maps
 """
 
-OFFERS = (
-    Format(
-        "laval",
-        "illumination",
+
+def register(registry: Registry) -> None:
+    """Add HDR maps, and objects of programs."""
+    registry.formats["laval"] = Format(
         "data_tools.readers.latlong",
-        "HDR maps (.exr, .hdr)",
+        app="illumination",
+        inputs="HDR maps (.exr, .hdr)",
         takes=("rows",),
         command=Converter(
             LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", LavalOptions
         ),
-    ),
-    InMemory("illumination", "data_tools.readers.picture_objects:light"),
-)
+    )
+    registry.objects["illumination"] = Entry("data_tools.readers.picture_objects:light")

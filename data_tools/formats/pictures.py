@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.door import Converter, Format, InMemory
 from metapp.networks.options import field_of_view
 from metapp.options import Option
+from metapp.registry import Converter, Entry, Format, Registry
 
 Size = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
 Normals = Annotated[
@@ -139,12 +139,13 @@ STRIPS_SPLIT = (
     "are left out."
 )
 
-OFFERS = (
-    Format(
-        "flash",
-        "svbrdf_stationary",
+
+def register(registry: Registry) -> None:
+    """Add photographs, materials' maps and strips, and objects of programs."""
+    registry.formats["flash"] = Format(
         "data_tools.readers.flash",
-        "flash photos",
+        app="svbrdf_stationary",
+        inputs="flash photos",
         takes=("size", "least", "fov_rad"),
         command=Converter(
             FLASH,
@@ -154,29 +155,24 @@ OFFERS = (
             FlashOptions,
             FLASH_SPLIT,
         ),
-    ),
-    Format(
-        "images",
-        "texture",
+    )
+    registry.formats["images"] = Format(
         "data_tools.readers.photos",
-        "images",
+        app="texture",
+        inputs="images",
         takes=("size", "least"),
         command=Converter(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", ImageOptions),
-    ),
-    Format(
-        "maps",
-        "svbrdf_nonstationary",
+    )
+    registry.formats["maps"] = Format(
         "data_tools.readers.material_maps",
-        "",  # `svbrdf` takes them
+        app="svbrdf_nonstationary",  # as INPUT `svbrdf` takes them
         command=Converter(
             MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", MapsOptions, MAPS_SPLIT
         ),
-    ),
-    Format(
-        "strips",
-        "svbrdf_nonstationary",
+    )
+    registry.formats["strips"] = Format(
         "data_tools.readers.strips",
-        "",  # `svbrdf` takes them
+        app="svbrdf_nonstationary",  # as INPUT `svbrdf` takes them
         command=Converter(
             STRIPS,
             "strip",
@@ -185,15 +181,14 @@ OFFERS = (
             StripsOptions,
             STRIPS_SPLIT,
         ),
-    ),
-    Format(
-        "svbrdf",
-        "svbrdf_nonstationary",
+    )
+    registry.formats["svbrdf"] = Format(
         "data_tools.readers.svbrdf_inputs",
-        "flash photos, strips, a material's maps",
+        app="svbrdf_nonstationary",
+        inputs="flash photos, strips, a material's maps",
         takes=("size", "fov_rad", "stops"),
-    ),
-    InMemory("texture", "data_tools.readers.picture_objects:texture"),
-    InMemory("svbrdf_stationary", "data_tools.readers.picture_objects:flash_photo"),
-    InMemory("svbrdf_nonstationary", "data_tools.readers.picture_objects:material"),
-)
+        kinds=(("photo", ""),),
+    )
+    registry.objects["texture"] = Entry("data_tools.readers.picture_objects:texture")
+    registry.objects["svbrdf_stationary"] = Entry("data_tools.readers.picture_objects:flash_photo")
+    registry.objects["svbrdf_nonstationary"] = Entry("data_tools.readers.picture_objects:material")

@@ -24,10 +24,10 @@ from functools import partial
 from pathlib import Path
 
 from data_tools.formats import AUTO
+from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.image_files import Pixels
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of, read_photo
 from metapp.appearance.flash import FOV_RAD
-from metapp.door import Conversion, Label
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 

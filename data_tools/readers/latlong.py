@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
+from data_tools.readers.conversion import Conversion
 from data_tools.readers.image_files import opened, opens, turn_upright
 from data_tools.readers.listing import files_below
 from data_tools.readers.photos import find_photos
 from metapp.appearance.colorimetry import colour_science
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
-from metapp.door import Conversion
 from metapp.learning.task import Task
 from metapp.storage.image_limits import check_memory, error_of, reason_of
 

@@ -27,12 +27,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
-from metapp.door import Conversion, Label
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
 from metapp.storage.shards import split_auto

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.listing import files_below
 from metapp.appearance.geometry import half_difference
-from metapp.door import Conversion, Label
 from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
 

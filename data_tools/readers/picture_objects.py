@@ -113,8 +113,8 @@ def light(
                 f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is "
                 "for fits with --observe photo."
             )
-    forms = inputs_of("illumination")
-    readers = [files for files in (form.files() for form in forms) if hasattr(files, "task_of_pixels")]
+    forms = inputs_of("illumination").values()
+    readers = [files for files in (form.load() for form in forms) if hasattr(files, "task_of_pixels")]
     if not readers:
         raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
     task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, rows, fov_rad)

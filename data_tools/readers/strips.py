@@ -22,13 +22,13 @@ import torch
 from torch import Tensor
 
 from data_tools.formats import AUTO
+from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, is_photo, resample, side_of
 from data_tools.readers.predicted_maps import read_predicted
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
-from metapp.door import Conversion, Label
 from metapp.learning.task import Task
 
 __all__ = ["UNITS", "find", "group_strips", "is_strip", "read_task", "recognises", "split_strips", "task_name"]

@@ -5,26 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from metapp.door import PictureMeasure, load, offers
 from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted
 from metapp.learning.task import Task
+from metapp.registry import load, registry
 
 
-def picture_measures(app: str) -> tuple[dict[PictureMeasure, str], list[str]]:
-    """The measures of an application's pictures with notes on them, and a line for each that lacks something."""
+def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
+    """Notes on the measures of an application's pictures, by name, and a line for each that lacks something."""
     notes, missing = {}, []
-    for offer in (offer for offer in offers(PictureMeasure) if app in offer.apps):
-        try:
-            notes[offer] = ", ".join([offer.note, *([load(offer.source)()] if offer.source else [])])
-        except ValueError as error:
-            missing.append(f"{offer.name}: {error}")
+    for name, entry in registry().measures.items():
+        if app in entry.apps:
+            try:
+                notes[name] = ", ".join([entry.help, *([load(entry.source)()] if entry.source else [])])
+            except ValueError as error:
+                missing.append(f"{name}: {error}")
     return notes, missing
 
 
 def further_errors(app: str, compared: Compared) -> dict[str, float]:
     """What extensions measure of an application's pictures, by name; what lacks something, or is not finite, not."""
-    values = {offer.name: load(offer.measure)(compared) for offer in picture_measures(app)[0]}
+    values = {name: registry().measures[name].load()(compared) for name in picture_measures(app)[0]}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

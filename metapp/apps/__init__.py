@@ -1,6 +1,6 @@
-"""The applications that extensions offer, by name: their classes and recipes.
+"""The applications by name: their classes and recipes.
 
-What ships is a package here for each: it offers the application, and has modules for its class and its recipes.
+What ships is a package here for each: it registers the application, and has modules for its class and its recipes.
 Nothing here is imported before it is asked for.
 """
 
@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from metapp import door
 from metapp.options import AppOptions
+from metapp.registry import Application, registry
+from metapp.registry import Recipe as RecipeEntry
 from metapp.storage.text import meant
 
 if TYPE_CHECKING:
@@ -20,17 +21,17 @@ if TYPE_CHECKING:
 
 
 def app_names() -> list[str]:
-    """All applications; nothing is imported but the modules that offer them."""
-    return sorted(offer.name for offer in door.offers(door.Application))
+    """All applications; nothing is imported but the modules that register them."""
+    return sorted(registry().applications)
 
 
-def application_of(name: str) -> door.Application:
-    """The offer of an application.
+def application_of(name: str) -> Application:
+    """The entry of an application.
 
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
     """
-    applications = {offer.name: offer for offer in door.offers(door.Application)}
+    applications = registry().applications
     if name not in applications:
         expected = f"expected one of {', '.join(sorted(applications))}.{meant(name, applications)}"
         raise ValueError(f"application '{name}': not known, {expected}")
@@ -39,7 +40,7 @@ def application_of(name: str) -> door.Application:
 
 def class_of(name: str) -> type[App]:
     """The class of the application of that name; ValueError where there is none."""
-    result: type[App] = door.load(application_of(name).app)
+    result: type[App] = application_of(name).load()
     return result
 
 
@@ -53,10 +54,14 @@ def options_of(name: str) -> type[AppOptions]:
     return application_of(name).options or AppOptions
 
 
-def recipe_offers(name: str, protocol: str = "") -> dict[str, door.Recipe]:
-    """The recipes of an application under a protocol, its default one where none is named, as they are offered."""
-    protocol = protocol or next(iter(protocols_of(name)), "")
-    return {offer.name: offer for offer in door.offers_of(door.Recipe, name) if offer.protocol == protocol}
+def recipe_names(name: str) -> list[str]:
+    """The recipes of an application under all its protocols."""
+    return list(dict.fromkeys(recipe for app, _, recipe in registry().recipes if app == name))
+
+
+def recipe_entries(name: str, protocol: str = "") -> dict[str, RecipeEntry]:
+    """The entries of recipes of an application under a protocol, its default one where none is named."""
+    return registry().recipes.of(name, protocol or next(iter(protocols_of(name)), ""))
 
 
 def recipes_of(name: str, protocol: str = "") -> Mapping[str, Recipe]:
@@ -64,7 +69,7 @@ def recipes_of(name: str, protocol: str = "") -> Mapping[str, Recipe]:
 
     They are "quick", "full", of the size that people use, and "paper"; some applications have more.
     """
-    return {recipe: door.load(offer.recipe) for recipe, offer in recipe_offers(name, protocol).items()}
+    return {recipe: entry.load() for recipe, entry in recipe_entries(name, protocol).items()}
 
 
 def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> App:

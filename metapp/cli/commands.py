@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from metapp import door
 from metapp.cli.apps import app_group
 from metapp.cli.data import group as data
 from metapp.cli.fit import SUMMARIES, command_of
 from metapp.cli.group import Group, add_commands
+from metapp.registry import registry
 from metapp.runs.reporter import say
 
 app = typer.Typer(
@@ -37,8 +37,8 @@ def options(
     ] = False,
 ) -> None:
     """Take the options that need no command; warn of extensions that cannot be used."""
-    for line in door.problems():
-        say(f"warning: {line}")
+    for extension, reason in registry().problems.items():
+        say(f"warning: extension {extension}: {reason}; it is left out.")
 
 
 for name, summary in SUMMARIES.items():

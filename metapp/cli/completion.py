@@ -7,10 +7,10 @@ import re
 from collections.abc import Iterable
 
 from data_tools.formats import exports_of
-from metapp import door
-from metapp.apps import app_names, protocols_of
+from metapp.apps import app_names, protocols_of, recipe_names
 from metapp.evaluation.tables import ALL, table_names
 from metapp.learning.names import composition_names, rule_names
+from metapp.registry import registry
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -24,7 +24,7 @@ def applications(incomplete: str) -> list[str]:
 
 def recipes(incomplete: str) -> list[str]:
     """Recipes of the applications that are named, of all where none is."""
-    return _that_begin(incomplete, (offer.name for app in _named() for offer in door.offers_of(door.Recipe, app)))
+    return _that_begin(incomplete, (name for app in _named() for name in recipe_names(app)))
 
 
 def rules(incomplete: str) -> list[str]:
@@ -44,15 +44,12 @@ def exports(incomplete: str) -> list[str]:
 
 def kinds(incomplete: str) -> list[str]:
     """Kinds of files that `metapp export` writes."""
-    return _that_begin(
-        incomplete, (*exports(incomplete), *(name for offer in door.offers(door.FileExport) for name in offer.names))
-    )
+    return _that_begin(incomplete, (*exports(incomplete), *registry().file_exports))
 
 
 def methods(incomplete: str) -> list[str]:
     """Baselines."""
-    offers = (offer for app in _named() for offer in door.offers_of(door.Baselines, app))
-    return _that_begin(incomplete, (name for offer in offers for name in offer.names))
+    return _that_begin(incomplete, (name for app in _named() for name in registry().baselines.of(app)))
 
 
 def tables(incomplete: str) -> list[str]:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp import door
 from metapp.cli import completion
 from metapp.cli.options import Json, Overwrite, check_new, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
+from metapp.registry import WITHOUT, left_out_with
 from metapp.runs.options import check_name, check_protocol, fit_options
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
@@ -132,9 +132,9 @@ def check(options: Evaluation) -> Evaluation:
         BadParameter: there is no such table or format.
     """
     options = replace(options, which=options.which or "results")
-    if extension := door.switched_off(door.Table, options.which):
+    if extension := left_out_with("tables", options.which):
         raise typer.BadParameter(
-            f"--which {options.which}: a table of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
+            f"--which {options.which}: a table of the extension {extension}, which {WITHOUT} leaves out; unset it."
         )
     for option, value, names in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in names:

@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from data_tools.formats import exports_of
-from metapp import door
 from metapp.apps import app_names
 from metapp.cli import completion
 from metapp.cli.console import print_json
 from metapp.cli.data.convert import check_folder
 from metapp.cli.options import FittedData, Json
+from metapp.registry import registry
 from metapp.runs.reporter import say
 
 
@@ -26,8 +26,12 @@ def _exports() -> str:
     return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
 
 
-FILES = {name: offer for offer in door.offers(door.FileExport) for name in offer.names}
-KINDS = "; ".join([_exports(), *(f"{offer.files}: {', '.join(offer.names)}" for offer in door.offers(door.FileExport))])
+def _kinds() -> str:
+    """The values of KIND, also of files that are no run."""
+    files: dict[str, list[str]] = {}
+    for kind, entry in registry().file_exports.items():
+        files.setdefault(entry.help, []).append(kind)
+    return "; ".join([_exports(), *(f"{words}: {', '.join(kinds)}" for words, kinds in files.items())])
 
 
 def command(
@@ -35,7 +39,7 @@ def command(
         Path,
         typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it; or one of the files below."),
     ],
-    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=completion.kinds, help=f"{KINDS}.")],
+    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=completion.kinds, help=f"{_kinds()}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -64,11 +68,11 @@ def command(
     from metapp.runs.outputs.files import Exported, export_run, listed
     from metapp.runs.outputs.recorded import holds_runs
 
-    if form in FILES and not holds_runs(source):
+    if form in registry().file_exports and not holds_runs(source):
         if inputs or data or size:
             raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
         folder = out or Path(form)
-        files = door.load(FILES[form].write)(source, form, folder, quiet)
+        files = registry().file_exports[form].load()(source, form, folder, quiet)
         done = Exported(form, str(folder), [file.stem for file in files])
     else:
         own = {"size": size} if size else {}

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from data_tools.formats import exports_of, inputs_of
-from metapp import door
-from metapp.apps import options_of, protocols_of, recipe_offers
+from metapp.apps import options_of, protocols_of, recipe_entries
 from metapp.cli.console import Exit, importing, out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.cli.streams import escaped, one_line
 from metapp.learning.names import rule_names
 from metapp.options import INPUT, OUTPUT, Declared, declared
+from metapp.registry import registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
@@ -80,7 +80,7 @@ def _option(one: Declared, paradigm: str, app: str) -> inspect.Parameter:
     texts = {
         "observe": one.option.help if protocols_of(app) else "",
         "export": f"{exports}; several separated by commas." if exports else "",
-        "recipe": f"{', '.join(recipe_offers(app))}; default: full, the best that ships.",
+        "recipe": f"{', '.join(recipe_entries(app))}; default: full, the best that ships.",
         "rule": f"{rules}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
     text = texts.get(one.name, one.option.help)
@@ -93,7 +93,7 @@ def _option(one: Declared, paradigm: str, app: str) -> inspect.Parameter:
 
 
 def _inputs(app: str) -> str:
-    forms = ", ".join(form.inputs for form in inputs_of(app))
+    forms = ", ".join(form.inputs for form in inputs_of(app).values())
     return f"What to fit: {forms}; or folders of these; {TASKS}." if forms else f"No file; {TASKS}."
 
 
@@ -133,7 +133,7 @@ def _show(run: Run, *, json: bool) -> None:
         folder, names = run.folder.path, [record["name"] for record in run.records]
         made = f"\nmade: {listed(run.made, names)}" if run.made else ""
         say(f"picture: {run.picture}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}{made}")
-        if any(offer.name == "view" for offer in door.offers(door.Command)):
+        if "view" in registry().commands:
             say(f"to look at: metapp view {shlex.quote(str(folder))}")
         if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.options.exports]:
             say(f"other forms ({', '.join(others)}): metapp export {shlex.quote(str(folder))} {others[0]}")

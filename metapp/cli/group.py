@@ -8,8 +8,8 @@ from typing import Any
 
 import typer
 
-from metapp import door
 from metapp.cli import help
+from metapp.registry import TRUSTED, WITHOUT, left_out_with, reason_of, registry
 
 ORDER = (  # of commands in help: first what a user does first, commands of other packages last
     *("try", "examples", "general", "overfit", "finetune", "quickft", "meta", "evaluate"),
@@ -29,23 +29,41 @@ class Group(help.Group):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is named; a usage error names the extension that has it."""
-        kinds = (door.Command, door.Format) if args else ()
-        for extension in filter(None, (door.switched_off(kind, args[0]) for kind in kinds)):
+        name = args[0] if args else ""
+        under = f"{self.name} {name}" if self.name == "data" else name
+        if extension := left_out_with("commands", under) or (under != name and left_out_with("formats", name)):
             raise typer.BadParameter(
-                f"'{args[0]}' is a command of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
+                f"'{name}' is a command of the extension {extension}, which {WITHOUT} leaves out; unset it."
             )
         return super().resolve_command(ctx, args)
 
 
 def add_commands(app: typer.Typer, under: str) -> None:
     """Add the commands that are offered under another one, or, for "", under none."""
-    for offer in door.offers(door.Command):
-        if offer.under == under:
-            command = door.load(offer.command)
-            if isinstance(command, typer.Typer):
-                app.add_typer(command, name=offer.name)
-            else:
-                add_command(app, command, offer.name, bare_is_help=offer.bare_is_help)
+    for words, entry in registry().commands.items():
+        group, _, name = words.rpartition(" ")
+        if group != under:
+            continue
+        if isinstance(command := entry.load(), typer.Typer):
+            app.add_typer(command, name=name)
+        elif function := _usable(words, command):
+            needs = any(each.default is each.empty for each in inspect.signature(function).parameters.values())
+            add_command(app, function, name, bare_is_help=needs and under != "")
+
+
+def _usable(words: str, function: Callable[..., object]) -> Callable[..., object] | None:
+    """The function of a command; None where typer cannot make one of another package's, which is said as others are."""
+    owner = registry().owners[f"commands {words}"]
+    if owner in TRUSTED:
+        return function
+    probe = typer.Typer()
+    probe.command()(function)
+    try:
+        typer.main.get_command(probe)
+    except Exception as error:
+        registry().problems[f"{words} of {owner}"] = reason_of(error)
+        return None
+    return function
 
 
 def add_command(app: typer.Typer, function: Callable[..., object], name: str, *, bare_is_help: bool) -> None:

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from metapp import door
 from metapp.learning.task import Params
+from metapp.registry import registry
 
 AnyData = Any  # what a loss draws from: tasks, most often
 AnyBatch = Any  # what it draws: tensors by name, or a tuple of such; or what is kept of these for the way back
@@ -114,7 +114,7 @@ class Stepper(NamedTuple):
 
 @dataclass(frozen=True)
 class Engine:
-    """The engine that takes steps: here torch, by automatic differentiation; extensions offer others."""
+    """The engine that takes steps: here torch, by automatic differentiation; an extension may have another."""
 
     def stepper(self, rule: UpdateRule, loss: Loss, theta: Params, order: int = 1) -> Stepper:
         """The stepper of a rule down a loss from theta, backpropagated through to an order."""
@@ -136,13 +136,13 @@ TORCH = Engine()
 
 
 def fastest(*, compiles: bool = False) -> Engine:
-    """The engine of an extension, of several the last one's; torch's where there is none.
+    """The engine of an extension; torch's where there is none.
 
     Args:
         compiles: whether the steps are so many that compiling them pays.
     """
-    offered = door.offers(door.Engine)
-    engine: Engine = door.load(offered[-1].engine)(compiles) if offered else TORCH
+    entry = registry().engine
+    engine: Engine = entry.load()(compiles) if entry else TORCH
     return engine
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from metapp import door
+from metapp.registry import registry
 
 
 def rule_names() -> list[str]:
     """All rules that have a name."""
-    return [offer.name for offer in door.offers(door.Rule) if not offer.short]
+    return list(registry().rules)
 
 
 def composition_names() -> list[str]:
     """The names that compositions are made of: short ones, and parts."""
-    return [*(offer.name for offer in door.offers(door.Rule) if offer.short), *part_names()]
+    return [*registry().compositions, *part_names()]
 
 
 def part_names() -> list[str]:
     """All parts, in the order in which they act on a step."""
-    return [offer.name for offer in door.offers(door.Part)]
+    return list(registry().parts)

@@ -1,39 +1,40 @@
-"""The learned rules and their parts, as extensions offer them."""
+"""The learned rules and their parts, by name."""
 
-from metapp.door import Part, Rule
+from metapp.registry import Entry, Registry
 
 _PARTS = "metapp.learning.rules.parts"
 
-OFFERS = (
+
+def register(registry: Registry) -> None:
+    """Add the rules and the parts that ship."""
     # parts, in the order in which they act on a step
-    Part("sgd", f"{_PARTS}:SignedRates"),
-    Part("rates", f"{_PARTS}:Rates"),
-    Part("shared", f"{_PARTS}:SharedRates"),
-    Part("solve", "metapp.learning.rules.solve:Solve"),
-    Part("betas", f"{_PARTS}:Betas"),
-    Part("loss", f"{_PARTS}:LossParameters"),
-    Part("pace", f"{_PARTS}:Paces"),
-    Part("eps", f"{_PARTS}:Eps"),
-    Part("curvature", f"{_PARTS}:Curvature"),
-    Part("network", "metapp.learning.rules.network:Network"),
-    Part("average", f"{_PARTS}:Average"),
-    Part("basis", f"{_PARTS}:Basis"),
+    registry.parts["sgd"] = Entry(f"{_PARTS}:SignedRates")
+    registry.parts["rates"] = Entry(f"{_PARTS}:Rates")
+    registry.parts["shared"] = Entry(f"{_PARTS}:SharedRates")
+    registry.parts["solve"] = Entry("metapp.learning.rules.solve:Solve")
+    registry.parts["betas"] = Entry(f"{_PARTS}:Betas")
+    registry.parts["loss"] = Entry(f"{_PARTS}:LossParameters")
+    registry.parts["pace"] = Entry(f"{_PARTS}:Paces")
+    registry.parts["eps"] = Entry(f"{_PARTS}:Eps")
+    registry.parts["curvature"] = Entry(f"{_PARTS}:Curvature")
+    registry.parts["network"] = Entry("metapp.learning.rules.network:Network")
+    registry.parts["average"] = Entry(f"{_PARTS}:Average")
+    registry.parts["basis"] = Entry(f"{_PARTS}:Basis")
     # names for compositions
-    Rule("adam", "rates+betas", short=True),
-    Rule("tied", "shared+pace", short=True),
+    registry.compositions["adam"] = "rates+betas"
+    registry.compositions["tied"] = "shared+pace"
     # the paper's rule: one rate per weight, the same at every step, any sign
-    Rule("meta-sgd", "sgd"),
+    registry.rules["meta-sgd"] = "sgd"
     # Adam with rates and betas per step, loss parameters, and steps multiplied by learned matrices from both sides
-    Rule("meta-curvature", "adam+loss+curvature"),
+    registry.rules["meta-curvature"] = "adam+loss+curvature"
     # Adam with one rate per weight for all steps, times one per parameter tensor and step, and a learned eps, for
     # recipes that start from General's encoder and train it through the steps
-    Rule("meta-encoder", "tied+betas+loss+eps"),
+    registry.rules["meta-encoder"] = "tied+betas+loss+eps"
     # the same, and a convolutional network that adds to the steps of parameters on a grid
-    Rule("meta-lgd", "meta-encoder+network"),
+    registry.rules["meta-lgd"] = "meta-encoder+network"
     # meta-encoder in the eigenbasis of the training tasks' gradients
-    Rule("meta-axes", "meta-encoder+basis"),
+    registry.rules["meta-axes"] = "meta-encoder+basis"
     # the same with tail averaging, where samples are random, which lets the parameters scatter
-    Rule("meta-basis", "meta-axes+average"),
+    registry.rules["meta-basis"] = "meta-axes+average"
     # ridge regression in the last layer, on learned features
-    Rule("ridge", "solve+loss"),
-)
+    registry.rules["ridge"] = "solve+loss"

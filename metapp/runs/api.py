@@ -17,9 +17,9 @@ from safetensors.torch import save
 from torch import Tensor
 
 from data_tools.readers.brdf_objects import unit_vectors
-from metapp import door
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Params, Task
+from metapp.registry import WITHOUT, left_out_with, registry
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.choosing import recipe_of_tasks
 from metapp.runs.fits.fitter import fit_tasks
@@ -72,17 +72,16 @@ class Fit:
 
     def __getattr__(self, name: str) -> Callable[..., object]:
         """A method that an extension adds."""
-        for method in door.offers(door.FitMethod):
-            if method.name == name:
-                return functools.partial(door.load(method.method), self)
-        if extension := door.switched_off(door.FitMethod, name):
-            left_out = f"a method of the extension {extension}, which {door.WITHOUT} leaves out; unset it."
+        if name in registry().methods:
+            return functools.partial(registry().methods[name].load(), self)
+        if extension := left_out_with("methods", name):
+            left_out = f"a method of the extension {extension}, which {WITHOUT} leaves out; unset it."
             raise AttributeError(f"fit.{name}: {left_out}")
         raise AttributeError(f"'Fit' object has no attribute '{name}'")
 
     def __dir__(self) -> list[str]:
         """Its attributes, with the methods that extensions add."""
-        return [*super().__dir__(), *(method.name for method in door.offers(door.FitMethod))]
+        return [*super().__dir__(), *registry().methods]
 
     @property
     def name(self) -> str:
@@ -147,9 +146,7 @@ class Fit:
         """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
         made = outputs_of(self.plan.options)
         with threads(threads_of(self.app)):
-            files = [
-                door.load(output.output)(self.app, self.task, self.parameters, value).files for output, value in made
-            ]
+            files = [output.load()(self.app, self.task, self.parameters, value).files for output, value in made]
         return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
 
     @functools.cached_property

@@ -1,15 +1,19 @@
-"""The recipe of a fit that names none: the one that its inputs choose, else the usual one."""
+"""The recipe of a fit that names none: the one for inputs of their kind, else the usual one.
+
+An input has one kind: the first that its format tells, or the first of the application's tensors that a task or a data
+set holds. A recipe is for one kind, and no two of an application and protocol are for the same.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from data_tools.formats import inputs_of
-from metapp import door
-from metapp.apps import recipe_offers
+from metapp.apps import application_of, recipe_entries
 from metapp.learning.task import Task
 from metapp.options import BadOption
+from metapp.registry import Format, Recipe, load
 from metapp.runs.checkpoints.shipped import FULL, ships, usual_recipe
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
@@ -17,83 +21,94 @@ from metapp.storage.manifest import read_manifest
 
 
 def chosen_recipe(options: FitOptions) -> str:
-    """The recipe that every input of options, or every task of its data set, chooses, else the usual one.
+    """The recipe for the kind of all inputs of a fit, or of its data set, else the usual one.
 
     Raises:
-        BadOption: some inputs choose one, and others do not.
+        BadOption: inputs of several kinds, and a recipe for one of them.
         ValueError: the data set cannot be read.
     """
-    app = options.app
-    for recipe, choice in _choices(options):
-        if choice.tells and options.resumes:  # it reads the inputs, which may be thousands
-            continue
-        if _all_choose(options, recipe, choice) if options.paths else _is_set_of(choice, options.data):
-            if lacking := _lacking(choice):
-                say(f"{app}: {lacking}")
-                continue
-            what = "input" if options.paths else f"task of {options.data}"
-            if not options.quiet:
-                say(f"{app}: recipe {recipe}, since every {what} has {choice.has}")
-            return recipe
-    return usual_recipe(app)
+    app, by_kind = options.app, _by_kind(options)
+    kind = (_kind_of_inputs(options, by_kind) if options.paths else _kind_of_set(options)) if by_kind else ""
+    if kind not in by_kind:
+        return usual_recipe(app)
+    name, recipe = by_kind[kind]
+    if lacking := _lacking(recipe):
+        say(f"{app}: {lacking}")
+        return usual_recipe(app)
+    if not options.quiet:
+        what = "input" if options.paths else f"task of {options.data}"
+        say(f"{app}: recipe {name}, since every {what} has {recipe.help}")
+    return name
 
 
 def recipe_of_tasks(options: FitOptions, tasks: Sequence[Task]) -> str:
     """The same for tasks that were made in memory."""
-    for recipe, choice in _choices(options):
-        if all(_chooses_task(options.app, choice, task) for task in tasks) and not _lacking(choice):
-            return recipe
-    return usual_recipe(options.app)
+    by_kind = _by_kind(options)
+    kinds = {_kind_of_task(options.app, task) for task in tasks} if by_kind else set()
+    name, recipe = by_kind.get(kinds.pop(), ("", None)) if len(kinds) == 1 else ("", None)
+    return name if recipe and not _lacking(recipe) else usual_recipe(options.app)
 
 
-def _choices(options: FitOptions) -> Iterator[tuple[str, door.Chosen]]:
-    """The recipes that inputs may choose, with checkpoints for the paradigm."""
-    for name, offer in recipe_offers(options.app, options.observe).items():
-        choice = offer.chosen
-        serves = choice and (not choice.paradigms or options.paradigm in choice.paradigms)
-        if choice and serves and ships(options.app, name, options.observe):
-            yield name, choice
+def _by_kind(options: FitOptions) -> dict[str, tuple[str, Recipe]]:
+    """The names and entries of recipes by kind of input, of those with checkpoints for the paradigm."""
+    return {
+        entry.kind: (name, entry)
+        for name, entry in recipe_entries(options.app, options.observe).items()
+        if entry.kind
+        and (not entry.paradigms or options.paradigm in entry.paradigms)
+        and ships(options.app, name, options.observe)
+    }
 
 
-def _lacking(choice: door.Chosen) -> str:
-    return door.load(choice.lacks)() if choice.lacks else ""
+def _lacking(recipe: Recipe) -> str:
+    return load(recipe.lacks)() if recipe.lacks else ""
 
 
-def _chooses_task(app: str, choice: door.Chosen, task: Task) -> bool:
-    if choice.tensor:
-        return _holds(choice, task.data)
-    (form, *_) = (form for form in inputs_of(app) if form.name in choice.formats)
-    tells: Callable[[Task], bool] = getattr(form.files(), f"{choice.tells}_task")
-    return tells(task)
-
-
-def _all_choose(options: FitOptions, recipe: str, choice: door.Chosen) -> bool:
-    """True if all inputs choose a recipe; BadOption where only some do."""
-    recognised = [(form, path) for form in inputs_of(options.app) for path in options.paths if form.recognises(path)]
-    choosing = [(form, path) for form, path in recognised if _chooses(choice, form, path)]
-    chosen = {path for _, path in choosing}
-    others = [(form, path) for form, path in recognised if form.name not in choice.formats or path not in chosen]
-    if choosing and others:
-        (first, *_), (other, *_) = ((form.find([path])[0] or [path]) for form, path in (choosing[0], others[0]))
+def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]]) -> str:
+    """The kind of all inputs, "" for none; BadOption where they are of several and a recipe is for one of them."""
+    reads = not options.resumes  # of the inputs, which may be thousands
+    kinds = [
+        (_kind_of_path(form, path, reads), form, path)
+        for form in inputs_of(options.app).values()
+        for path in options.paths
+        if form.load().recognises(path)
+    ]
+    chosen = next((each for kind in by_kind for each in kinds if each[0] == kind), None)
+    if chosen is None:
+        return ""
+    if other := next((each for each in kinds if each[0] != chosen[0]), None):
+        (first, *_), (second, *_) = (form.load().find([path])[0] or [path] for _, form, path in (chosen, other))
+        name, recipe = by_kind[chosen[0]]
         raise BadOption(
-            f"{options.app}: {first} has {choice.has}, {other} has not, and recipes for these differ; fit them by two "
-            f"commands, or all by --recipe {recipe} or --recipe {FULL}."
+            f"{options.app}: {first} has {recipe.help}, {second} has not, and recipes for these differ; fit them by "
+            f"two commands, or all by --recipe {name} or --recipe {FULL}."
         )
-    return bool(choosing)
+    return chosen[0]
 
 
-def _chooses(choice: door.Chosen, form: door.Format, path: Path) -> bool:
-    """True if an input of a format, or one that a folder holds, chooses the recipe."""
-    return form.name in choice.formats and (not choice.tells or getattr(form.files(), choice.tells)(path))
+def _kind_of_path(form: Format, path: Path, reads: bool) -> str:
+    """The kind of an input of a format, or of one that a folder holds."""
+    told = (kind for kind, tells in form.kinds if not tells or (reads and getattr(form.load(), tells)(path)))
+    return next(told, "")
 
 
-def _is_set_of(choice: door.Chosen, data: Path | None) -> bool:
+def _kind_of_set(options: FitOptions) -> str:
     # of a folder that is not there, whatever reads it says so
-    if not choice.tensor or data is None or not data.exists():
-        return False
-    return _holds(choice, read_manifest(data).units)
+    if options.data is None or not options.data.exists():
+        return ""
+    return _kind_of_tensors(options.app, read_manifest(options.data).units)
 
 
-def _holds(choice: door.Chosen, tensors: Collection[str]) -> bool:
-    """True if tasks of these tensors choose a recipe."""
-    return choice.tensor in tensors and choice.without not in tensors
+def _kind_of_task(app: str, task: Task) -> str:
+    """The kind of a task: by its tensors, else by the functions `<tells>_task` of formats that have such ones."""
+    told = (
+        kind
+        for form in inputs_of(app).values()
+        for kind, tells in form.kinds
+        if tells and getattr(form.load(), f"{tells}_task", lambda task: False)(task)
+    )
+    return _kind_of_tensors(app, task.data) or next(told, "")
+
+
+def _kind_of_tensors(app: str, tensors: Collection[str]) -> str:
+    return next((kind for kind in application_of(app).kinds if kind in tensors), "")

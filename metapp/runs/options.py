@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from data_tools.formats import exports_of
-from metapp.apps import app_names, options_of, protocols_of, recipe_offers
+from metapp.apps import app_names, options_of, protocols_of, recipe_entries
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Declared, Option, declared, parse
 from metapp.storage.text import meant
 
@@ -165,8 +166,9 @@ def check_export(name: str, app: str) -> None:
     if name not in forms:
         expected = f"expects one of {', '.join(forms)}" if forms else "has none; leave it out"
         raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, forms)}")
-    if missing := forms[name].missing():
-        raise BadOption(missing)
+    needs = forms[name].needs
+    if needs and not importlib.util.find_spec(needs[0]):
+        raise BadOption(f'--export {name} needs {needs[1]}: pip install "metapp[export]"')
 
 
 def _unknown(name: str, app: str, names: set[str]) -> str:
@@ -186,7 +188,7 @@ def _check(options: FitOptions) -> None:
     """
     app = options.app
     check_protocol(options.observe, app)
-    recipes = recipe_offers(app, options.observe)
+    recipes = recipe_entries(app, options.observe)
     if options.recipe and options.recipe not in recipes:
         raise BadOption(
             f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{meant(options.recipe, recipes)}"

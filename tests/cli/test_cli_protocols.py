@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -177,7 +178,7 @@ def shot() -> Path:
 def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    form = exports_of(SVBRDF)["asset"]._replace(needs=("no_such_module", "no-such-package"))
+    form = replace(exports_of(SVBRDF)["asset"], needs=("no_such_module", "no-such-package"))
     monkeypatch.setattr("metapp.runs.options.exports_of", lambda app: {"asset": form})
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse

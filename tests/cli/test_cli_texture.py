@@ -13,13 +13,13 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from data_tools.readers.material_maps import read_task
-from metapp import door
 from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import normal_from_height, unpack
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
+from metapp.registry import load
 from metapp.storage.records import read_records
 from tests.appearance.test_features import made_up
 from tests.pictures import photograph
@@ -48,7 +48,7 @@ def wall() -> Path:
 @pytest.fixture(params=APPS)
 def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The applications, at a size that takes no time, with a search of two looks."""
-    recipes = door.load(f"metapp.apps.{request.param}.recipes:RECIPES")
+    recipes = load(f"metapp.apps.{request.param}.recipes:RECIPES")
     quick = recipes["quick"]
     outputs = quick.app.network.outputs
     network = UNet(4, levels=2, noise=2, code=4, outputs=outputs)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp import door
 from metapp.apps import app_names
+from metapp.registry import GROUP, WITHOUT, registry
 from tests import forks
 
 NETWORKS = 1
@@ -26,7 +26,9 @@ def call_all(*lines: list[str]) -> None:
         print(f"\n== {json.dumps([int(code), *words])}", flush=True)
 
 
-def test_without_extensions_the_core_works_and_their_commands_are_refused(networks: Path, tmp_path: Path) -> None:
+def test_without_extensions_the_core_works_and_their_commands_are_refused(
+    networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A data set, fits, tables and help; contracts of import-linter hold that no extension needs another."""
     fit = ["brdf", str(networks / "m0"), "--recipe", "quick", "--json", "--quiet"]
     core = [
@@ -38,14 +40,11 @@ def test_without_extensions_the_core_works_and_their_commands_are_refused(networ
         ["evaluate", "brdf", "--data", "set", "--no-run", "--quiet"],
         ["data", "check", "set"],
     ]
-    commands = {}  # words of a command line, by extension
-    ours = [point.name for point in entry_points(group=door.GROUP) if point.value.startswith("metapp.extensions.")]
-    for extension in door.extensions():
-        if extension.name in ours:
-            offers = [offer for offer in extension.offers if isinstance(offer, door.Command)]
-            commands[extension.name] = [[*filter(None, [offer.under]), offer.name] for offer in offers]
+    names = [each.name for each in entry_points(group=GROUP) if each.value.startswith("metapp.extensions.")]
+    monkeypatch.setenv(WITHOUT, ",".join(names))
+    commands = {name: [words.split() for words in part.commands] for name, part in registry().left_out.items()}
     theirs = [words for each in commands.values() for words in each]
-    environment = {"COLUMNS": "150", door.WITHOUT: ",".join(commands)}
+    environment = {"COLUMNS": "150", WITHOUT: ",".join(names)}
     code, out, errors = forks.start(call_all, *core, *theirs, said=tmp_path / "said", more=environment).end()
     assert code == 0, errors
     assert "Traceback" not in errors

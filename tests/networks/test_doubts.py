@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp import door
 from metapp.appearance.flash import Maps
 from metapp.networks.doubts import BLOBS, CLIPPED, KEPT, NOISE, of_blobs, of_highlight, of_order, uneven
+from metapp.registry import registry
 
 SIZE = 128
 
@@ -45,7 +45,7 @@ def test_what_loses_regular_structure_is_told_how_much_and_what_copies_it(app: s
     )
     assert kept
     assert 0 <= float(kept[1]) < KEPT
-    assert kept[2] in {name for offer in door.offers_of(door.Baselines, app) for name in offer.names}
+    assert kept[2] in registry().baselines.of(app)
 
 
 # Highlights

@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from data_tools.readers import flash, photos, svbrdf_inputs
+from data_tools.readers.conversion import Label
 from data_tools.readers.flash import find_shown, shown, split_by_material
 from data_tools.readers.image_files import focal_length_of
 from data_tools.readers.photos import field_of_view, seen_share
-from metapp.door import Label
 from tests.pictures import write
 
 

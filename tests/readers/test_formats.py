@@ -7,16 +7,15 @@ import inspect
 import pytest
 
 from data_tools.formats import formats
-from metapp import door
-from metapp.door import Export, Format
+from metapp.registry import Export, Format, keyword_of, registry
 
 
-@pytest.mark.parametrize("form", formats(), ids=lambda form: f"{form.name}-{form.app}")
+@pytest.mark.parametrize("form", formats().values(), ids=formats())
 def test_modules_have_what_records_say(form: Format) -> None:
-    module = form.files()
+    module = form.load()
     assert callable(module.recognises)
     assert callable(module.find)
-    takes = {*form.takes, *(door.keyword_of(option) for option in form.options)}
+    takes = {*form.takes, *(keyword_of(option) for option in form.options)}
     assert takes <= set(inspect.signature(module.read_task).parameters)
     if form.command:
         options = [option.name for option in form.command.options]
@@ -27,8 +26,8 @@ def test_modules_have_what_records_say(form: Format) -> None:
             assert set(options) <= set(inspect.signature(module.read_task).parameters)
 
 
-@pytest.mark.parametrize("form", door.offers(Export), ids=lambda form: f"{form.name}-{form.apps[0]}")
+@pytest.mark.parametrize("form", registry().exports.values(), ids=map("-".join, registry().exports))
 def test_writers_take_a_surface_or_parameters(form: Export) -> None:
-    parameters = list(inspect.signature(door.load(form.write)).parameters)
+    parameters = list(inspect.signature(form.load()).parameters)
     assert parameters[:2] == (["surface", "path"] if form.of_surface else ["app", "theta"])
     assert len(parameters) == 3

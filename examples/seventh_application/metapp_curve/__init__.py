@@ -1,6 +1,6 @@
 """Curves as a seventh application of metapp, with their files, an export and a baseline."""
 
-from metapp.door import Application, Baselines, Converter, Export, Format, recipes_in
+from metapp.registry import Application, Converter, Entry, Export, Format, Registry
 
 HELP = """Convert curves, text files of 32 numbers.
 
@@ -8,16 +8,16 @@ Example:
   metapp data curve curves --out set
 """
 
-OFFERS = (
-    Application("curve", "metapp_curve.app:Curve"),
-    *recipes_in("curve", "metapp_curve.recipes:RECIPES", "quick", "paper"),
-    Format(
-        "curve",
-        "curve",
+
+def register(registry: Registry) -> None:
+    """Add the application and all that it has."""
+    registry.applications["curve"] = Application("metapp_curve.app:Curve", help="Curves: a network of one variable.")
+    registry.add_recipes("curve", "metapp_curve.recipes:RECIPES", "quick", "paper")
+    registry.formats["curve"] = Format(
         "metapp_curve.files",
-        ".curve files of 32 numbers",
+        app="curve",
+        inputs=".curve files of 32 numbers",
         command=Converter(HELP, "curve", "FILES...", ".curve files, and folders of them."),
-    ),
-    Export("csv", ("curve",), "metapp_curve.files:export"),
-    Baselines("curve", ("line",), "metapp_curve.line:baselines"),
-)
+    )
+    registry.exports["curve", "csv"] = Export("metapp_curve.files:export")
+    registry.baselines["curve", "line"] = Entry("metapp_curve.line:baselines")

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from metapp.apps.brdf.options import BrdfOptions
-from metapp.door import Application, Chosen, Network, Recipe, recipes_in
+from metapp.registry import Application, Entry, Recipe, Registry
 
 _HERE = "metapp.apps.brdf"
-OFFERS = (
-    Application(
-        "brdf",
+RECIPES = f"{_HERE}.recipes:RECIPES"
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes."""
+    registry.applications["brdf"] = Application(
         f"{_HERE}.app:Brdf",
         help="BRDFs: reflectance of a material over pairs of directions.",
+        options=BrdfOptions,
+        kinds=("phi_h",),
         examples=(
             ("meta brdf {}/paint.csv", "a network fitted to a table of measurements, and a picture of both"),
             (
@@ -25,22 +30,14 @@ OFFERS = (
             ),
         ),
         files="data_tools.synthetic.examples:write_example",
-        options=BrdfOptions,
-    ),
-    *recipes_in("brdf", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
-    Recipe(
-        "brdf",
-        "anisotropic",
-        f"{_HERE}.recipes:RECIPES.anisotropic",
-        chosen=Chosen(
-            ("bsdf", "gonio"),
-            has="reflectance that depends on phi_h",
-            tensor="phi_h",
-            tells="is_anisotropic",
-            paradigms=("meta", "overfit"),
-        ),
-    ),
-    Network("brdf", f"{_HERE}.nbrdf:NBRDF"),
-    Network("brdf", f"{_HERE}.featured:FEATURED"),
-    Network("brdf", f"{_HERE}.featured:ANISOTROPIC"),
-)
+    )
+    registry.add_recipes("brdf", RECIPES, "quick", "full", "paper")
+    registry.recipes["brdf", "", "anisotropic"] = Recipe(
+        f"{RECIPES}.anisotropic",
+        help="reflectance that depends on phi_h",
+        kind="phi_h",
+        paradigms=("meta", "overfit"),
+    )
+    registry.networks["brdf", "nbrdf"] = Entry(f"{_HERE}.nbrdf:NBRDF")
+    registry.networks["brdf", "featured"] = Entry(f"{_HERE}.featured:FEATURED")
+    registry.networks["brdf", "anisotropic"] = Entry(f"{_HERE}.featured:ANISOTROPIC")

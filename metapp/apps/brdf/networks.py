@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from metapp import door
 from metapp.apps.brdf.network import BrdfNetwork, shapes_of
 from metapp.learning.task import Params
+from metapp.registry import registry
 
 
 def networks() -> list[BrdfNetwork]:
     """Instances of all networks, of any size."""
-    return [door.load(offer.network) for offer in door.offers_of(door.Network, "brdf")]
+    return list(registry().loaded("networks", "brdf").values())
 
 
 def network_of(theta: Params) -> BrdfNetwork:

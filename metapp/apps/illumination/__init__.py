@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from metapp.apps.illumination.options import IlluminationOptions
-from metapp.door import Application, recipes_in
+from metapp.registry import Application, Registry
 
 _HERE = "metapp.apps.illumination"
-OFFERS = (
-    Application(
-        "illumination",
+RECIPES = f"{_HERE}.recipes:RECIPES"
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes."""
+    registry.applications["illumination"] = Application(
         f"{_HERE}.app:Illumination",
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
-        protocols=("reference", "photo"),
         options=IlluminationOptions,
+        protocols=("reference", "photo"),
         examples=(
             ("general illumination {}/courtyard.exr", "an environment map as a network, by one forward pass"),
             (
@@ -24,6 +27,5 @@ OFFERS = (
             ("baseline illumination {}/courtyard.exr --method sh", "the map as spherical harmonics, to compare"),
         ),
         files="data_tools.synthetic.examples:write_example",
-    ),
-    *recipes_in("illumination", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")),
-)
+    )
+    registry.add_recipes("illumination", RECIPES, "quick", "full", "paper", protocols=("reference", "photo"))

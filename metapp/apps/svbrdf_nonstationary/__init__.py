@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from metapp.apps.svbrdf_nonstationary.options import SvbrdfNonstationaryOptions
-from metapp.door import Application, recipes_in
+from metapp.registry import Application, Registry
 
 _HERE = "metapp.apps.svbrdf_nonstationary"
-OFFERS = (
-    Application(
-        "svbrdf_nonstationary",
+RECIPES = f"{_HERE}.recipes:RECIPES"
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes."""
+    registry.applications["svbrdf_nonstationary"] = Application(
         f"{_HERE}.app:SvbrdfNonstationary",
         help="Maps of a flat material from one or several flash photographs.",
-        protocols=("reference", "photo"),
         options=SvbrdfNonstationaryOptions,
+        kinds=("places", "photo"),
+        protocols=("reference", "photo"),
         examples=(
             (
                 "general svbrdf_nonstationary {}/mosaic.png --observe photo",
@@ -27,9 +31,6 @@ OFFERS = (
             ("baseline svbrdf_nonstationary {}/mosaic.png --observe photo --method flat", "maps of one value each"),
         ),
         files="data_tools.synthetic.examples:write_example",
-    ),
-    *recipes_in(
-        "svbrdf_nonstationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", protocols=("reference", "photo")
-    ),
-    *recipes_in("svbrdf_nonstationary", f"{_HERE}.recipes:RECIPES", "paper-64", "paper-128", protocols=("reference",)),
-)
+    )
+    registry.add_recipes("svbrdf_nonstationary", RECIPES, "quick", "full", "paper", protocols=("reference", "photo"))
+    registry.add_recipes("svbrdf_nonstationary", RECIPES, "paper-64", "paper-128", protocols=("reference",))

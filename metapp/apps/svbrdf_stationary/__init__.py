@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from metapp.apps.svbrdf_stationary.options import SvbrdfStationaryOptions
-from metapp.door import Application, recipes_in
+from metapp.registry import Application, Registry
 
 _HERE = "metapp.apps.svbrdf_stationary"
-OFFERS = (
-    Application(
-        "svbrdf_stationary",
+RECIPES = f"{_HERE}.recipes:RECIPES"
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes."""
+    registry.applications["svbrdf_stationary"] = Application(
         f"{_HERE}.app:SvbrdfStationary",
         help="Tiling maps of a flat material from one flash photograph.",
         options=SvbrdfStationaryOptions,
@@ -24,6 +27,5 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
         needs_vgg=True,
-    ),
-    *recipes_in("svbrdf_stationary", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-64", "paper-128"),
-)
+    )
+    registry.add_recipes("svbrdf_stationary", RECIPES, "quick", "full", "paper", "paper-64", "paper-128")

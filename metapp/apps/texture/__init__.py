@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from metapp.door import Application, recipes_in
 from metapp.networks.options import ExemplarOptions
+from metapp.registry import Application, Registry
 
 _HERE = "metapp.apps.texture"
-OFFERS = (
-    Application(
-        "texture",
+RECIPES = f"{_HERE}.recipes:RECIPES"
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes."""
+    registry.applications["texture"] = Application(
         f"{_HERE}.app:Texture",
         help="Textures that look like the photograph of an exemplar.",
         options=ExemplarOptions,
@@ -21,6 +24,5 @@ OFFERS = (
         ),
         files="data_tools.synthetic.examples:write_example",
         needs_vgg=True,
-    ),
-    *recipes_in("texture", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper", "paper-64", "paper-128"),
-)
+    )
+    registry.add_recipes("texture", RECIPES, "quick", "full", "paper", "paper-64", "paper-128")

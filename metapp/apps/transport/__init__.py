@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from metapp.apps.transport.options import TransportOptions
-from metapp.door import Application, recipes_in
+from metapp.registry import Application, Registry
 
 _HERE = "metapp.apps.transport"
-OFFERS = (
-    Application(
-        "transport",
+RECIPES = f"{_HERE}.recipes:RECIPES"
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes."""
+    registry.applications["transport"] = Application(
         f"{_HERE}.app:Transport",
         help="Light transport of a scene: densities that guide its paths.",
         options=TransportOptions,
@@ -22,6 +25,5 @@ OFFERS = (
             ("data cornell --count 2 --out {}/boxes", "two random Cornell boxes, traced, as a data set"),
         ),
         files="data_tools.synthetic.examples:write_example",
-    ),
-    *recipes_in("transport", f"{_HERE}.recipes:RECIPES", "quick", "full", "paper"),
-)
+    )
+    registry.add_recipes("transport", RECIPES, "quick", "full", "paper")

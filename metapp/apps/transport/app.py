@@ -118,7 +118,7 @@ class Transport(App):
     def image_measure(self) -> str:
         from metapp.apps.transport.images import integrators
 
-        notes = "".join(f"{plugin.note}; " for plugin in integrators())
+        notes = "".join(f"{plugin.help}; " for plugin in integrators().values())
         return (
             f"pictures of {self.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
             f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "

@@ -14,9 +14,9 @@ from metapp.appearance.metrics import displayed, dssim, mape, smape
 from metapp.appearance.picture_measures import further_errors
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.door import Plugin, load, offers
 from metapp.learning.pictures import REFERENCE, Compared, Fitted
 from metapp.learning.task import Params, Task
+from metapp.registry import Plugin, registry
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_samples
 from metapp.rendering.scenes.rules import scene_of
@@ -76,10 +76,10 @@ class Studio:
         total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
         return Shot(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
 
-    def by(self, plugin: Plugin, spp: int, seed: int = 0) -> Shot:
+    def by(self, name: str, spp: int, seed: int = 0) -> Shot:
         """The same by an integrator of an extension."""
-        load(plugin.register)()
-        return self._by(plugin.name, spp, seed)
+        registry().plugins[name].load()()
+        return self._by(name, spp, seed)
 
     def _by(self, integrator: str, spp: int, seed: int) -> Shot:
         from metapp.rendering.pictures import rendered, square_sensor  # imports Mitsuba
@@ -150,9 +150,9 @@ def _studio(scene: bytes, size: int, next_event: bool) -> Studio:
     return Studio(scene, size, next_event)
 
 
-def integrators() -> tuple[Plugin, ...]:
-    """Integrators of extensions, by whose pictures those that fits guide are judged."""
-    return tuple(plugin for plugin in offers(Plugin) if plugin.row)
+def integrators() -> dict[str, Plugin]:
+    """Integrators of extensions by name, by whose pictures those that fits guide are judged."""
+    return {name: plugin for name, plugin in registry().plugins.items() if plugin.row}
 
 
 def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
@@ -177,7 +177,7 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) 
         REGULAR: {**regular, "time": 1.0, FIXED: 0.0, EQUAL_TIME: regular["MAPE"]},
     }
     without_fit = {REGULAR_NEE: studio.path}
-    without_fit |= {plugin.row: functools.partial(studio.by, plugin) for plugin in integrators()}
+    without_fit |= {plugin.row: functools.partial(studio.by, name) for name, plugin in integrators().items()}
     for name, shoot in without_fit.items():
         shoot(min(SPP, 64), 0)  # the first call compiles
         errors[name] = _errors(studio, shoot)

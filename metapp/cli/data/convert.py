@@ -10,11 +10,11 @@ from typing import Annotated
 
 import typer
 
-from metapp import door
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Overwrite, parameters_of, signed
 from metapp.options import parse
-from metapp.runs.inputs.convert import Converted, convert
+from metapp.registry import SPLIT, Converter, Format
+from metapp.runs.inputs.convert import Converted, conversion_of, convert
 from metapp.runs.reporter import say
 
 
@@ -37,11 +37,11 @@ def check_folder(path: Path | None) -> Path | None:
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]
-SplitOption = Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=door.SPLIT)]
+SplitOption = Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=SPLIT)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
-def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
+def command_of(name: str, form: Format, about: Converter) -> Callable[..., None]:
     """Make the command that converts files of a format; with the options that it declares."""
 
     def command(
@@ -53,13 +53,13 @@ def command_of(form: door.Format, about: door.Converter) -> Callable[..., None]:
         as_json: Json = False,
         **own: object,
     ) -> None:
-        conversion = form.conversion(paths, split.value, vars(parse(kind, own)))
+        conversion = conversion_of(name, form, paths, split.value, vars(parse(kind, own)))
         for line in conversion.remarks:
             say(f"warning: {line}")
         report(convert(conversion, paths, folder, split.value, overwrite=overwrite, quiet=quiet), quiet, as_json)
 
     kind = about.options or NoOptions
-    command.__name__, command.__doc__ = form.name, about.help
+    command.__name__, command.__doc__ = name, about.help
     command.__annotations__ |= {
         "paths": Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)],
         "split": Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=about.split_help)],

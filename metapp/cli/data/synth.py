@@ -9,18 +9,19 @@ from typing import Annotated
 
 import typer
 
-from metapp import door
 from metapp.cli import completion
 from metapp.cli.data.convert import Quiet, check_folder, report
 from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
 from metapp.options import Option
+from metapp.registry import load, registry
 from metapp.runs.inputs.convert import Converted, converted
-from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_offer, split_counts
+from metapp.runs.inputs.embedded import embedded_apps, embedded_data, split_counts
 from metapp.runs.reporter import progress
 from metapp.storage.text import meant
 
 SHARDS = "shards"
-_FORMS = [form for offer in door.offers(door.Synthetic) for form, _, _ in offer.files]
+_SETS = registry().synthetic
+_FORMS = [form for embedded in _SETS.values() for form, _, _ in embedded.files]
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def _write_files(
     """Write an embedded set in another form than shards."""
     from metapp.storage.shards import only_writer
 
-    forms = {word: (write, size) for word, write, size in embedded_offer(name).files}
+    forms = {word: (write, size) for word, write, size in _SETS[name].files}
     if form not in forms:
         expected = ", ".join([SHARDS, *forms])
         raise typer.BadParameter(f"'{form}': expected {expected} for {name}.", param_hint="--as")
@@ -138,7 +139,7 @@ def _write_files(
     with only_writer(folder), progress(f"{form} files", sum(counts.values()), quiet=quiet) as bar:
         for split, number in counts.items():
             names[split] = []
-            for task in door.load(write)(folder / split, split, number, seed):
+            for task in load(write)(folder / split, split, number, seed):
                 names[split].append(task)
                 bar.advance(task)
     return Converted(name, str(folder), names["train"], names["test"], [])
@@ -147,7 +148,7 @@ def _write_files(
 synth.__doc__ = "\n\n".join(
     [
         str(synth.__doc__),
-        "\n".join(["Sets:", *(f"  {offer.app}: {offer.help}" for offer in door.offers(door.Synthetic))]),
+        "\n".join(["Sets:", *(f"  {name}: {embedded.help}" for name, embedded in _SETS.items())]),
         "Examples:\n  metapp data synth brdf\n  metapp data synth brdf --count 10 --seed 1 --as merl --out materials",
     ]
 )

@@ -6,13 +6,13 @@ import statistics
 from collections.abc import Iterator
 
 from metapp.appearance.picture_measures import image_errors, picture_measures
-from metapp.door import PictureMeasure, offers
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import few_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
+from metapp.registry import registry
 from metapp.storage.records import Record
 
 
@@ -34,7 +34,7 @@ def image_cell(subject: Subject) -> Cell:
     fits, app = fits_of(subject), subject.app
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
     keys = {name: folder.key for name, folder in folders.items()}
-    further = {offer.name: note for offer, note in picture_measures(subject.app.name)[0].items()}
+    further = picture_measures(subject.app.name)[0]
     settings = {"app": app.name, "measure": [app.image_measure, further], "fits": keys}
     folder = subject.folder("image", settings, ("measures",), of_fits=True) if len(folders) == len(fits) else None
 
@@ -67,9 +67,9 @@ def rows(subject: Subject) -> list[Row]:
 
 def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
-    figures, app = paper(), subject.app.name
+    figures, app, measure = paper(), subject.app.name, registry().measures.get(key)
     bound, ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
-    more_is_better = ssim or any(offer.name == key and offer.more_is_better for offer in offers(PictureMeasure))
+    more_is_better = ssim or (measure is not None and measure.more_is_better)
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)
@@ -96,7 +96,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     ]
     measures, missing = picture_measures(subject.app.name)
     lines = [", ".join([subject.app.image_measure, *of_references]), *few_note(subject)]
-    lines += [*(f"{offer.name}: {note}" for offer, note in measures.items()), *missing]
+    lines += [*(f"{name}: {note}" for name, note in measures.items()), *missing]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
         for row in all_rows

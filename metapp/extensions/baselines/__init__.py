@@ -4,25 +4,32 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from metapp import door
+from metapp.registry import Entry, Registry, registry
 
 if TYPE_CHECKING:
     from metapp.extensions.baselines.baseline import Baseline
     from metapp.learning.app import App
 
 _HERE = "metapp.extensions.baselines"
-OFFERS = (
-    door.Command("baseline", f"{_HERE}.commands:baseline"),
-    door.Table("baselines", f"{_HERE}.table:BASELINES"),
-    door.Baselines("brdf", ("pca_20", "pca_66", "pca_150", "ggx_2", "nearest"), f"{_HERE}.brdf:baselines"),
-    door.Baselines("illumination", ("sh", "unwrap"), f"{_HERE}.illumination:baselines"),
-    door.Baselines("svbrdf_nonstationary", ("flat", "predicted"), f"{_HERE}.svbrdf_nonstationary:baselines"),
-    door.Baselines("svbrdf_stationary", ("nearest", "quilting"), f"{_HERE}.svbrdf_stationary:baselines"),
-    door.Baselines("texture", ("nearest", "quilting"), f"{_HERE}.texture:baselines"),
-)
+_METHODS = {
+    "brdf": ("pca_20", "pca_66", "pca_150", "ggx_2", "nearest"),
+    "illumination": ("sh", "unwrap"),
+    "svbrdf_nonstationary": ("flat", "predicted"),
+    "svbrdf_stationary": ("nearest", "quilting"),
+    "texture": ("nearest", "quilting"),
+}
+
+
+def register(registry: Registry) -> None:
+    """Add the methods, of all protocols, their command and their table."""
+    registry.commands["baseline"] = Entry(f"{_HERE}.commands:baseline")
+    registry.tables["baselines"] = Entry(f"{_HERE}.table:BASELINES")
+    for app, names in _METHODS.items():
+        for name in names:
+            registry.baselines[app, name] = Entry(f"{_HERE}.{app}:baselines")
 
 
 def baselines_of(app: App) -> tuple[Baseline, ...]:
-    """The baselines of an application under its protocol; () where no extension offers any."""
-    methods = (door.load(offer.baselines)(app) for offer in door.offers_of(door.Baselines, app.name))
-    return tuple(method for some in methods for method in some)
+    """The baselines of an application under its protocol; () where no extension has any."""
+    functions = dict.fromkeys(registry().loaded("baselines", app.name).values())
+    return tuple(method for function in functions for method in function(app))

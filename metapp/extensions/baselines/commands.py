@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from metapp import door
 from metapp.apps import options_of
 from metapp.cli import completion
 from metapp.cli.apps import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, Declared, declared
+from metapp.registry import registry
 from metapp.runs.options import TASKS, FitOptions, fit_options, name_parts
 from metapp.runs.reporter import progress, say
 from metapp.storage.text import meant
@@ -25,7 +25,7 @@ TAKEN = ("data", "observe", "recipe", "seed", "out", "quiet")  # of the options 
 
 def command_of(app: str) -> Callable[..., None]:
     """The command that runs a method on tasks of an application."""
-    names = ", ".join(name for offer in door.offers_of(door.Baselines, app) for name in offer.names)
+    names = ", ".join(registry().baselines.of(app))
 
     def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
         run(fit_options(app, "general", inputs or (), device="cpu", **values), method, json=json)

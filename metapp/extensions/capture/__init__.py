@@ -1,18 +1,19 @@
 """Light and materials captured by hand: a mirror ball at several exposures, flat materials in a sheet of markers."""
 
-from metapp.door import Command, Format, Merge
+from metapp.registry import Entry, Format, Registry
 
 _HERE = "metapp.extensions.capture"
-OFFERS = (
-    Format(
-        "ball",
-        "illumination",
+
+
+def register(registry: Registry) -> None:
+    """Add photos of balls as inputs, and the commands of captures."""
+    registry.formats["ball"] = Format(
         f"{_HERE}.ball.reading",
-        "LDR photos of a ball",
+        app="illumination",
+        inputs="LDR photos of a ball",
         takes=("rows", "fov_rad"),
-    ),
-    Merge("illumination", "shutter", f"{_HERE}.ball.capture:merge"),
-    Command("markers", f"{_HERE}.markers.command:markers", under="data", bare_is_help=True),
-    Command("rectify", f"{_HERE}.markers.command:rectify", under="data", bare_is_help=True),
-    Command("ball", f"{_HERE}.ball.command:ball", under="data", bare_is_help=True),
-)
+    )
+    registry.merges["illumination", "shutter"] = Entry(f"{_HERE}.ball.capture:merge")
+    registry.commands["data markers"] = Entry(f"{_HERE}.markers.command:markers")
+    registry.commands["data rectify"] = Entry(f"{_HERE}.markers.command:rectify")
+    registry.commands["data ball"] = Entry(f"{_HERE}.ball.command:ball")

@@ -1,5 +1,8 @@
 """`metapp compare`: two runs side by side."""
 
-from metapp.door import Command
+from metapp.registry import Entry, Registry
 
-OFFERS = (Command("compare", "metapp.extensions.compare.command:command"),)
+
+def register(registry: Registry) -> None:
+    """Add the command."""
+    registry.commands["compare"] = Entry("metapp.extensions.compare.command:command")

@@ -1,5 +1,8 @@
 """What this installation has and lacks."""
 
-from metapp.door import Command
+from metapp.registry import Entry, Registry
 
-OFFERS = (Command("doctor", "metapp.extensions.doctor.commands:command"),)
+
+def register(registry: Registry) -> None:
+    """Add the command."""
+    registry.commands["doctor"] = Entry("metapp.extensions.doctor.commands:command")

@@ -7,9 +7,9 @@ import shutil
 import subprocess
 import sysconfig
 
-from metapp import door
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json
+from metapp.registry import SHIPPED, WITHOUT, registry
 from metapp.storage import Document
 
 PACKAGES = (
@@ -65,12 +65,10 @@ def examine() -> Document:
 
 def _extensions() -> list[str]:
     """Extensions by name, with the package of those that do not ship, and those that are left out."""
-    names = [
-        extension.name if extension.package == "metapp" else f"{extension.name} of {extension.package}"
-        for extension in door.extensions()
-        if not extension.problem
-    ]
-    return names + [f"{extension.name} (left out by {door.WITHOUT})" for extension in door.left_out()]
+    extensions = registry().extensions.items()
+    names = [name if package == SHIPPED else f"{name} of {package}" for name, package in extensions]
+    names += [f"{name} (left out: {reason})" for name, reason in registry().problems.items()]
+    return names + [f"{name} (left out by {WITHOUT})" for name in registry().left_out]
 
 
 def _compiler() -> str:

@@ -1,5 +1,8 @@
 """Commands that work as they are, and the input files that they name."""
 
-from metapp.door import Command
+from metapp.registry import Entry, Registry
 
-OFFERS = (Command("examples", "metapp.extensions.examples.commands:command"),)
+
+def register(registry: Registry) -> None:
+    """Add the command."""
+    registry.commands["examples"] = Entry("metapp.extensions.examples.commands:command")

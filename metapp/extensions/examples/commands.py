@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from metapp import door
 from metapp.apps import app_names, application_of
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
 from metapp.cli.data.convert import check_folder
 from metapp.cli.options import Json
+from metapp.registry import left_out_with, load, registry
 from metapp.runs.reporter import say
 from metapp.storage.text import meant
 
@@ -23,14 +23,15 @@ FOLDER = Path("example-inputs")  # of the input files that commands name
 def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
     """The first commands of an application on input files in a folder, and what each makes."""
     place = shlex.quote(str(folder))
-    of_outputs = [example for output in door.offers_of(door.Output, app) for example in output.examples]
+    of_outputs = [example for output in registry().outputs.of(app).values() for example in output.examples]
     examples = [example for example in (*application_of(app).examples, *of_outputs) if not _left_out(example[0])]
     return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
 
 
 def _left_out(line: str) -> bool:
     """True if a command is of an extension that is left out."""
-    return any(door.switched_off(door.Command, word) for word in line.split()[:2])
+    word, more = line.split()[:2]
+    return bool(left_out_with("commands", word) or left_out_with("commands", f"{word} {more}"))
 
 
 def command(
@@ -62,7 +63,7 @@ def command(
         raise typer.BadParameter(f"'{app}': expected one of {', '.join(applications)}.{meant(app, applications)}")
     apps, files = [app] if app else list(applications), list[Path]()
     for name in apps if folder else ():
-        files += door.load(applications[name].files)(name, folder) if applications[name].files else []
+        files += load(applications[name].files)(name, folder) if applications[name].files else []
     examples = {name: lines_of(name, folder or FOLDER, None if app else 2) for name in apps}
     if json:
         commands = [{"app": name, "command": line, "makes": makes} for name in apps for line, makes in examples[name]]

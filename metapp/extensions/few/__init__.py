@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.door import Chosen, Command, Converter, Format, Network, Recipe
+from metapp.registry import Converter, Entry, Format, Recipe, Registry
 
 _HERE = "metapp.extensions.few"
 
@@ -18,21 +18,22 @@ Examples:
   metapp data gonio measurements --split test --out measured
 """
 
-OFFERS = (
-    Format(
-        "gonio",
-        "brdf",
+
+def register(registry: Registry) -> None:
+    """Add goniometer tables, the network and the recipe of few samples, and `metapp plan`."""
+    registry.formats["gonio"] = Format(
         f"{_HERE}.gonio",
-        "goniometer .csv files",
+        app="brdf",
+        inputs="goniometer .csv files",
+        kinds=(("phi_h", "is_anisotropic"), ("few", "has_few")),
         command=Converter(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
-    ),
-    Network("brdf", f"{_HERE}.network:NETWORK"),
-    Recipe(
-        "brdf",
-        "few",
+    )
+    registry.networks["brdf", "few"] = Entry(f"{_HERE}.network:NETWORK")
+    registry.recipes["brdf", "", "few"] = Recipe(
         f"{_HERE}.recipe:FEW",
-        chosen=Chosen(("gonio",), has="1,000 samples or fewer", tells="has_few", paradigms=("meta",)),
+        help="1,000 samples or fewer",
+        kind="few",
+        paradigms=("meta",),
         checkpoints=f"{_HERE}.checkpoints",
-    ),
-    Command("plan", f"{_HERE}.commands:plan"),
-)
+    )
+    registry.commands["plan"] = Entry(f"{_HERE}.commands:plan")

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from metapp.door import Output, Plugin
+from metapp.registry import Output, Plugin, Registry
 
 _HERE = "metapp.extensions.guided"
 GUIDED_NEE = "guided_path + NEE"  # guided at all bounces
-OFFERS = (
-    Plugin(
-        "metapp_guided_path",
+
+
+def register(registry: Registry) -> None:
+    """Add the integrator and `--render`."""
+    registry.plugins["metapp_guided_path"] = Plugin(
         f"{_HERE}.integrator:register_guided_path",
+        help="guided_path guides all bounces and learns while it renders",
         row=GUIDED_NEE,
-        note="guided_path guides all bounces and learns while it renders",
-    ),
-    Output(
-        "transport",
-        "render",
+    )
+    registry.outputs["transport", "render"] = Output(
         f"{_HERE}.rendering:rendered",
         examples=(
             ("meta transport {}/box.xml --render 64", "the scene guided at all bounces, and unguided in the same time"),
         ),
-    ),
-)
+    )

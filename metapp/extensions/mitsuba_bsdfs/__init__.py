@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from metapp.door import Plugin
+from metapp.registry import Plugin, Registry
 
 _HERE = "metapp.extensions.mitsuba_bsdfs"
-OFFERS = (
-    Plugin("neural_brdf", f"{_HERE}.neural_brdf:register_neural_brdf"),
-    Plugin("neural_svbrdf", f"{_HERE}.neural_svbrdf:register_maps_bsdf"),
-)
+
+
+def register(registry: Registry) -> None:
+    """Add the plugins."""
+    registry.plugins["neural_brdf"] = Plugin(f"{_HERE}.neural_brdf:register_neural_brdf")
+    registry.plugins["neural_svbrdf"] = Plugin(f"{_HERE}.neural_svbrdf:register_maps_bsdf")

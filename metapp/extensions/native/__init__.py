@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
-from metapp.door import Engine
+from metapp.registry import Entry, Registry
 
-OFFERS = (Engine("native", "metapp.extensions.native.fastest:Fastest"),)
+
+def register(registry: Registry) -> None:
+    """Take the steps."""
+    registry.engine = Entry("metapp.extensions.native.fastest:Fastest")

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from metapp import door
+from metapp import registry
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.packing import Layout, packed
 from metapp.learning.adjoint import Loss, Stepper, UpdateRule, loss_parameters
@@ -80,9 +80,9 @@ def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
 
 def _kernel(function: Callable[..., object]) -> Callable[[Params], LossInC | None] | None:
     name = f"{getattr(function, '__module__', '')}:{getattr(function, '__qualname__', '')}"
-    if name not in KERNELS or door.load(name) is not function:
+    if name not in KERNELS or registry.load(name) is not function:
         return None
-    kernel: Callable[[Params], LossInC | None] = door.load(KERNELS[name])
+    kernel: Callable[[Params], LossInC | None] = registry.load(KERNELS[name])
     return kernel
 
 

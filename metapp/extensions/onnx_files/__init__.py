@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from metapp.door import Export, FileExport
+from metapp.registry import Entry, Export, Registry
 
 _HERE = "metapp.extensions.onnx_files"
-OFFERS = (
-    Export("onnx", ("brdf",), f"{_HERE}.brdf:write_onnx", needs=("onnxscript", "onnx and onnxscript")),
-    FileExport(("onnx", "onnx-page"), "General of photos, by a checkpoint or its name", f"{_HERE}.checkpoints:write"),
-)
+
+
+def register(registry: Registry) -> None:
+    """Add the exports."""
+    registry.exports["brdf", "onnx"] = Export(f"{_HERE}.brdf:write_onnx", needs=("onnxscript", "onnx and onnxscript"))
+    for kind in ("onnx", "onnx-page"):
+        registry.file_exports[kind] = Entry(
+            f"{_HERE}.checkpoints:write", help="General of photos, by a checkpoint or its name"
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from data_tools.formats.pictures import MAPS_SPLIT, MapsOptions, Size
-from metapp.door import Chosen, Converter, Format, Recipe
+from metapp.registry import Converter, Format, Recipe, Registry
 
 _HERE = "metapp.extensions.pretrained"
 
@@ -30,26 +30,19 @@ class MaterialsOptions(MapsOptions):
     size: Size = 512
 
 
-OFFERS = (
-    Recipe(
-        "svbrdf_nonstationary",
-        "pretrained",
+def register(registry: Registry) -> None:
+    """Add the recipe of one photo, and the files of real materials."""
+    registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = Recipe(
         f"{_HERE}.recipe:PRETRAINED",
-        "photo",
-        Chosen(
-            ("svbrdf",),
-            has="one flash photo",
-            tensor="photo",
-            without="places",
-            paradigms=("general", "quickft", "meta"),
-            lacks=f"{_HERE}.encoder:lacks",
-        ),
-        f"{_HERE}.checkpoints",
-    ),
-    Format(
-        "materials",
-        "svbrdf_nonstationary",
+        help="one flash photo",
+        kind="photo",
+        paradigms=("general", "quickft", "meta"),
+        lacks=f"{_HERE}.encoder:lacks",
+        checkpoints=f"{_HERE}.checkpoints",
+    )
+    registry.formats["materials"] = Format(
         f"{_HERE}.materials",
+        app="svbrdf_nonstationary",
         command=Converter(
             MATERIALS,
             "material",
@@ -58,5 +51,4 @@ OFFERS = (
             MaterialsOptions,
             MAPS_SPLIT,
         ),
-    ),
-)
+    )

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import torch
 
+from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.material_maps import (
     PLAIN,
     find,
@@ -24,7 +25,6 @@ from data_tools.readers.material_maps import (
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.apps import class_of
-from metapp.door import Conversion, Label
 from metapp.learning.task import Task
 from metapp.storage.manifest import MANIFEST, read_manifest
 from metapp.storage.shards import read_shard

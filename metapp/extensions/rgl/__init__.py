@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from data_tools.formats.brdf import SampleOptions
-from metapp.door import Converter, Export, FileExport, Format
+from metapp.registry import Converter, Entry, Export, Format, Registry
 
 _HERE = "metapp.extensions.rgl"
 
@@ -18,22 +18,22 @@ Examples:
   metapp data bsdf measurements --split test --out rgl
 """
 
-OFFERS = (
-    Format(
-        "bsdf",
-        "brdf",
+
+def register(registry: Registry) -> None:
+    """Add the files and the scenes."""
+    registry.formats["bsdf"] = Format(
         f"{_HERE}.rgl",
-        "RGL .bsdf files",
+        app="brdf",
+        inputs="RGL .bsdf files",
+        kinds=(("phi_h", "is_anisotropic"),),
         command=Converter(
             RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", SampleOptions
         ),
-    ),
-    Export("bsdf", ("brdf",), f"{_HERE}.rgl:export"),
-    Export("bsdf-spectral", ("brdf",), f"{_HERE}.rgl:export_spectral"),
-    Export("mitsuba", ("brdf",), f"{_HERE}.scene:export"),
-    FileExport(
-        ("merl", "bsdf", "bsdf-spectral"),
-        "MERL tables, RGL files, NBRDF networks, folders of them",
-        f"{_HERE}.convert:write",
-    ),
-)
+    )
+    registry.exports["brdf", "bsdf"] = Export(f"{_HERE}.rgl:export")
+    registry.exports["brdf", "bsdf-spectral"] = Export(f"{_HERE}.rgl:export_spectral")
+    registry.exports["brdf", "mitsuba"] = Export(f"{_HERE}.scene:export")
+    for kind in ("merl", "bsdf", "bsdf-spectral"):
+        registry.file_exports[kind] = Entry(
+            f"{_HERE}.convert:write", help="MERL tables, RGL files, NBRDF networks, folders of them"
+        )

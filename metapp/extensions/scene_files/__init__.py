@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from metapp.door import Format, InMemory, SceneCheck
+from metapp.registry import Entry, Format, Registry
 
 _HERE = "metapp.extensions.scene_files"
 
 
-OFFERS = (
-    Format(
-        "mitsuba",
-        "transport",
+def register(registry: Registry) -> None:
+    """Add scene files and scenes in memory, and check those of data sets."""
+    registry.formats["mitsuba"] = Format(
         f"{_HERE}.reading",
-        "Mitsuba scenes (.xml, .json) with a perspective camera",
+        app="transport",
+        inputs="Mitsuba scenes (.xml, .json) with a perspective camera",
         takes=("roots",),
-    ),
-    InMemory("transport", f"{_HERE}.reading:from_object"),
-    SceneCheck(f"{_HERE}.checking:stored"),
-)
+    )
+    registry.objects["transport"] = Entry(f"{_HERE}.reading:from_object")
+    registry.scene_check = Entry(f"{_HERE}.checking:stored")

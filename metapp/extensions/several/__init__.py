@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from metapp.door import Chosen, Format, Recipe
+from metapp.registry import Format, Recipe, Registry
 
 _HERE = "metapp.extensions.several"
-OFFERS = (
-    Format(
-        "placed",
-        "svbrdf_nonstationary",
+
+
+def register(registry: Registry) -> None:
+    """Add the folders and their recipe."""
+    registry.formats["placed"] = Format(
         f"{_HERE}.photos",
-        "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
+        app="svbrdf_nonstationary",
+        inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
         takes=("size", "stops"),
-    ),
-    Recipe(
-        "svbrdf_nonstationary",
-        "several",
-        f"{_HERE}.recipe:SEVERAL",
-        "photo",
-        Chosen(("placed",), has="several photos", tensor="places"),
-        f"{_HERE}.checkpoints",
-    ),
-)
+        kinds=(("places", ""),),
+    )
+    registry.recipes["svbrdf_nonstationary", "photo", "several"] = Recipe(
+        f"{_HERE}.recipe:SEVERAL", help="several photos", kind="places", checkpoints=f"{_HERE}.checkpoints"
+    )

@@ -1,5 +1,8 @@
 """ImageNet weights of VGG-16, which losses on pictures read: found or fetched, once."""
 
-from metapp.door import Command
+from metapp.registry import Entry, Registry
 
-OFFERS = (Command("vgg", "metapp.extensions.vgg.commands:vgg", under="data"),)
+
+def register(registry: Registry) -> None:
+    """Add the command."""
+    registry.commands["data vgg"] = Entry("metapp.extensions.vgg.commands:vgg")

@@ -1,12 +1,16 @@
 """Interactive HTML pages of fits."""
 
-from metapp.door import Command, FitMethod, Page
+from metapp.registry import Entry, Registry
 
 _HERE = "metapp.extensions.viewer"
-OFFERS = (
-    Command("view", f"{_HERE}.commands:view"),
-    Command("try", f"{_HERE}.commands:try_all"),
-    FitMethod("view", f"{_HERE}.viewing:view_fit"),
-    *(Page(app, f"{_HERE}.pages.{app}:view") for app in ("brdf", "illumination", "transport")),
-    *(Page(app, f"{_HERE}.pages.flat:{app}") for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture")),
-)
+
+
+def register(registry: Registry) -> None:
+    """Add the commands, the method of fits and the pages."""
+    registry.commands["view"] = Entry(f"{_HERE}.commands:view")
+    registry.commands["try"] = Entry(f"{_HERE}.commands:try_all")
+    registry.methods["view"] = Entry(f"{_HERE}.viewing:view_fit")
+    for app in ("brdf", "illumination", "transport"):
+        registry.pages[app] = Entry(f"{_HERE}.pages.{app}:view")
+    for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture"):
+        registry.pages[app] = Entry(f"{_HERE}.pages.flat:{app}")

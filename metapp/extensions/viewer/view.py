@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp import door
 from metapp.appearance.colour import to_srgb
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
+from metapp.registry import registry
 
 THUMBNAIL = 80  # px of a side of the pictures in the list of fits
 NOTHING: Mapping[str, Never] = MappingProxyType({})
@@ -41,7 +41,7 @@ class View(NamedTuple):
 
 
 def view_of(app: App, theta: Params, task: Task) -> View:
-    """The view of a fit as its application's `Page` makes it: its pictures, where no extension offers one.
+    """The view of a fit as its application's page makes it: its pictures, where the application has no page.
 
     Args:
         app: the application.
@@ -51,8 +51,8 @@ def view_of(app: App, theta: Params, task: Task) -> View:
     Raises:
         KeyError: the fit alone is not enough.
     """
-    for page in door.offers_of(door.Page, app.name):
-        view: View = door.load(page.view)(app, theta, task)
+    if page := registry().pages.get(app.name):
+        view: View = page.load()(app, theta, task)
         return view
     return pictures_view(app.preview(theta, task))
 

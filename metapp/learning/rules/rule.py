@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
-from metapp import door
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
 from metapp.learning.names import composition_names, part_names, rule_names
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Params
+from metapp.registry import Entry, registry
 
 
 @dataclass(frozen=True)
@@ -127,16 +127,13 @@ class LearnedRule:
 
 def parts_by_name() -> Mapping[str, Part]:
     """All parts, in the order in which they act on a step."""
-    return _parts_of(door.offers(door.Part))
+    return {name: _part(entry) for name, entry in registry().parts.items()}
 
 
 @cache  # one object a part: compiled steps are found by it
-def _parts_of(offers: tuple[door.Part, ...]) -> Mapping[str, Part]:
-    return {offer.name: door.load(offer.part)() for offer in offers}
-
-
-def _compositions(short: bool) -> dict[str, str]:
-    return {offer.name: offer.parts for offer in door.offers(door.Rule) if offer.short is short}
+def _part(entry: Entry) -> Part:
+    part: Part = entry.load()()
+    return part
 
 
 def rule_of(name: str) -> LearnedRule:
@@ -154,7 +151,7 @@ def _expanded(name: str, whole: str) -> set[str]:
     """The names of the parts of a rule that is a component of the rule `whole`."""
     if name in part_names():
         return {name}
-    inner = (_compositions(True) | _compositions(False)).get(name) if "+" not in name else name
+    inner = (registry().compositions | registry().rules).get(name) if "+" not in name else name
     if inner is None:
         expected = ", ".join((*rule_names(), *composition_names()))
         raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, joined by +: {expected}.")
@@ -163,12 +160,11 @@ def _expanded(name: str, whole: str) -> set[str]:
 
 @cache  # one object a rule: compiled steps are found by it
 def _composed(names: frozenset[str]) -> LearnedRule:
-    all_parts = parts_by_name()
-    parts = tuple(part for name, part in all_parts.items() if name in names)
+    parts = tuple(_part(entry) for name, entry in registry().parts.items() if name in names)
     rule = LearnedRule(_name(names), parts)
-    kinds = [name for name, part in all_parts.items() if part.is_rate]
-    rates = [name for name in kinds if rule.has(name)]
+    rates = [part.name for part in parts if part.is_rate]
     if len(rates) != 1:
+        kinds = [name for name, part in parts_by_name().items() if part.is_rate]
         raise ValueError(
             f"rule '{rule.name}': {' and '.join(rates) or 'no part'} for rates, expected one of {', '.join(kinds)} "
             "(adam has rates, tied has shared)."
@@ -184,9 +180,9 @@ def _composed(names: frozenset[str]) -> LearnedRule:
 
 def _name(names: frozenset[str]) -> str:
     """The one name of a set of parts: a rule's if it has one, else the parts in order, with short names in front."""
-    for rule, parts in _compositions(False).items():
+    for rule, parts in registry().rules.items():
         if _expanded(parts, rule) == names:
             return rule
-    short = {name: parts for name, parts in _compositions(True).items() if names.issuperset(parts.split("+"))}
+    short = {name: parts for name, parts in registry().compositions.items() if names.issuperset(parts.split("+"))}
     covered = {part for parts in short.values() for part in parts.split("+")}
     return "+".join([*short, *(part for part in part_names() if part in names - covered)])

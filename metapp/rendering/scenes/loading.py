@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.door import SceneCheck, load, offers
+from metapp.registry import registry
 from metapp.rendering.scenes.instances import instantiate, one_line
 from metapp.rendering.scenes.rules import READER, CheckedDict, Files, SceneDict
 from metapp.rendering.types import Emitter, Mitsuba, Scene
@@ -46,8 +46,8 @@ def checked(scene: SceneDict) -> SceneDict:
     """
     if not isinstance(scene, dict):
         raise ValueError("no scene, expected an object of type 'scene'.")
-    for offer in offers(SceneCheck):
-        result: SceneDict = load(offer.check)(scene)
+    if entry := registry().scene_check:
+        result: SceneDict = entry.load()(scene)
         return result
     if "xml" in scene:
         raise ValueError(f"a scene in XML, expected a dictionary; XML needs {READER}.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-from metapp.apps import recipe_offers, recipes_of
+from metapp.apps import recipe_entries, recipes_of
 
 QUICK, FULL = "quick", "full"
 PACKAGE = "metapp.checkpoints"
@@ -42,13 +42,13 @@ def full_fits_as_quick(app: str) -> bool:
 
 def usual_recipe(app: str) -> str:
     """The recipe where none is named: "full", the best rule and size, where it ships, else "quick"."""
-    return FULL if FULL in recipe_offers(app) and ships(app, FULL) else QUICK
+    return FULL if FULL in recipe_entries(app) and ships(app, FULL) else QUICK
 
 
 def _recipe_folder(app: str, recipe: str, protocol: str) -> Path:
     """The folder of a recipe's own checkpoints: that of the extension which has it, else of what ships for all."""
-    offers = recipe_offers(app, protocol)
-    package = offers[recipe].checkpoints if recipe in offers else ""
+    entry = recipe_entries(app, protocol).get(recipe)
+    package = entry.checkpoints if entry else ""
     return Path(str(resources.files(package))) / recipe if package else _folder(app) / recipe
 
 

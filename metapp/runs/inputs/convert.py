@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from data_tools.formats import AUTO
-from metapp.door import Conversion
+from data_tools.readers.conversion import Conversion
+from metapp.registry import Format
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
 
@@ -30,6 +32,18 @@ def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[s
     """The names in a data set that was written."""
     names = {split: [entry.name for entry in entries if entry.split == split] for split in ("train", "test")}
     return Converted(app, str(out), names["train"], names["test"], list(skipped))
+
+
+def conversion_of(name: str, form: Format, paths: list[Path], split: str, options: Mapping[str, object]) -> Conversion:
+    """The conversion of files of a format by the options of its command; ValueError for bad paths."""
+    assert form.command is not None
+    module = form.load()
+    if hasattr(module, "conversion"):
+        result: Conversion = module.conversion(paths, split, **options)
+        return result
+    read = functools.partial(module.read_task, **options)
+    notes = {"made_by": f"metapp data {name}", **options}
+    return Conversion(form.app, form.command.noun, module.UNITS, module.find, read, notes)
 
 
 def convert(

@@ -7,9 +7,9 @@ import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
-from metapp import door
+from metapp.registry import registry
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
@@ -22,28 +22,21 @@ _STALE_SECONDS = 3600.0
 
 def embedded_apps() -> list[str]:
     """Return the applications that have an embedded set."""
-    return sorted(offer.app for offer in door.offers(door.Synthetic))
+    return sorted(registry().synthetic)
 
 
-def embedded_offer(app: str) -> door.Synthetic:
-    """The record of an application's embedded set.
-
-    Raises:
-        ValueError: there is none; the message lists those that exist.
-    """
-    offers = {offer.app: offer for offer in door.offers(door.Synthetic)}
-    if app not in offers:
-        raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(sorted(offers))}.")
-    return offers[app]
-
-
-def embedded_module(app: str) -> ModuleType:
+def embedded_module(app: str) -> Any:
     """The module that draws an application's embedded set.
 
     It has COUNTS, tasks by split; UNITS, of their tensors; `synthetic_tasks(split, count, seed, **options)`, an
     iterator; and may have VERSION, raised when its draw changes; BESIDE, what lies beside a shard.
+
+    Raises:
+        ValueError: there is none; the message lists the applications that have one.
     """
-    return door.module_of(embedded_offer(app).module)
+    if app not in registry().synthetic:
+        raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
+    return registry().synthetic[app].load()
 
 
 def split_counts(app: str, count: int | None = None) -> dict[str, int]:
@@ -125,7 +118,7 @@ def embedded_data(
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
-    module, offered = embedded_module(app), embedded_offer(app).options
+    module, offered = embedded_module(app), registry().synthetic[app].options
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
     for name, value in options.items():
         if name not in offered:
@@ -137,7 +130,7 @@ def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Do
 
 def _drawn(app: str, notes: Document) -> dict[str, object]:
     """The options that a set was drawn by."""
-    return {name: notes[name] for name in embedded_offer(app).options if name in notes}
+    return {name: notes[name] for name in registry().synthetic[app].options if name in notes}
 
 
 def embedded_exists(app: str) -> bool:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
-from metapp import door
 from metapp.learning.task import Task
+from metapp.registry import registry
 from metapp.storage.records import file_name
 
 
@@ -34,10 +34,10 @@ def tasks_of_objects(app: str, objects: Sequence[object], how: Mapping[str, obje
     Raises:
         ValueError: something else than the application takes; as readers of files, with the object's name.
     """
-    offers = door.offers_of(door.InMemory, app)
-    if not offers:
+    entry = registry().objects.get(app)
+    if entry is None:
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
-    from_object = door.load(offers[0].task)
+    from_object = entry.load()
     return [from_object(source, name, **how) for source, name in zip(objects, _names(objects), strict=True)]
 
 

@@ -13,9 +13,9 @@ import torch
 
 from data_tools.formats import formats, inputs_of
 from data_tools.readers.photos import SIZE
-from metapp import door
 from metapp.learning.app import App
 from metapp.learning.task import Task
+from metapp.registry import WITHOUT, registry
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.inputs.memory import tasks_of_objects
 from metapp.runs.plan import Plan
@@ -121,7 +121,7 @@ def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
     if not options.paths:
         tasks, label = tasks_of_data(app, options.data, options.quiet)
         return sources_of(tasks), label
-    merges = [merge for merge in door.offers_of(door.Merge, app.name) if merge.option in options.own.given()]
+    merges = [option for option in registry().merges.of(app.name) if option in options.own.given()]
     sources = [_merged(plan, merges[0])] if merges else _sources_of_files(plan)
     roots = sorted(str(path.resolve()) for path in options.paths)
     # read otherwise, the same files are other tasks
@@ -215,24 +215,23 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
-    forms_of_app = inputs_of(app.name)
-    readers = [form for form in forms_of_app if form.recognises(path)]
+    forms_of_app = inputs_of(app.name).values()
+    readers = [form for form in forms_of_app if form.load().recognises(path)]
     if not readers:
         inputs = ", ".join(form.inputs for form in forms_of_app)
         expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
-        others = sorted({form.app for form in formats() if form.inputs and form.recognises(path)})
+        others = sorted({form.app for form in formats().values() if form.inputs and form.load().recognises(path)})
         fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
         more = f"; it is one of {', '.join(others)}" if others else fit
-        for extension in door.left_out():
-            forms = [offer for offer in extension.offers if isinstance(offer, door.Format) and offer.app == app.name]
-            if any(form.recognises(path) for form in forms):
-                more = f"; the extension {extension.name} reads it, which {door.WITHOUT} leaves out; unset it"
+        for name, part in registry().left_out.items():
+            if any(form.app == app.name and form.load().recognises(path) for form in part.formats.values()):
+                more = f"; the extension {name} reads it, which {WITHOUT} leaves out; unset it"
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
     for form in readers:
-        places, skipped = form.find([path])
+        places, skipped = form.load().find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(form.read, arguments=_arguments(plan))
+        yield places, functools.partial(form.load().read_task, **form.taken(_arguments(plan)))
 
 
 def _arguments(plan: Plan) -> dict[str, object]:
@@ -241,16 +240,15 @@ def _arguments(plan: Plan) -> dict[str, object]:
     return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | plan.options.own.reading()
 
 
-def _merged(plan: Plan, merge: door.Merge) -> Source:
+def _merged(plan: Plan, option: str) -> Source:
     """The one source of all inputs, as an option merges them."""
     app = plan.app
     places = [place for path in plan.options.paths for some, _ in _found(plan, path) for place in some]
-    (form, *_) = (form for form in inputs_of(app.name) if form.recognises(places[0]))
+    (form, *_) = (form for form in inputs_of(app.name).values() if form.load().recognises(places[0]))
 
     def read() -> Task:
-        task: Task = door.load(merge.merge)(
-            places, getattr(plan.options.own, merge.option), **form.taken(_arguments(plan))
-        )
+        merge = registry().merges[app.name, option].load()
+        task: Task = merge(places, getattr(plan.options.own, option), **form.taken(_arguments(plan)))
         return task
 
     stamp = _stamps()

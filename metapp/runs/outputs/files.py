@@ -12,12 +12,12 @@ from typing import NamedTuple
 from torch import Generator
 
 from data_tools.formats import exports_of
-from metapp import door
 from metapp.appearance.colour import stretched, tone_map
 from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
+from metapp.registry import Output, registry
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import QUICK
 from metapp.runs.options import FitOptions, check_export, check_name, fit_options
@@ -32,11 +32,10 @@ OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
 
 
-def outputs_of(options: FitOptions) -> list[tuple[door.Output, object]]:
+def outputs_of(options: FitOptions) -> list[tuple[Output, object]]:
     """The outputs of a run beside files of its fits, and the values of the options that ask for them."""
     given = options.own.given(OUTPUT)
-    offers = [offer for offer in door.offers_of(door.Output, options.app) if offer.option in given]
-    return [(offer, given[offer.option]) for offer in offers]
+    return [(output, given[name]) for name, output in registry().outputs.of(options.app).items() if name in given]
 
 
 def write_files(app: App, task: Task, theta: Params, folder: Path) -> None:
@@ -58,7 +57,7 @@ def listed(folder: Path, names: Sequence[str]) -> str:
 
 def write_outputs(
     app: App,
-    outputs: Sequence[tuple[door.Output, object]],
+    outputs: Sequence[tuple[Output, object]],
     run: RunFolder,
     task: Task,
     theta: Params,
@@ -70,7 +69,7 @@ def write_outputs(
     """
     lines = []
     for output, value in outputs:
-        made: Rendered = door.load(output.output)(app, task, theta, value)
+        made: Rendered = output.load()(app, task, theta, value)
         write_pictures(made.files, run.path / OUTPUTS / file_name(task.name))
         lines += [f"{task.name}: {line}" for line in made.lines]
     return lines
@@ -106,7 +105,7 @@ def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, setti
         settings: what the fit was made by, as records have it: an asset's provenance.
     """
     form = exports_of(app.name)[name]
-    write = door.load(form.write)
+    write = form.load()
     if form.of_surface:
         surface = app.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"

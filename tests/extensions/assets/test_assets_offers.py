@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
-from metapp import door
+from metapp.registry import WITHOUT
 
 
 def test_without_it_surfaces_have_no_exports_and_brdfs_keep_theirs(
     metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(door.WITHOUT, "assets")
+    monkeypatch.setenv(WITHOUT, "assets")
     assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
     forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "png16").misuse

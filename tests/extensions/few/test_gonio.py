@@ -16,8 +16,8 @@ from data_tools.readers import measured_pairs
 from data_tools.readers.measured_pairs import FEW, Pairs
 from metapp.appearance.colorimetry import colour_science, spectra_to_rgb
 from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
-from metapp.door import load
 from metapp.extensions.few import gonio
+from metapp.registry import load
 from metapp.runs import api
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

@@ -11,9 +11,9 @@ import torch
 
 import metapp as api
 from data_tools.readers.measured_pairs import Pairs
-from metapp import door
 from metapp.extensions.few import gonio
 from metapp.extensions.few.network import NETWORK
+from metapp.registry import WITHOUT
 from tests.anisotropic import measured
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -58,7 +58,7 @@ def test_without_the_extension_its_inputs_and_command_are_refused_by_its_name(
     metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = table(tmp_path / "paint.csv", measured(20))
-    monkeypatch.setenv(door.WITHOUT, "few")
+    monkeypatch.setenv(WITHOUT, "few")
     line = "expected RGL .bsdf files, .*; the extension few reads it, which METAPP_WITHOUT leaves out; unset it."
     with pytest.raises(ValueError, match=line):
         api.fit("brdf", file)

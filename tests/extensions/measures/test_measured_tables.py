@@ -9,12 +9,12 @@ import pytest
 from torch import Generator
 
 from metapp.appearance.picture_measures import image_errors
-from metapp.door import WITHOUT
 from metapp.evaluation.notes import text_table
 from metapp.evaluation.tables import image, load_table
 from metapp.learning.app import App
 from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task
+from metapp.registry import WITHOUT
 from tests.extensions.measures.test_measures import needs_weights
 from tests.paradigms.small import KINDS
 

@@ -14,10 +14,10 @@ from torch import Generator
 
 from metapp.appearance.features import load_features
 from metapp.appearance.picture_measures import further_errors, picture_measures
-from metapp.door import PictureMeasure, load, offers
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
 from metapp.learning.pictures import Compared
+from metapp.registry import load, registry
 
 PERCEPTUAL = (perceptual.lpips, perceptual.dists)
 needs_weights = pytest.mark.skipif(not importlib.util.find_spec("torchmetrics"), reason="no torchmetrics")
@@ -104,7 +104,7 @@ def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, mon
     assert further_errors("texture", waves()).keys() <= {"sliced Wasserstein", "order"}
     (cache / "vgg16.safetensors").symlink_to(drawn_weights)
     assert lacks() == {}
-    (note,) = (note for offer, note in picture_measures("texture")[0].items() if offer.name == "LPIPS")
+    note = picture_measures("texture")[0]["LPIPS"]
     assert "VGG-16 features (unknown weights " in note
     assert note.endswith(f"), weights of torchmetrics {importlib.metadata.version('torchmetrics')}")
     monkeypatch.setattr(perceptual, "PACKAGE", "no-such-package")
@@ -156,8 +156,8 @@ def test_sliced_wasserstein(rng: Generator) -> None:
 
 
 def test_measures_name_functions_of_applications_that_there_are() -> None:
-    for offer in offers(PictureMeasure):
-        assert callable(load(offer.measure)), offer.name
-        assert not offer.source or callable(load(offer.source)), offer.name
-        assert offer.note, offer.name
-        assert " ".join(offer.note.split()) == offer.note
+    for name, entry in registry().measures.items():
+        assert callable(entry.load()), name
+        assert not entry.source or callable(load(entry.source)), name
+        assert entry.help, name
+        assert " ".join(entry.help.split()) == entry.help

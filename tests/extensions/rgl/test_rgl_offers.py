@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp import door
+from metapp.registry import WITHOUT
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -40,7 +40,7 @@ print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for s
 
 def test_without_it_its_command_is_refused_and_others_stay(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("a.bsdf").write_bytes(b"tensor_file")
-    monkeypatch.setenv(door.WITHOUT, "rgl")
+    monkeypatch.setenv(WITHOUT, "rgl")
     assert "a command of the extension rgl" in metapp("data", "bsdf", "a.bsdf").misuse
     forms = "cpp, glsl, hlsl, materialx, merl, nbrdf, onnx, osl, slang, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "bsdf").misuse

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from data_tools.synthetic.cornell import random_scene, to_xml
-from metapp import door
+from metapp.registry import WITHOUT
 from metapp.rendering.scenes.loading import load_scene
 from tests.needs_mitsuba import needs_mitsuba
 
 
 @needs_mitsuba
 def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(door.WITHOUT, "scene_files")
+    monkeypatch.setenv(WITHOUT, "scene_files")
     box = random_scene(0)
     assert len(load_scene(box).scene.emitters()) == 1
     with pytest.raises(ValueError, match=r"a scene in XML, .*; XML needs the extension scene_files"):

@@ -58,8 +58,9 @@ def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
 
 def found(path: Path) -> list[tuple[str, Path]]:
     """What each format of the application finds in a path that it recognises."""
-    forms = [form for form in inputs_of(APP) if form.recognises(path)]
-    return [(form.name, place) for form in forms for place in form.find([path])[0]]
+    modules = {name: form.load() for name, form in inputs_of(APP).items()}
+    readers = {name: module for name, module in modules.items() if module.recognises(path)}
+    return [(name, place) for name, module in readers.items() for place in module.find([path])[0]]
 
 
 def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:

@@ -11,11 +11,11 @@ from torch import Generator
 
 from data_tools.readers.flash_places import CAMERA
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp import door
 from metapp.apps import recipes_of
 from metapp.extensions.several import checkpoints
 from metapp.learning.app import stack
 from metapp.learning.task import Task
+from metapp.registry import WITHOUT
 from metapp.runs.checkpoints.finding import find_checkpoint
 from metapp.runs.checkpoints.shipped import FULL, shipped_path
 from metapp.runs.options import fit_options
@@ -65,6 +65,6 @@ def test_without_the_extension_its_folders_are_refused_by_its_name(
 ) -> None:
     photo = write(tmp_path / "leaf" / "a.png", noise(48, 48))
     (tmp_path / "leaf" / CAMERA).write_text("0,0,16\n")
-    monkeypatch.setenv(door.WITHOUT, "several")
+    monkeypatch.setenv(WITHOUT, "several")
     assert "the extension several reads it" in metapp("meta", APP, photo.parent, "--observe", "photo").refusal
     assert plan(fit_options(APP, "meta", (photo,), observe="photo")).options.recipe == "full"

@@ -1,4 +1,4 @@
-"""The offers of the extension: the method of fits, the pages of applications; and the core without them."""
+"""What the extension registers: the method of fits, the pages of applications; and the core without them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp import door
 from metapp.extensions.viewer.view import view_of
+from metapp.registry import WITHOUT, registry
 from metapp.runs import api
 from metapp.storage.records import file_name
 
@@ -21,7 +21,7 @@ def test_without_it_fits_work_and_its_command_and_method_are_refused(
     metapp: Callable, fitted: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = fitted("meta")
-    monkeypatch.setenv(door.WITHOUT, "viewer")
+    monkeypatch.setenv(WITHOUT, "viewer")
     assert "a command of the extension viewer" in metapp("view", run).misuse
     assert fitted("meta") == run
     fit = api.fit("brdf", networks, recipe="quick")
@@ -34,8 +34,7 @@ def test_without_it_fits_work_and_its_command_and_method_are_refused(
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks, recipe="quick")
     assert view_of(fit.app, fit.parameters, fit.task).kind == "brdf"
-    offers_of = door.offers_of
-    monkeypatch.setattr(door, "offers_of", lambda kind, app: () if kind is door.Page else offers_of(kind, app))
+    monkeypatch.delitem(registry().pages, "brdf")
     view = view_of(fit.app, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 

@@ -1,1 +1,1 @@
-"""The pages of the applications that ship, each offered to the door as a `Page`."""
+"""The pages of the applications that ship, each an entry of `registry.pages`."""

@@ -1,0 +1,214 @@
+"""The registry: names are unique, and an extension with any error is left out as a whole and said."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from metapp import registry as module
+from metapp.registry import WITHOUT, Entry, Export, Recipe, Registry, extended, left_out_with, load, registry
+
+ROOT = Path(__file__).parent.parent
+RUN = "import sys\nfrom metapp.cli import main\nmain()"
+GOOD = "from metapp.registry import Entry, Export, Recipe\n\n\ndef register(registry):\n"
+GOOD += '    registry.tables["strange"] = Entry("math:gcd")\n'
+
+# the end of a module whose first line registers something good -> why it is left out
+BROKEN = {
+    'registry.tables["more"] = Entry("nothing_at_all:TABLE")': "ImportError: nothing_at_all:TABLE: no such module",
+    'registry.objects["brdf"] = Entry("nothing.at_all:read")': "ModuleNotFoundError: No module named 'nothing'",
+    'registry.commands["more"] = Entry("math:pi")': "TypeError: commands more: math:pi is no function",
+    'registry.commands["more"] = Entry("math:nothing")': "ImportError: math:nothing cannot be loaded: AttributeError: ",
+    'registry.commands["more"] = Entry("antigravity_exit:run")': "antigravity_exit:run cannot be loaded: SystemExit: 7",
+    'registry.exports["brdf", "glsl"] = Export("math:gcd")': (
+        "ValueError: exports brdf glsl: of stranger, but there is one of metapp already"
+    ),
+    'registry.exports.update({("brdf", "glsl"): Export("math:gcd")})': "but there is one of metapp already",
+    'registry.tables["strange"] = Entry("math:lcm")': "ValueError: strange: there is one of this name already",
+    'registry.engine = Entry("math:gcd")': "ValueError: engine: of stranger, but there is one of metapp already",
+    'registry.parts["adam"] = Entry("math:gcd")': "ValueError: rules adam: of stranger, but there is one of metapp",
+    'registry.commands["data merl"] = Entry("math:gcd")': "ValueError: commands data merl: of stranger, but there",
+    'registry.commands["meta"] = Entry("math:gcd")': "ValueError: commands meta: of stranger, but there",
+    'registry.recipes["brdf", "", "mine"] = Recipe("math:gcd", kind="few")': (
+        "ValueError: recipes of brdf for inputs of kind few: of stranger, but there is one of metapp already"
+    ),
+    'registry.exports["brdf", "mine"] = "math:gcd"': "TypeError: brdf mine: a str, expected Export",
+    'registry.exports.update({("brdf", "mine"): Entry("math:gcd")})': "TypeError: brdf mine: a Entry, expected Export",
+    'registry.exports["mine"] = Export("math:gcd")': "TypeError: 'mine': no name of 2 words",
+    'registry.tables[""] = Entry("math:gcd")': "TypeError: '': no name of 1 words",
+    "registry.exports = {}": "TypeError: exports: a dict",
+    "registry.engine = 7": "TypeError: engine: a int",
+    "registry.smells": "AttributeError: 'Registry' object has no attribute 'smells'",
+    "raise SystemExit(7)": "SystemExit: 7",
+    "raise BaseException('no\\n  more')": "BaseException: no more",
+}
+# whole modules
+DEAD = {
+    "import nothing_at_all": "ModuleNotFoundError: No module named 'nothing_at_all'",
+    "import sys\nsys.exit(7)": "SystemExit: 7",
+    "class Stop(BaseException): ...\nraise Stop('here')": "Stop: here",
+    "def register(registry": "SyntaxError: ",
+    "": "AttributeError: module '{name}' has no attribute 'register'",
+    "register = 7": "TypeError: 'int' object is not callable",
+}
+
+
+def install(folder: Path, text: str, name: str = "stranger") -> None:
+    """Write a package of one module whose entry point names it."""
+    info = folder / f"{name}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{module.GROUP}]\n{name} = {name}_module\n")
+    (folder / f"{name}_module.py").write_text(text)
+    (folder / "antigravity_exit.py").write_text("raise SystemExit(7)\n")
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Registry]]:
+    """Installs modules as packages for as long as a test takes; returns the registry that has them."""
+    monkeypatch.syspath_prepend(tmp_path)
+    fresh = functools.cache(module._built.__wrapped__)
+    monkeypatch.setattr(module, "_built", fresh)
+
+    def add(text: str, name: str = "stranger") -> Registry:
+        install(tmp_path, text, name)
+        fresh.cache_clear()
+        return registry()
+
+    before = set(sys.modules)
+    yield add
+    for name in set(sys.modules) - before:
+        if getattr(sys.modules[name], "__file__", None) and str(tmp_path) in str(sys.modules[name].__file__):
+            del sys.modules[name]
+
+
+def test_a_package_of_others_adds_its_entries(installed: Callable[..., Registry]) -> None:
+    there = installed(GOOD)
+    assert there.problems == {}
+    assert there.extensions["stranger"] == there.owners["tables strange"] == "stranger"
+    assert there.tables["strange"].load()(12, 18) == 6
+    assert list(there.tables)[-1] == "strange"  # what ships comes first
+
+
+@pytest.mark.parametrize(("line", "reason"), BROKEN.items(), ids=BROKEN)
+def test_a_broken_extension_is_left_out_as_a_whole(line: str, reason: str, installed: Callable[..., Registry]) -> None:
+    before = registry()
+    there = installed(f"{GOOD}    {line}\n")
+    assert reason in there.problems.pop("stranger of stranger")
+    assert there.problems == {}
+    assert list(there.entries()) == list(before.entries())
+    assert "stranger" not in there.extensions
+
+
+@pytest.mark.parametrize(("text", "reason"), DEAD.items(), ids=DEAD)
+def test_a_module_that_does_not_register_is_left_out(
+    text: str, reason: str, installed: Callable[..., Registry]
+) -> None:
+    problems = installed(text).problems
+    assert problems["stranger of stranger"].startswith(reason.format(name="stranger_module"))
+
+
+def test_of_two_packages_with_one_name_the_second_is_left_out(installed: Callable[..., Registry]) -> None:
+    installed(GOOD, "a")
+    there = installed(GOOD, "b")
+    assert there.problems == {"b of b": "ValueError: tables strange: of b, but there is one of a already"}
+    assert there.owners["tables strange"] == "a"
+
+
+def test_ctrl_c_is_no_error_of_an_extension(installed: Callable[..., Registry]) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        installed("raise KeyboardInterrupt")
+
+
+def test_left_out_by_the_environment_nothing_of_it_is_there(
+    installed: Callable[..., Registry], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(WITHOUT, "viewer, stranger,dead")
+    installed(GOOD)
+    there = installed("import nothing_at_all", "dead")
+    assert there.problems == {}
+    assert not there.extensions.keys() & {"viewer", "stranger", "dead"}
+    assert not {"strange"} & there.tables.keys()
+    assert list(there.left_out) == ["viewer", "dead", "stranger"]
+    assert [left_out_with("tables", "strange"), left_out_with("commands", "view")] == ["stranger", "viewer"]
+    assert left_out_with("commands", "plan") == ""
+
+
+def test_metapp_works_beside_broken_packages_and_says_why_they_are_left_out(tmp_path: Path) -> None:
+    """In a process of its own, whose commands are made beside them."""
+    for i, text in enumerate([*(f"{GOOD}    {line}\n" for line in BROKEN), *DEAD]):
+        install(tmp_path, text, f"broken{i}")
+    command = '    registry.commands["good"] = Entry("good_module:run")\n\n\ndef run(x: int | str): ...\n'
+    install(tmp_path, GOOD + command, "good")
+
+    def metapp(*words: str) -> subprocess.CompletedProcess[str]:
+        path = os.pathsep.join(filter(None, [str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200"}
+        return subprocess.run(
+            [sys.executable, "-c", RUN, *words], capture_output=True, text=True, check=True, env=environment
+        )
+
+    assert "overfit" in metapp("--help").stdout
+    done = metapp("doctor", "--json")
+    count = len(BROKEN) + len(DEAD)
+    assert done.stderr.count("; it is left out.\n") == len(done.stderr.splitlines()) == count + 1
+    name = f"broken{list(BROKEN).index('raise SystemExit(7)')}"
+    assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in done.stderr
+    assert "warning: extension good of good: AssertionError: Typer currently doesn't support Union" in done.stderr
+    extensions = json.loads(done.stdout)["extensions"]
+    assert "good of good" in extensions
+    assert "broken5 of broken5 (left out: ValueError: exports brdf glsl: of broken5, but there is one of" in extensions
+    assert extensions.count("left out") == count + 1
+
+
+def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: Callable[..., Registry]) -> None:
+    there = installed(f'{GOOD}    registry.networks["brdf", "strange"] = Entry("math:nothing")\n')
+    with pytest.warns(
+        UserWarning, match="extension of stranger: math:nothing cannot be loaded: .*; strange is left out"
+    ):
+        assert list(there.loaded("networks", "brdf")) == list(there.networks.of("brdf"))[:-1]
+
+
+def test_a_program_has_entries_of_its_own_for_a_while() -> None:
+    def register(own: Registry) -> None:
+        own.exports["brdf", "own"] = Export("math:gcd")
+
+    assert ("brdf", "own") not in registry().exports
+    with extended("own", register):
+        assert registry().exports["brdf", "own"].load()(4, 6) == 2
+    assert ("brdf", "own") not in registry().exports
+
+
+def test_errors_of_a_program_are_raised() -> None:
+    def register(own: Registry) -> None:
+        own.recipes["brdf", "", "own"] = Recipe("math:gcd", kind="phi_h")
+
+    match = "recipes of brdf for inputs of kind phi_h: of this program, but there is one of metapp already"
+    with extended("own", register), pytest.raises(ValueError, match=match):
+        registry()
+    assert registry().recipes["brdf", "", "anisotropic"].kind == "phi_h"
+
+
+def test_the_registry_is_built_once() -> None:
+    assert registry() is registry()
+
+
+def test_all_that_ships_can_be_loaded() -> None:
+    for _, _, entry in registry().entries():
+        for reference in entry.references() if isinstance(entry, Entry) else ():
+            assert load(reference) is not None
+
+
+def test_references_of_an_entry_are_all_that_it_names() -> None:
+    application = registry().applications["brdf"]
+    presentation = "metapp.apps.brdf.presentation:BrdfPresentation"
+    files = "data_tools.synthetic.examples:write_example"
+    assert application.references() == [application.reference, presentation, files]
+    assert Recipe("a:B", lacks="c:d", checkpoints="e.f", kind="few").references() == ["a:B", "c:d"]
