@@ -1,4 +1,4 @@
-"""Compiled C sources in the cache folder: whole, or compiled anew."""
+"""Compiled C sources in the cache folder: once for all processes, whole, or compiled anew."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ import pytest
 from metapp.extensions.native import compiler as module
 from metapp.extensions.native.compiler import compiler, load
 from metapp.storage.cache import cache_folder
+from tests import forks
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
 
 
 @pytest.fixture(autouse=True)
@@ -19,17 +22,28 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "cache_folder", cache_folder)
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A small source: those of the network take seconds to compile."""
+    path = tmp_path / "seven.c"
+    path.write_text("int seven(void) { return 7; }\n")
+    return path
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     "damage", ["whole", "truncated", "a flipped bit", "no digest", "a digest that is no text", "another library"]
 )
-def test_a_damaged_library_is_compiled_anew(damage: str, cache: Path, tmp_path: Path) -> None:
-    source = tmp_path / "seven.c"
-    source.write_text("int seven(void) { return 7; }\n")
+def test_a_damaged_library_is_compiled_anew_in_a_folder_of_the_user_alone(
+    damage: str, cache: Path, source: Path
+) -> None:
+    kept = cache / "native"
+    kept.mkdir(mode=0o755)
     if (child := os.fork()) == 0:  # the library is loaded elsewhere: damage to one that is loaded ends a process
         os._exit(load.__wrapped__(source, "seven") is None)
     assert os.waitpid(child, 0)[1] == 0
-    (library,), (digest,) = (list((cache / "native").glob(f"seven-*.{suffix}")) for suffix in ("so", "sha256"))
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o700
+    (library,), (digest,) = (list(kept.glob(f"seven-*.{suffix}")) for suffix in ("so", "sha256"))
     content, compiled_at = library.read_bytes(), library.stat().st_mtime_ns
     if damage == "truncated":
         os.truncate(library, len(content) // 2)
@@ -40,28 +54,37 @@ def test_a_damaged_library_is_compiled_anew(damage: str, cache: Path, tmp_path: 
     elif damage == "a digest that is no text":
         digest.write_bytes(b"\xff" * 64)
     elif damage == "another library":
-        other = tmp_path / "eight.c"
+        other = source.with_name("eight.c")
         other.write_text("int eight(void) { return 8; }\n")
         load.__wrapped__(other, "eight")
-        (eight,) = (cache / "native").glob("eight-*.so")
+        (eight,) = kept.glob("eight-*.so")
         eight.replace(library)
         eight.with_suffix(".sha256").replace(digest)
     functions = load.__wrapped__(source, "seven")
     assert functions is not None
     assert functions.seven() == 7
     assert (library.stat().st_mtime_ns == compiled_at) == (damage == "whole")
-    assert sorted(path.suffix for path in (cache / "native").iterdir()) == [".sha256", ".so"]
+    assert sorted(path.suffix for path in kept.iterdir()) == [".sha256", ".so"]
 
 
-def seven_of(folder: Path) -> Path:
-    source = folder / "seven.c"
-    source.write_text("int seven(void) { return 7; }\n")
-    return source
+def codes(source: Path, cache: Path, count: int = 1, *, found: bool = True, **environment: str) -> list[int | None]:
+    """Exit codes of processes that load the functions of a source; they fail where these are not as `found` says."""
+    more = {"METAPP_CACHE": str(cache), **environment}
+    started = [forks.start(forks.compiles, source, found, said=cache / "said", more=more) for _ in range(count)]
+    return [each.end(120)[0] for each in started]
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
-def test_the_folder_is_the_users_alone(cache: Path, tmp_path: Path) -> None:
-    (cache / "native").mkdir(parents=True)
-    (cache / "native").chmod(0o755)
-    assert load.__wrapped__(seven_of(tmp_path), "seven") is not None
-    assert stat.S_IMODE((cache / "native").stat().st_mode) == 0o700
+@needs_compiler
+def test_compiled_once_by_many_processes(source: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert codes(source, cache, 3) == [0, 0, 0]
+    (library,) = (cache / "native").glob("*.so")
+    made = library.stat().st_mtime_ns
+    assert codes(source, cache, CC="/nonexistent/cc") == [0]  # nothing is compiled again
+    assert library.stat().st_mtime_ns == made
+
+
+@pytest.mark.parametrize("command", ["/nonexistent/cc", "false"])
+def test_without_a_compiler_or_with_a_broken_one(command: str, source: Path, tmp_path: Path) -> None:
+    assert codes(source, tmp_path / "cache", found=False, CC=command) == [0]
+    assert not list((tmp_path / "cache").rglob("*.so"))

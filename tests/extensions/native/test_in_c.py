@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -25,7 +24,6 @@ from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
 from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
-from tests import forks
 
 APP = Brdf()
 
@@ -151,8 +149,8 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: p
     rng = Generator().manual_seed(3)
     phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flat()
     batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
-    steps: list[int] = []
-    monkeypatch.setattr(in_c._Step, "__init__", counting(in_c._Step.__init__, steps))
+    steps, made = list[int](), in_c._Step.__init__
+    monkeypatch.setattr(in_c._Step, "__init__", lambda *words: steps.append(1) or made(*words))
 
     def grads(kind: Callable[[Params], Params], engine: Engine) -> Params:
         lifted = after_learning(loss_of([]), rule_of(rule).rule, steps=STEPS, order=order, clip=0.05, engine=engine)
@@ -168,14 +166,6 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: p
     assert list(found) == list(exact)
     for key, value in exact.items():
         assert away(found[key], value) < 1e-2 if value.any() else not found[key].any(), key
-
-
-def counting(function: Callable[..., None], calls: list[int]) -> Callable[..., None]:
-    def counted(*args: object) -> None:
-        calls.append(1)
-        function(*args)
-
-    return counted
 
 
 def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
@@ -231,46 +221,6 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
     assert in_c.loss_in_c(task_outer_loss(APP, 8), theta) is not None  # the same loss of other samples
     for name, case in cases.items():
         assert in_c.stepper(*case, 1) is None, name
-
-
-# What is compiled
-
-
-@pytest.fixture
-def source(tmp_path: Path) -> Path:
-    """A small source: those of the network take seconds to compile, and tests above have compiled them."""
-    path = tmp_path / "seven.c"
-    path.write_text("int seven(void) { return 7; }\n")
-    return path
-
-
-def process(source: Path, cache: Path, found: bool = True, **environment: str) -> forks.Running:
-    """A process that loads the functions of a source, and fails where they were to be had or not against `found`."""
-    return forks.start(
-        forks.compiles, source, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment}
-    )
-
-
-def codes(*processes: forks.Running) -> list[int | None]:
-    """Exit codes of processes, once all have ended."""
-    return [each.end(120)[0] for each in processes]
-
-
-@needs_compiler
-def test_compiled_once_by_many_processes(source: Path, tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    assert codes(*[process(source, cache) for _ in range(3)]) == [0, 0, 0]
-    (library,) = (cache / "native").glob("*.so")
-    made = library.stat()
-    assert codes(process(source, cache, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
-    assert library.stat() == made or library.stat().st_mtime_ns == made.st_mtime_ns
-
-
-def test_without_a_compiler_or_with_a_broken_one(source: Path, tmp_path: Path) -> None:
-    for number, command in enumerate(("/nonexistent/cc", "false")):
-        cache = tmp_path / str(number)
-        assert codes(process(source, cache, found=False, CC=command)) == [0]
-        assert not list(cache.rglob("*.so"))
 
 
 def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:

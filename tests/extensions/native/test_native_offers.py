@@ -1,22 +1,35 @@
-"""The engine that the extension offers, and torch's without it."""
+"""The engine that the extension offers, torch's without it, and steps that torch compiles."""
 
 from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
-from metapp.extensions.native.fastest import COMPILED, Fastest, can_compile
-from metapp.learning.adjoint import Engine, fastest
+from metapp.extensions.native.fastest import COMPILED, Compiled, Fastest, can_compile
+from metapp.learning.adjoint import TORCH, Engine, fastest
+from tests.learning.conftest import randn
+from tests.learning.test_adjoint import assert_alike, brdf_case, value_and_grads
+
+__all__ = ["randn"]
 
 
 def test_the_engine_is_that_of_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fastest(compiles=True) == Fastest(compiles=True)
     monkeypatch.setenv("METAPP_WITHOUT", "native")
     assert type(fastest(compiles=True)) is Engine
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
+def test_steps_that_torch_compiles_are_those_of_torch(randn: Callable[..., Tensor]) -> None:
+    phi, mean = brdf_case("meta-curvature", randn)
+    assert_alike(*(value_and_grads(mean(2, engine), phi) for engine in (Compiled(), TORCH)))
 
 
 def test_torch_compiles_where_nobody_else_can_write(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
