@@ -139,63 +139,6 @@ def test_lights_that_no_path_meets_by_chance_are_sampled(tmp_path: Path, emitter
     assert task.data["image"].max() > 0
 
 
-BAD = {
-    "empty.xml": ("", "not readable as XML"),
-    "cut.json": ('{"type": "scene"', "not readable as JSON"),
-    "bsdf.xml": ('<bsdf version="3.0.0" type="diffuse"/>', "no scene, expected <scene> around all else"),
-    "dark.xml": (xml(CAMERA, ROOM), "no emitter, expected an area light, an environment, a point"),
-    "beam.xml": (
-        xml(CAMERA, ROOM, '<shape type="rectangle"><emitter type="directionalarea"/></shape>'),
-        "an emitter DirectionalArea, which path tracers find no light of.*small area light",
-    ),
-    "blind.xml": (xml(ROOM, ball()), "no sensor, expected a perspective one"),
-    "lens.xml": (
-        xml(CAMERA.replace("perspective", "orthographic").replace('<float name="fov" value="45"/>', ""), ball()),
-        "a sensor Orthographic.*expected a perspective one",
-    ),
-    "closed.xml": (
-        xml(CAMERA, ball(), '<shape type="sphere"><point name="center" value="0, 0, 4"/></shape>'),
-        r"0 of [\d,]+ paths meet a light, expected 256 or more.*; point the camera",
-    ),
-    "fog.xml": (
-        xml(CAMERA, ball(), '<shape type="cube"><medium name="interior" type="homogeneous"/></shape>'),
-        "a participating medium, 'homogeneous', expected surfaces alone: .*; leave it out of the shape",
-    ),
-    "smoke.json": (
-        json.dumps(
-            {
-                "type": "scene",
-                "smoke": {"type": "homogeneous", "id": "other"},
-                "box": {"type": "cube", "interior": {"type": "ref", "id": "smoke"}},
-            }
-        ),
-        "a participating medium, 'homogeneous', expected surfaces alone",
-    ),
-    "unknown.xml": (xml(CAMERA, '<shape type="teapot"/>'), "a plugin 'teapot', expected one of Mitsuba's own"),
-    "mesh.xml": (
-        xml(CAMERA, ball(), '<shape type="obj"><string name="filename" value="a.obj"/></shape>'),
-        "names the file 'a.obj': file not found; put it in the scene's folder",
-    ),
-    "path.xml": (xml('<path value="/tmp"/>'), "the <path> '/tmp' outside the scene's folder.*: --scene-root /tmp$"),
-    "matrix.json": (
-        '{"type": "scene", "a": {"type": "sphere", "to_world": [1]}}',
-        "a value of 'to_world', 'list', expected a",
-    ),
-}
-
-
-@needs_mitsuba
-@pytest.mark.parametrize("name", BAD)
-def test_what_is_wrong_is_said_in_one_line(name: str, tmp_path: Path) -> None:
-    content, expected = BAD[name]
-    path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(ValueError, match=expected) as caught:
-        read_task(path, samples=64, held=16)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "\n" not in str(caught.value)
-
-
 def old(*parts: str) -> str:
     return xml(*parts).replace("3.0.0", "0.6.0").replace("to_world", "toWorld").replace("flip_normals", "flipNormals")
 

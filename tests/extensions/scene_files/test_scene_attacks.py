@@ -1,4 +1,4 @@
-"""Scene files made to run code, to read what they should not, to end the process or to hang it: all refused."""
+"""Scene files that are no scenes, or made to run code, read files, end the process or hang it: refused in a line."""
 
 from __future__ import annotations
 
@@ -70,26 +70,16 @@ CODE = {
     "plain.xml": xml(ITSELF),
     "entity.xml": xml('<shape type="&a;"/>', before='<!DOCTYPE scene [<!ENTITY a "evil">]>'),
     "namespace.xml": xml('<x:include xmlns:x="q" filename="part.txt"/>'),
-    "names.xml": xml('<include xmlns="q" filename="part.txt"/>'),
     "dollar.xml": xml('<default name="f" value="part.txt"/>', '<include filename="$f"/>'),
-    "dollars.xml": xml(
-        '<default name="a" value="ev"/>', '<default name="b" value="${a}il"/>', '<shape type="${a}il"/>'
-    ),
     "type.xml": xml('<default name="a" value="evil"/>', '<shape type="$a"/>'),
     "nested.xml": xml('<include filename="below/part.txt"/>'),
     "above.xml": xml('<shape type="../plugins/evil"/>'),
-    "spectrum.xml": xml('<shape type="cube"><spectrum name="a" type="evil"/></shape>'),
     "case.xml": xml('<Include filename="part.txt"/>'),
-    "comment.xml": xml('<!-- -- ><shape type="evil"/> -->', ITSELF),
     "utf7.xml": xml("+ADw-shape type=+ACI-evil+ACI-/+AD4-", ITSELF, before='<?xml version="1.0" encoding="UTF-7"?>'),
     "old.xml": xml('<shape type="evil" id="fileName"/>', version="0.5.0"),
     "plain.json": in_json({"type": "evil"}),
     "above.json": in_json({"type": "../plugins/evil"}),
-    "list.json": in_json({"type": ["evil"]}),
     "none.json": in_json({"types": "evil"}),
-    "deep.json": in_json({"type": "sphere", "a": {"type": "area", "radiance": {"type": "evil"}}}),
-    "inlist.json": in_json([{"type": "evil"}]),
-    "include.json": in_json({"type": "include", "filename": "part.txt"}),
     "resources.json": in_json({"type": "resources", "path": "."}),
     "path.json": in_json({"type": "path", "value": "."}, again={"type": "evil"}),
     "xml.json": json.dumps({"xml": xml(ITSELF), "folder": "."}),
@@ -159,6 +149,12 @@ SPHERE = {"type": "sphere"}
 SAMPLER = '<sampler type="{}"><{} name="sampleCount" value="{}"/></sampler>'
 LAMP_SHAPE = f'<shape type="cube">{LAMP.replace("4 4 4", "{}")}</shape>'
 TWICE = SAMPLER.format("ldsampler", "float", 4).replace("/><", '/><float name="sample_count" value="9"/><')
+ORTHOGRAPHIC = CAMERA.replace("perspective", "orthographic").replace('<float name="fov" value="45"/>', "")
+BEAM = '<emitter type="directionalarea"/>'
+SHUTTER = '<shape type="sphere"><point name="center" value="0, 0, 4"/></shape>'
+FOG = '<shape type="cube"><medium name="interior" type="homogeneous"/></shape>'
+SMOKY = {"type": "cube", "interior": {"type": "ref", "id": "smoke"}}
+MESH = f'<shape type="obj">{NAMED.format("a.obj")}</shape>'
 BLACK = '<texture type="blackbody"><float name="temperature" value="{}"/></texture>'
 
 
@@ -175,37 +171,37 @@ def glowing(texture: dict[str, Any]) -> dict[str, Any]:
 
 
 BAD: dict[str, tuple[str, str]] = {
+    "empty.xml": ("", "not readable as XML"),
+    "cut.json": ('{"type": "scene"', "not readable as JSON"),
+    "bsdf.xml": ('<bsdf version="3.0.0" type="diffuse"/>', "no scene, expected <scene> around all else"),
+    "dark.xml": (f'<scene version="3.0.0">{CAMERA}</scene>', "no emitter, expected an area light, an environment, a p"),
+    "beam.xml": (xml(f"<shape type='cube'>{BEAM}</shape>"), "an emitter DirectionalArea.*small area light"),
+    "blind.xml": (xml().replace(CAMERA, ""), "no sensor, expected a perspective one"),
+    "lens.xml": (xml().replace(CAMERA, ORTHOGRAPHIC), "a sensor Orthographic.*expected a perspective one"),
+    "closed.xml": (xml(SHUTTER), r"0 of [\d,]+ paths meet a light, expected 256 or more.*; point the camera"),
+    "fog.xml": (xml(FOG), "a participating medium, 'homogeneous', expected surfaces alone: .*; leave it out of the sh"),
+    "smoke.json": (in_json(SMOKY, smoke={"type": "homogeneous", "id": "other"}), "a participating medium, 'homogen"),
+    "mesh.xml": (xml(MESH), "names the file 'a.obj': file not found; put it in the scene's folder"),
     "laughs.xml": (xml(before=f'<!DOCTYPE scene [<!ENTITY l0 "ha">{LAUGH}]>'), "a DOCTYPE"),
-    "unknown.xml": (xml('<shape type="&lol;"/>'), "not readable as XML"),
     "deep.xml": (xml('<bsdf type="twosided">' * NESTED, "</bsdf>" * NESTED), "64 within each other"),
     "many.xml": (xml('<shape type="cube"/>' * 200_001), "more than 200,000 elements"),
     "growing.xml": (xml(GROWING), "a <default> 'a3'"),
     "escaped.xml": (xml('<string name="a" value="\\$b"/>'), "expected a <default> before it"),
-    "undeclared.xml": (xml('<include filename="$f"/>'), r"'\$f', expected a <default> before it"),
     "late.xml": (xml('<shape type="$f"/>', '<default name="f" value="cube"/>'), r"'\$f', expected a <default>"),
-    "media.xml": (xml('<shape type="cube"><medium type="heterogeneous"/></shape>'), "a participating medium"),
     "address.xml": (xml('<shape type="blender"><string name="verts" value="4096"/></shape>'), "a plugin 'blender'"),
     "material.xml": (xml(MATERIAL.format("../../../../tmp/x")), "expected plain text, no path"),
-    "metal.xml": (xml(MATERIAL.format("x")), "a material 'x', expected one of Mitsuba's own"),
-    "long.xml": (xml(MATERIAL.format("x" * 250)), "a material 'x"),
     "passwd.xml": (xml(FILE.format("/etc/passwd")), "names the file '/etc/passwd' outside.*--scene-root /etc"),
     "link.xml": (xml(FILE.format("link")), "names the file 'link' outside the scene's folder"),
-    "url.xml": (xml(FILE.format("file:///etc/passwd")), "file not found"),
     "fifo-bitmap.xml": (xml(FILE.format("fifo")), "no regular file"),
-    "folder-bitmap.xml": (xml(FILE.format(".")), "no regular file"),
     "spectrum.xml": (xml('<shape type="cube"><spectrum name="a" filename="/etc/passwd"/></shape>'), "outside"),
     "folder.xml": (xml('<path value="/etc"/>'), "the <path> '/etc' outside the scene's folder.*--scene-root /etc"),
     "fifo.xml": (xml('<include filename="fifo"/>'), "includes 'fifo', which cannot be read: no regular file"),
-    "zero.xml": (xml('<include filename="/dev/zero"/>'), "includes '/dev/zero', which cannot be read.*outside"),
-    "directory.xml": (xml('<include filename="."/>'), "includes '.', which cannot be read"),
     "exponential.xml": (xml('<include filename="half0.xml"/>'), "more than 64 includes"),
     "itself.xml": (xml('<include filename="itself.xml"/>'), "'itself.xml', which cannot be read: it includes it"),
     "cycle.xml": (xml(CYCLE), "no scene that Mitsuba can load: .*circular"),
     "scenes.xml": (xml('<scene version="3.0.0"/>'), "a <scene> within a <scene>"),
     "bitmap.xml": (xml('<bsdf type="diffuse"><texture name="a" type="bitmap"/></bsdf>'), "without 'filename'"),
-    "blend.xml": (xml('<bsdf type="blendbsdf" id="a"/>'), "a plugin 'blendbsdf' without 'weight'"),
     "version.xml": (xml(version="3;rm"), "a version '3;rm'"),
-    "samples.xml": (xml(SAMPLER.format("ldsampler", "integer", 4_000_000).replace("C", "_c")), "a 'sample_count'"),
     "samples.json": (in_json({"type": "ldsampler", "sample_count": 4e9}), "a 'sample_count' of 4000000000, expected"),
     "camel.xml": (xml(SAMPLER.format("ldsampler", "integer", 4_000_000), version="0.6"), "a 'sample_count' of 4000"),
     "string.xml": (xml(SAMPLER.format("multijitter", "string", "4e9"), version="0.6"), "a 'sample_count' of 4000"),
@@ -214,7 +210,6 @@ BAD: dict[str, tuple[str, str]] = {
     "number.xml": (xml('<shape type="ply"><float name="filename" value="a.ply"/></shape>'), "that Mitsuba can load"),
     "bright.xml": (xml(LAMP_SHAPE.format("1e999 1e999 1e999")), "a light of luminance inf|that Mitsuba can load"),
     "film.json": (in_json(SPHERE, sensor=camera(width=0)), "a 'width' of 0, expected 1 to 32,768"),
-    "large-film.json": (in_json(SPHERE, sensor=camera(height=2**31 - 1)), "a 'height' of 2147483647, expected 1 to"),
     "crop.json": (in_json(SPHERE, sensor=camera(crop_width=0)), "a film of 0 x 576 px, expected 1 or more"),
     "merge.json": (in_json({"type": "merge"}), "a 'merge' without shapes"),
     "group.xml": (xml('<shape type="shapegroup"/>'), "a 'shapegroup' without shapes"),
@@ -223,13 +218,9 @@ BAD: dict[str, tuple[str, str]] = {
     "black.xml": (xml(BLACK.format("nan")), "a 'temperature' of nan, expected 1 to"),
     "warm.json": (in_json(glowing({"type": "blackbody", "temperature": 5000})), "Mitsuba can trace.*BlackBody"),
     "infinite.json": (in_json({**SPHERE, "b": {"type": "principled", "roughness": 1e30}}), "paths carry NaN"),
-    "bitmap.json": (in_json({"type": "bitmap", "bitmap": {"type": "checkerboard"}}), "'bitmap' without 'filename'"),
     "blend.json": (in_json({"type": "blendbsdf"}), "a plugin 'blendbsdf' without 'weight'"),
     "file.json": (in_json({"type": "bitmap", "filename": "/etc/passwd"}), "outside the scene's folder"),
-    "filenumber.json": (in_json({"type": "ply", "filename": 3}), "no scene that Mitsuba can load"),
     "spectrum.json": (in_json({**SPHERE, "r": {"type": "spectrum", "filename": "/etc/passwd"}}), "outside the scene's"),
-    "material.json": (in_json({"type": "conductor", "material": "../../x"}), "expected plain text, no path"),
-    "scenes.json": (in_json({"type": "scene"}), "a scene within a scene"),
     "deep.json": ('{"type":"scene","a":' * NESTED + "1" + "}" * NESTED, "not readable as JSON|scene within"),
     "deeplist.json": ('{"type": "scene", "a": ' + "[" * NESTED + "]" * NESTED + "}", "readable as JSON|'a'"),
     "text.json": (json.dumps({"type": "scene", "xml": 3}), "an 'xml' that is no text"),
@@ -237,10 +228,9 @@ BAD: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_hostile_scenes_are_refused_at_once(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bad_scenes_are_refused_at_once(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "link").symlink_to("/etc/passwd")
-    (tmp_path / "zero").symlink_to("/dev/zero")
     for number in range(33):
         twice = f'<include filename="half{number + 1}.xml"/>' * 2 * (number < 32)
         (tmp_path / f"half{number}.xml").write_text(f'<scene version="3.0.0">{twice}</scene>')
