@@ -1,7 +1,8 @@
-"""Baselines of BRDFs: components of log-relative BRDFs and their fits, and GGX lobes."""
+"""Baselines of BRDFs, components of log-relative BRDFs and GGX lobes: minima of their costs, inverses of materials."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -15,17 +16,21 @@ from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines import lobes
 from metapp.extensions.baselines.baseline import Allowed, Training
 from metapp.extensions.baselines.brdf import (
+    PENALTIES,
+    SOLVES,
     _components,
     baselines,
     components_of,
     cosines_of,
     drawn,
+    mean_error,
     places_of,
     ridge_in,
 )
-from metapp.extensions.baselines.components import EPSILON, Components, principal, ridge
+from metapp.extensions.baselines.components import DELTA, EPSILON, Components, principal, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
+from metapp.paradigms.validation import split_validation
 
 APP = Brdf()
 
@@ -49,12 +54,12 @@ def random_materials(count: int, rng: Generator, apart: bool = False) -> list[Ta
     return tasks
 
 
-@pytest.fixture
-def stacked(rng: Generator) -> Tasks:
-    return stack(APP, random_materials(12, rng))
-
-
-def test_the_mapping_has_an_inverse(rng: Generator) -> None:
+def test_the_mapping_is_the_published_one_and_has_an_inverse(rng: Generator) -> None:
+    """Nielsen et al. 2015: the log of (rho w + 0.001) / (rho_0 w + 0.001)."""
+    one = torch.ones(1, 1)
+    of = Components(one, torch.tensor([[0.5]]), torch.tensor([[0.2]]), one, one, one)
+    expected = [math.log(0.001 / 0.101), math.log(1.001 / 0.101)]
+    assert of.mapped(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(expected)
     reflectance = torch.rand(50, 4, generator=rng) * 10
     reflectance[0] = 0
     cos, weight, reference = (torch.rand(50, 1, generator=rng) + 0.01 for _ in range(3))
@@ -76,9 +81,9 @@ def test_components_are_those_of_the_singular_value_decomposition(rng: Generator
         assert principal(unit * few, 20)[1].shape == (40, 3)  # and a mean
 
 
-def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: Generator) -> None:
+def test_samples_and_cosines_are_those_of_the_application(rng: Generator) -> None:
     # in one draw what ten steps draw of one task
-    one = stacked.select([3])
+    one = stack(APP, random_materials(12, rng)).select([3])
     rng = Generator().manual_seed(5)
     steps = [APP.sample(one, rng, 64) for _ in range(10)]
     rows, target = drawn(one, Generator().manual_seed(5), 640)
@@ -89,7 +94,40 @@ def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: G
     prepared = APP.prepare(task)
     for found, expected in zip(cosines_of(prepared["where"]), cosines(task.data["angles"].double()), strict=True):
         torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-5)
-    assert components_of(stacked.data["where"][0], stacked.data["target"]).weight.min() >= EPSILON
+
+
+def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
+    task = random_materials(1, rng)[0]
+    prepared = APP.prepare(task)
+    found = components_of(prepared["where"], prepared["target"].expand(4, -1, -1))
+    of = cosines(task.data["angles"].double())
+    expected = (of.incident * of.outgoing).clamp_min(EPSILON)
+    torch.testing.assert_close(found.weight[:, 0].double(), expected, atol=1e-6, rtol=1e-4)
+
+
+@pytest.mark.parametrize("solves", [1, 2, 3])
+def test_coefficients_are_at_the_minimum_of_their_cost(rng: Generator, solves: int) -> None:
+    """Squares of log-relative residuals, weighted by the slope of the table's error and by its size before."""
+    made = stack(APP, random_materials(12, rng))
+    where, target = made.data["where"][0].double(), made.data["target"].double()
+    materials = Tasks(made.names, {"where": where.expand(12, -1, -1), "target": target}, made.rows)
+    rows, seen = drawn(materials.select([10]), rng, 300)  # which is not in the span
+    used, penalty = components_of(where, target[:8]).first(5).at(rows), 1e-3
+    reflectance = (seen.expm1() / used.cos).requires_grad_()
+    mapped = used.mapped(reflectance)
+    (by_reflectance,) = torch.autograd.grad(torch.log1p(reflectance * used.cos).sum(), reflectance)
+    (mapped_by,) = torch.autograd.grad(mapped.sum(), reflectance)
+    weights = slope = by_reflectance / mapped_by
+    if solves > 1:
+        before = used.reflectance(used.coefficients(seen, penalty, solves - 1))
+        error = (torch.log1p(before * used.cos) - seen).abs()
+        weights = slope**2 / (error + DELTA * error.mean(0))
+    found = used.coefficients(seen, penalty, solves).requires_grad_()
+    residual = used.axes @ found + used.mean - mapped.detach()
+    drawn_to = (found / used.deviation[:, None]) ** 2
+    cost = (weights / weights.mean(0) * residual**2).sum() + penalty * len(residual) * drawn_to.sum()
+    (gradient,) = torch.autograd.grad(cost, found)
+    assert gradient.abs().max() < 1e-8 * cost.item() + 1e-8
 
 
 @pytest.mark.parametrize("weighted", [False, True])
@@ -108,11 +146,16 @@ def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> Non
         torch.testing.assert_close(found.double(), wanted, atol=1e-5, rtol=1e-4)
 
 
-def test_the_penalty_is_chosen_on_validation_materials_and_bytes_are_counted(rng: Generator) -> None:
-    training = Training(APP, random_materials(12, rng))
-    allowed = Allowed(400, 2700)
+def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_bytes_are_counted(rng: Generator) -> None:
+    training, allowed = Training(APP, random_materials(12, rng)), Allowed(400, 2700)
     prepared = _components(8, training, allowed)
-    assert set(prepared.chosen) == {"penalty", "solves"}
+    known, validation = split_validation(training.stacked)
+    where = known.data["where"][0]
+    components = components_of(where, known.data["target"][known.rows]).first(8)
+    settings = itertools.product(PENALTIES, SOLVES)
+    errors = {each: mean_error(APP, ridge_in(where, components, *each), validation, allowed) for each in settings}
+    penalty, solves = min(errors, key=errors.__getitem__)
+    assert prepared.chosen == {"penalty": penalty, "solves": solves}
     assert prepared.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
     one = training.stacked.select([2])
     fitted = prepared.fit(one, Generator().manual_seed(0), allowed)
@@ -164,13 +207,39 @@ def test_slopes_are_those_of_finite_differences(at: lobes.Cosines) -> None:
         torch.testing.assert_close(found[..., i], (above - below) / (2 * step), atol=1e-7, rtol=1e-5)
 
 
-def test_lobes_fit_their_own_materials(at: lobes.Cosines) -> None:
-    for alpha in (0.05, 0.3):
-        numbers = torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.1, 0.5, 0.8, 0.2], dtype=torch.float64)
-        torch.testing.assert_close(lobes.fit(*seen(numbers, at), ONE), numbers, atol=0.01, rtol=0.01)
+def near_mirror(rng: Generator, count: int = 3000) -> lobes.Cosines:
+    """Angles of which half have the half vector within two degrees of the normal."""
+    high = torch.tensor([1.3, 1.2, 2 * math.pi], dtype=torch.float64)
+    angles = torch.rand(count, 3, generator=rng, dtype=torch.float64) * high
+    angles[::2, 0] *= 0.03
+    of = cosines(angles)
+    above = (of.incident > 0.05) & (of.outgoing > 0.05)
+    return lobes.Cosines(*(cosine[above] for cosine in of))
+
+
+@pytest.mark.parametrize("alpha", [0.006, 0.02, 0.05, 0.3, 1.2])
+def test_lobes_fit_their_own_materials(at: lobes.Cosines, rng: Generator, alpha: float) -> None:
+    """From nearly a mirror to nearly none."""
+    usual, numbers = 0.05 <= alpha <= 0.3, torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.1, 0.5, 0.8, 0.2]).double()
+    found = lobes.fit(*seen(numbers, at if usual else near_mirror(rng)), ONE)
+    if usual:
+        torch.testing.assert_close(found, numbers, atol=0.01, rtol=0.01)
+    assert found[3].exp().item() == pytest.approx(alpha, rel=0.05)
+
+
+def test_two_lobes_fit_what_one_does_not(at: lobes.Cosines) -> None:
     wide, narrow = [math.log(0.4), 0.05, 0.9, 0.5, 0.4], [math.log(0.06), 0.04, 0.3, 0.3, 0.3]
-    numbers = torch.tensor([0.1, 0.2, 0.05, *wide, *narrow], dtype=torch.float64)
-    target = seen(numbers, at)
+    target = seen(torch.tensor([0.1, 0.2, 0.05, *wide, *narrow], dtype=torch.float64), at)
     errors = [(seen(lobes.fit(*target, each), at)[1] - target[1]).abs().mean().item() for each in (ONE, lobes.ALPHAS)]
     assert errors[1] < 2e-4
     assert errors[1] < 0.1 * errors[0]
+
+
+def test_alphas_stay_in_their_bounds(rng: Generator) -> None:
+    at = near_mirror(rng)
+    for alpha in (0.001, 4.0):
+        numbers = torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.04, 0.5, 0.8, 0.2], dtype=torch.float64)
+        found = lobes.fit(*seen(numbers, at), ONE)
+        assert 0.005 * (1 - 1e-9) <= found[3].exp().item() <= 1.5 * (1 + 1e-9)
+        assert 0 <= found[4] <= 1
+        assert found[[0, 1, 2, 5, 6, 7]].min() >= 0

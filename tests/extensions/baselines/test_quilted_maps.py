@@ -70,18 +70,6 @@ def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfSt
     assert (fitted.numbers, fitted.size) == (3 * SIZE * SIZE + 5, 3 * SIZE * SIZE + 20)
 
 
-def test_errors_of_the_true_maps_are_those_of_8_bits(app: SvbrdfStationary) -> None:
-    maps = material(waves(9.7))
-    tasks = stack(app, [task_of(app, maps)])
-    truth = Maps(*(part[None, None] for part in maps))
-    errors = app.errors_of(truth, tasks)
-    assert errors["error"] < 0.02
-    assert errors["relit"] < 0.02
-    photographs = app.photograph(truth, camera(), camera())
-    assert "relit" not in app.errors_of(photographs, tasks)  # lit from elsewhere, they are unknown
-    torch.testing.assert_close(app.errors_of(photographs, tasks)["error"], errors["error"], atol=0.01, rtol=0)
-
-
 def test_maps_tile_and_go_on_across_their_edges(app: SvbrdfStationary) -> None:
     tasks = stack(app, [task_of(app, material(waves(9.7)))])  # no whole number of waves
     diffuse = quilting(app, tasks).answer().diffuse
@@ -99,14 +87,3 @@ def test_the_same_seed_makes_the_same_maps(app: SvbrdfStationary) -> None:
     assert not torch.equal(first.diffuse, other.diffuse)
     mean = [float(maps.diffuse.mean()) for maps in (first, other)]
     assert mean == pytest.approx([sum(DIFFUSE) / 3] * 2, rel=0.1)
-
-
-def test_its_files_are_those_of_a_fit(app: SvbrdfStationary) -> None:
-    task = task_of(app, material())
-    shown = app
-    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    files = shown.answer_pictures(quilting(app, stack(app, [task])).answer(), task)  # type: ignore[attr-defined]
-    assert {name: each.kind for name, each in files.items()} == {
-        name: each.kind for name, each in shown.pictures(theta, task).items()
-    }
-    assert {each.pixels.shape[:2] for each in files.values()} == {(SIZE, SIZE)}
