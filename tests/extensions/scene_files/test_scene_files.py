@@ -133,7 +133,7 @@ def test_files_that_mitsuba_reads_are_let_through(name: str, tmp_path: Path) -> 
 
 
 def test_the_mesh_that_is_named_is_checked(tmp_path: Path) -> None:
-    first = serialized(meshes=1)[:-12]
+    first = serialized()[:-12]
     table = np.array([0, len(first)], "<u8").tobytes() + (2).to_bytes(4, "little")
     both = first + serialized(faces=((0, 1, 4),))[:-12] + table
     assert read_task(write_scene(tmp_path, "a.serialized", both), samples=8, held=8)
