@@ -35,15 +35,15 @@ def waves() -> Compared:
 # By torch 2.14.1, torchvision 0.29.1: torchmetrics 1.9.0 (both measures), and to all digits lpips 0.1.4 and
 # DISTS-pytorch 0.1, with the weights of VGG-16 put in place of those that torchvision would fetch
 @needs_weights
-def test_numbers_of_the_authors_programs_with_drawn_weights(drawn: None) -> None:
-    assert perceptual.lpips(waves()) == pytest.approx(0.13649404, abs=2e-6)
-    assert perceptual.dists(waves()) == pytest.approx(0.09918708, abs=2e-6)
-
-
-@needs_weights
-def test_numbers_of_the_authors_programs(vgg: Path) -> None:
-    assert perceptual.lpips(waves()) == pytest.approx(0.36470923, abs=2e-6)
-    assert perceptual.dists(waves()) == pytest.approx(0.25178206, abs=2e-6)
+@pytest.mark.parametrize(
+    ("weights", "lpips", "dists"), [("drawn", 0.13649404, 0.09918708), ("vgg", 0.36470923, 0.25178206)]
+)
+def test_numbers_of_the_authors_programs(
+    weights: str, lpips: float, dists: float, request: pytest.FixtureRequest
+) -> None:
+    request.getfixturevalue(weights)
+    assert perceptual.lpips(waves()) == pytest.approx(lpips, abs=2e-6)
+    assert perceptual.dists(waves()) == pytest.approx(dists, abs=2e-6)
 
 
 @needs_weights
@@ -78,19 +78,6 @@ def test_pooling_keeps_what_is_even(drawn: None) -> None:
     soft = perceptual.softly_pooled(features)
     assert soft.stages[1][1] is features.stages[1][1]
     assert not any(isinstance(layer, torch.nn.MaxPool2d) for stage in soft.stages for layer in stage)
-
-
-@needs_weights
-def test_weights_are_what_torch_reads() -> None:
-    """The reader of bytes against torch's own, which takes nothing but tensors."""
-    place = importlib.util.find_spec("torchmetrics").submodule_search_locations[0]
-    heads = torch.load(f"{place}/functional/image/{perceptual.LPIPS_FILE}", map_location="cpu", weights_only=True)
-    for tap, (found, size) in enumerate(zip(perceptual.lpips_weights(), perceptual.CHANNELS, strict=True)):
-        assert torch.equal(found, heads[f"lin{tap}.model.1.weight"].reshape(size))
-        assert (found >= 0).all()
-    both = torch.load(f"{place}/functional/image/{perceptual.DISTS_FILE}", map_location="cpu", weights_only=True)
-    for found, name in zip(perceptual.dists_weights(), ("alpha", "beta"), strict=True):
-        assert torch.equal(torch.cat(found), both[name].flatten())
 
 
 def lacks(app: str = "texture") -> dict[str, str]:
