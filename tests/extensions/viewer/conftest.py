@@ -1,13 +1,24 @@
-"""The browser that tests of pages share."""
+"""The browser that tests of pages share, and the page that each opens."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.browser import browsing
+from metapp.extensions.viewer.page import Group, Shown, document, html
+from metapp.extensions.viewer.view import View
+from metapp.storage.html import write_page
+from tests.browser import Page, browsing
+
+
+def written(folder: Path, *fits: View | list[Shown]) -> Path:
+    """A page of groups: of one fit, `meta`, or of several side by side."""
+    several = [each if isinstance(each, list) else [Shown("meta", "error 0.1", each)] for each in fits]
+    groups = [Group(f"fit {i}", "Fits", each) for i, each in enumerate(several)]
+    return write_page(html(document("metapp", groups)), folder / "view.html")
 
 
 @pytest.fixture(scope="module")
@@ -17,8 +28,15 @@ def opened() -> Iterator[Any]:
 
 
 @pytest.fixture
-def browser(opened: Any) -> Iterator[Any]:
-    """Without the pages of earlier tests, which would go on drawing and slow what follows."""
-    yield opened
+def open_page(opened: Any, tmp_path: Path) -> Iterator[Callable[..., Page]]:
+    """Opens such a page, on which there are no errors; none goes on drawing after its test."""
+    pages: list[Page] = []
+
+    def call(*fits: View | list[Shown], **more: Any) -> Page:
+        pages.append(Page(opened, written(tmp_path, *fits), **more))
+        return pages[-1]
+
+    yield call
     for context in opened.contexts:
         context.close()
+    assert not any(page.problems for page in pages)

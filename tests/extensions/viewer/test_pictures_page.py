@@ -20,7 +20,7 @@ from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
-from metapp.extensions.viewer.page import Group, Shown, document, html
+from metapp.extensions.viewer.page import Shown
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.flat import QUILTED
 from metapp.extensions.viewer.view import View, view_of
@@ -30,8 +30,8 @@ from metapp.networks.exemplar import TILED
 from metapp.networks.generators import UNet
 from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
-from metapp.storage.html import write_page
 from tests.browser import LEGEND, Page, assert_alike, browsing, false_colours
+from tests.extensions.viewer.conftest import written
 from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
@@ -103,10 +103,7 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     assert {tuple(texel) for texel in quilted.reshape(-1, 3).tolist()} <= {
         tuple(texel) for texel in exemplar.reshape(-1, 3).tolist()
     }
-
-
-def test_a_texture_is_shown_without_its_exemplar() -> None:
-    alone = view_of(SHOWN, theta_of(), Task("bark", {}))
+    alone = view_of(SHOWN, theta, Task("bark", {}))
     assert [each["title"] for each in alone.facts["pictures"]] == ["fit"]
 
 
@@ -165,13 +162,7 @@ def test_the_worst_region_is_where_errors_are_greatest() -> None:
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
     textures = [Shown(f"seed {seed}", "error 0.1", view_of(SHOWN, theta_of(seed), exemplar_of())) for seed in (0, 1)]
-    groups = [
-        Group("bark", "Texture", textures[:1]),
-        Group("bark twice", "Texture", textures),
-        Group("room", "Light", [Shown("meta", "", lit())]),
-        Group("parts", "Light", [Shown("meta", "", in_rows())]),
-    ]
-    file = write_page(html(document("metapp", groups)), tmp_path_factory.mktemp("page") / "view.html")
+    file = written(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
     with browsing() as browser:
         opened = Page(browser, file)
         yield opened
@@ -200,12 +191,6 @@ def assert_same_as_file(screen: np.ndarray, picture: Picture, folder: Path) -> N
     write_pictures({"picture": picture}, folder)
     file = np.asarray(Image.open(folder / "picture.png").convert("RGB")) / 255
     assert_alike(screen, file)
-
-
-@pytest.mark.long
-def test_a_texture_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
-    screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=0)
-    assert_same_as_file(screen, SHOWN.pictures(theta_of(), exemplar_of())["texture"], tmp_path)
 
 
 @pytest.mark.long
