@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import OpenImageIO as oiio
@@ -11,6 +12,7 @@ import torch
 
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
+from metapp import door
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.surface import from_metallic
@@ -63,7 +65,7 @@ def test_what_was_fitted_comes_back_to_a_step_and_the_height_in_texture_widths(a
     assert stored(file(asset, "height")).max() == 1
 
 
-def test_maps_that_are_made_of_others_are_the_same_values(asset: Path) -> None:
+def test_maps_that_are_made_of_others_are_the_same_material(asset: Path) -> None:
     gl, dx = stored(file(asset, "normal_gl")), stored(file(asset, "normal_dx"))
     assert torch.equal(gl[[0, 2]], dx[[0, 2]])
     assert (gl[1] + dx[1] - 1).abs().max() <= STEP
@@ -71,9 +73,6 @@ def test_maps_that_are_made_of_others_are_the_same_values(asset: Path) -> None:
     assert torch.equal(stored(file(asset, "orm")), single)
     occlusion = occlusion_from_height(rock().height, periodic=True)
     assert (stored(file(asset, "ao")) - occlusion).abs().max() < 2 * STEP
-
-
-def test_the_metallic_roughness_files_are_one_material_with_the_others(asset: Path) -> None:
     base, metallic = linear(file(asset, "basecolor")), stored(file(asset, "metallic"))
     diffuse, specular = from_metallic(base, metallic)
     total = rock().maps.diffuse + rock().maps.specular
@@ -124,3 +123,12 @@ def test_exr_is_linear(tmp_path: Path) -> None:
     assert (stored(where / "rock_normal_gl.exr") * 2 - 1 - maps.normal).abs().max() < 1e-6
     expected = (rock().height - rock().height.mean()) / 32
     assert (stored(where / "rock_height.exr") - expected).abs().max() < 1e-6
+
+
+def test_without_the_extension_surfaces_have_no_exports_and_brdfs_keep_theirs(
+    metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(door.WITHOUT, "assets")
+    assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
+    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
+    assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "png16").misuse
