@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -261,15 +262,31 @@ def test_other_variants_are_refused_in_one_line(mi: Any, fits: dict[str, Path]) 
             mi.load_dict({"type": "neural_brdf", "filename": str(fits["nbrdf"])})
 
 
+def said(lines: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """What Python says of a program that may import mitsuba."""
+    program = f"from metapp.rendering.variant import choose_llvm\nchoose_llvm()\nimport mitsuba as mi\n{lines}"
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, env=os.environ | environment
+    )
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("order", ["import metapp.mitsuba", "mi.set_variant('llvm_ad_rgb')"])
 def test_the_import_may_come_before_or_after_the_variant(fits: dict[str, Path], order: str) -> None:
     first, second = order, "mi.set_variant('llvm_ad_rgb')" if "import" in order else "import metapp.mitsuba"
-    start = "from metapp.rendering.variant import choose_llvm; choose_llvm(); import mitsuba as mi"
     use = f"print(mi.load_dict({{'type': 'neural_brdf', 'filename': {str(fits['nbrdf'])!r}}}))"
-    lines = "\n".join((start, first, second, "mi.set_variant('scalar_rgb')", "mi.set_variant('llvm_ad_rgb')", use))
-    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=False)
+    done = said("\n".join((first, second, "mi.set_variant('scalar_rgb')", "mi.set_variant('llvm_ad_rgb')", use)))
     assert done.stdout.startswith("NeuralBrdf["), done.stderr
+
+
+def test_other_plugins_are_registered_without_the_extension() -> None:
+    lines = ("import metapp.mitsuba", "mi.set_variant('llvm_ad_rgb')",
+             "print(mi.load_dict({'type': 'metapp_guided_path'}).class_name())",
+             "mi.load_dict({'type': 'neural_svbrdf'})")  # fmt: skip
+    done = said("\n".join(lines), METAPP_WITHOUT="mitsuba_bsdfs")
+    assert done.stdout, done.stderr
+    assert "neural_svbrdf" in done.stderr
+    assert done.returncode == 1
 
 
 # Maps
