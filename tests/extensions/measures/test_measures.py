@@ -12,7 +12,6 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.appearance.features import load_features
 from metapp.appearance.picture_measures import further_errors, picture_measures
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
@@ -66,18 +65,6 @@ def test_lpips_has_a_least_size(drawn: None) -> None:
     assert math.isnan(perceptual.lpips(small))
     assert math.isfinite(perceptual.dists(small))
     assert math.isfinite(perceptual.lpips(Compared(*(each[..., :16, :16] for each in waves()[:2]))))
-
-
-@needs_weights
-def test_pooling_keeps_what_is_even(drawn: None) -> None:
-    """Inside, weights sum to 1; the layers are those of the features themselves."""
-    pooled = perceptual.L2Pooling()(torch.full((1, 2, 9, 8), 0.7))
-    assert pooled.shape == (1, 2, 5, 4)
-    torch.testing.assert_close(pooled[..., 1:-1, 1:], torch.full((1, 2, 3, 3), 0.7))
-    features = load_features(perceptual.TAPS, pooled)
-    soft = perceptual.softly_pooled(features)
-    assert soft.stages[1][1] is features.stages[1][1]
-    assert not any(isinstance(layer, torch.nn.MaxPool2d) for stage in soft.stages for layer in stage)
 
 
 def lacks(app: str = "texture") -> dict[str, str]:
