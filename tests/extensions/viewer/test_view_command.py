@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -11,12 +12,15 @@ from typing import Any
 
 import pytest
 
+from metapp import door
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
-from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.view import View, view_of
 from metapp.extensions.viewer.viewing import try_app
 from metapp.learning.task import Params, Task
+from metapp.runs import api
 from metapp.runs.inputs.sources import Source
+from metapp.storage.records import file_name
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 2
@@ -186,3 +190,38 @@ def test_fits_that_cannot_be_shown_are_left_out(
     lacking.add("m1")
     assert "m0: no photo, expected one" in metapp("view", run, "--no-open", "--out", "none.html").error
     assert not Path("none.html").exists()
+
+
+# Offers
+
+
+def test_without_it_fits_work_and_its_method_is_refused(
+    fitted: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = fitted("meta")
+    monkeypatch.setenv(door.WITHOUT, "viewer")
+    assert fitted("meta") == run
+    fit = api.fit("brdf", networks / "m0", recipe="quick")
+    with pytest.raises(AttributeError, match=r"fit\.view: a method of the extension viewer"):
+        fit.view()
+    assert "view" not in dir(fit)
+    assert fit._repr_html_()
+
+
+def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = api.fit("brdf", networks / "m0", recipe="quick")
+    assert view_of(fit.app, fit.parameters, fit.task).kind == "brdf"
+    offers_of = door.offers_of
+    monkeypatch.setattr(door, "offers_of", lambda kind, app: () if kind is door.Page else offers_of(kind, app))
+    view = view_of(fit.app, fit.parameters, fit.task)
+    assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
+
+
+def test_a_fit_writes_its_page(networks: Path, tmp_path: Path) -> None:
+    fit = api.fit("brdf", networks / "m0")
+    assert "view" in dir(fit)
+    page = fit.view()
+    assert page == Path(f"{file_name(fit.name)}.html")
+    assert "VIEWERS.brdf" in page.read_text(encoding="utf-8")
+    assert fit.view(tmp_path / "a b.html").is_file()
+    assert fit.view(os.fsencode(tmp_path) + b"/\xff.html").is_file()
