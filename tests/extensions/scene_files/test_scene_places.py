@@ -36,23 +36,17 @@ def test_names_of_files(tmp_path: Path) -> None:
 
 
 def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "TEXT_BYTES", 10)
-    file = tmp_path / "x.xml"
-    for size in (0, 9, 10):
-        file.write_bytes(b"x" * size)
-        assert read_text(file) == "x" * size
-    for size in (11, 12, 100):
-        file.write_bytes(b"x" * size)
-        refused("more than 10 bytes", read_text, file)
-    file.write_bytes(b"\xef\xbb\xbfab")
-    assert read_text(file) == "ab"  # without its byte order mark
+    for limit in ("TEXT_BYTES", "_DATA_BYTES"):
+        monkeypatch.setattr(module, limit, 10)
+    file, places = tmp_path / "x.xml", Places((tmp_path,), (tmp_path,))
+    for content, text in ((b"", ""), (b"x" * 10, "x" * 10), (b"\xef\xbb\xbfab", "ab")):  # without a byte order mark
+        file.write_bytes(content)
+        assert read_text(file) == text
+        assert places.file("x.xml") == file
+    file.write_bytes(b"x" * 11)
+    refused("more than 10 bytes", read_text, file)
+    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
     file.write_bytes(b"\xff")
     refused("not text in UTF-8", read_text, file)
-    monkeypatch.setattr(module, "_DATA_BYTES", 10)
-    places = Places((tmp_path,), (tmp_path,))
-    file.write_bytes(b"x" * 10)
-    assert places.file("x.xml") == file
-    file.write_bytes(b"x" * 11)
-    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
     refused("No such file", read_text, tmp_path / "none")
     refused("no regular file", read_text, tmp_path)
