@@ -12,12 +12,12 @@ import torch
 
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
-from metapp import door
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.surface import from_metallic
 from metapp.extensions.assets import pictures
 from metapp.extensions.assets.occlusion import occlusion_from_height
+from metapp.registry import WITHOUT
 from tests.surfaces import PROVENANCE, linear, rock, stored, texture
 
 STEP = 1 / 65535
@@ -128,7 +128,7 @@ def test_exr_is_linear(tmp_path: Path) -> None:
 def test_without_the_extension_surfaces_have_no_exports_and_brdfs_keep_theirs(
     metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(door.WITHOUT, "assets")
+    monkeypatch.setenv(WITHOUT, "assets")
     assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
     forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "png16").misuse

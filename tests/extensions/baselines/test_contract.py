@@ -11,7 +11,6 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp import door
 from metapp.apps import app_names, app_of, class_of, protocols_of, recipes_of
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
@@ -25,6 +24,7 @@ from metapp.extensions.baselines.table import baseline_cell, baseline_rows, pict
 from metapp.extensions.examples.commands import lines_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
+from metapp.registry import WITHOUT, registry
 from metapp.runs.options import fit_options
 from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter
@@ -285,13 +285,13 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
 def test_the_methods_offered_are_those_of_all_protocols(name: str) -> None:
     apps = [app_of(name, recipes_of(name)["quick"], protocol) for protocol in protocols_of(name) or ("",)]
     methods = {baseline.name: None for app in apps for baseline in baselines_of(app)}
-    assert [method for offer in door.offers_of(door.Baselines, name) for method in offer.names] == list(methods)
+    assert list(registry().baselines.of(name)) == list(methods)
 
 
 def test_without_it_its_command_and_table_are_refused_by_its_name(
     metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(door.WITHOUT, "baselines")
+    monkeypatch.setenv(WITHOUT, "baselines")
     assert "a table of the extension baselines" in metapp("evaluate", "--which", "baselines").misuse
     assert "baselines" not in table_names()
     assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in lines_of(app, Path()))

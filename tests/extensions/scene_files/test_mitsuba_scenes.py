@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from data_tools.synthetic.cornell import random_scene, to_xml
-from metapp import door
 from metapp.apps.transport.app import Transport
 from metapp.extensions.scene_files.reading import find, read_scene, read_task, recognises, scene_in_memory
 from metapp.learning.task import problems_of
+from metapp.registry import WITHOUT
 from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
@@ -248,7 +248,7 @@ def test_what_is_no_scene_is_refused_in_a_line(source: object, line: str) -> Non
 
 @needs_mitsuba
 def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(door.WITHOUT, "scene_files")
+    monkeypatch.setenv(WITHOUT, "scene_files")
     box = random_scene(0)
     assert len(load_scene(box).scene.emitters()) == 1
     with pytest.raises(ValueError, match=r"a scene in XML, .*; XML needs the extension scene_files"):

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from metapp import door
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
 from metapp.extensions.viewer.view import View, view_of
 from metapp.extensions.viewer.viewing import try_app
 from metapp.learning.task import Params, Task
+from metapp.registry import WITHOUT, registry
 from metapp.runs import api
 from metapp.runs.inputs.sources import Source
 from metapp.storage.records import file_name
@@ -199,7 +199,7 @@ def test_without_it_fits_work_and_its_method_is_refused(
     fitted: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = fitted("meta")
-    monkeypatch.setenv(door.WITHOUT, "viewer")
+    monkeypatch.setenv(WITHOUT, "viewer")
     assert fitted("meta") == run
     fit = api.fit("brdf", networks / "m0", recipe="quick")
     with pytest.raises(AttributeError, match=r"fit\.view: a method of the extension viewer"):
@@ -211,8 +211,7 @@ def test_without_it_fits_work_and_its_method_is_refused(
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
     assert view_of(fit.app, fit.parameters, fit.task).kind == "brdf"
-    offers_of = door.offers_of
-    monkeypatch.setattr(door, "offers_of", lambda kind, app: () if kind is door.Page else offers_of(kind, app))
+    monkeypatch.delitem(registry().pages, "brdf")
     view = view_of(fit.app, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
