@@ -9,7 +9,6 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import torch
-from torch import Generator
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
@@ -25,7 +24,6 @@ from metapp.rendering.scenes.rules import scene_bytes
 from tests.needs_mitsuba import needs_mitsuba
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-THETA = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
 
 
 def task_of(seed: int) -> Task:

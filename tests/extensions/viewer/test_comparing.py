@@ -1,16 +1,20 @@
-"""Pages compare at once: the same view in each pane, a wipe on request, keys for the list, lamp and wipe."""
+"""How pages are handled: what stands side by side, keys, handles, fingers; what is left of what cannot be drawn."""
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from metapp.appearance.surface import Surface
 from metapp.extensions.viewer.surface import Lit, surface_view
 from metapp.extensions.viewer.view import THUMBNAIL, View, thumbnail
+from tests.browser import Page, assert_alike
 from tests.surfaces import rock
 
 PANES = "metapp.viewer.panes.map(({ part, width, height }) => [part, width, height])"
@@ -113,3 +117,142 @@ def test_narrow_pages_stack_panes_under_their_labels(open_page: Callable, view: 
     assert page.page.locator("#controls").is_hidden()
     page.page.click("#options")
     assert page.page.locator("#controls").is_visible()
+
+
+# Views: which one is open, what handles change, what is left of one that cannot be drawn
+
+
+PICTURES, LIGHT = 0, 1  # groups of the page
+SPHERES = {"metal": 0.9, "albedo": 0.5, "specular": 0.04, "silver": {"roughness": 0.5}, "diffuse": {"roughness": 0.6}}
+
+
+@pytest.fixture
+def page(open_page: Callable) -> Page:
+    """Two pictures, and a light with its reference."""
+    pictures = View("pictures", pictures={name: torch.rand(8, 8, 3) for name in ("reference", "fit")})
+    maps = {name: torch.rand(8, 16, 3).half() for name in ("map", "reference")}
+    light = View("light", maps, facts={"scale": 1.0, "note": "", **SPHERES}, shared={"lobes": torch.ones(2, 32).half()})
+    opened: Page = open_page(pictures, light, width=320, height=240)
+    opened.sized(64, 64)
+    return opened
+
+
+def decoded(address: str) -> np.ndarray:
+    """The pixels of a picture's address, [H, W, 3], of 255."""
+    content = base64.b64decode(address.partition("base64,")[2])
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), np.float64)
+
+
+def kinds(page: Page) -> tuple[str, int]:
+    """The kind of the view that is open, and how many views the page holds."""
+    shown = "[metapp.viewer?.kind ?? '', document.querySelectorAll('#stage > .view').length]"
+    kind, count = page.page.evaluate(shown)
+    return kind, count
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("last", [PICTURES, LIGHT])
+def test_of_two_views_that_open_at_once_the_last_one_stays(page: Page, last: int) -> None:
+    page.page.evaluate(f"Promise.all([metapp.open({1 - last}), metapp.open({last})])")
+    page.settle()
+    assert kinds(page) == (["pictures", "light"][last], 1)
+    assert page.page.evaluate("document.querySelectorAll('#stage canvas:not(.plot)').length") == 1
+
+
+@pytest.mark.long
+def test_a_wipe_follows_its_handle(page: Page) -> None:
+    for index, view in ((LIGHT, {"view": "flat"}), (PICTURES, {})):
+        page.page.evaluate(f"metapp.open({index})")
+        page.set(**view, show="wipe")
+        page.settle()
+        page.page.mouse.move(32, 50)
+        page.page.mouse.down()
+        page.page.mouse.move(16, 50)
+        page.page.mouse.up()
+        assert page.page.evaluate("metapp.settings.wipe") == pytest.approx(0.25, abs=0.02)
+        assert not page.page.evaluate("metapp.viewer.moves")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("index", [PICTURES, LIGHT])
+def test_a_saved_picture_has_the_labels_and_lines_of_the_screen(page: Page, index: int) -> None:
+    page.page.evaluate(f"metapp.open({index})")
+    page.sized(300, 160)
+    page.set(**({"view": "flat"} if index == LIGHT else {}), show="wipe", wipe=0.5)
+    page.settle()
+    label = page.page.locator(".view .label:visible").first
+    assert label.inner_text() in ("reference | fit", "Reference | fit")
+    seen = np.asarray(Image.open(io.BytesIO(page.page.locator("#stage").screenshot())).convert("RGB"), np.float64)
+    plain, saved = (decoded(page.page.evaluate(f"metapp.{name}()")) for name in ("png", "labelled"))
+    box = label.bounding_box()
+    assert box
+    x, y, width, height = (round(box[key]) for key in ("x", "y", "width", "height"))
+    within = np.s_[y : y + height, x : x + width]
+    assert np.abs(saved[within] - plain[within]).mean() > 30
+    assert np.abs(saved[within] - seen[within]).mean() < 12  # letters are smoothed otherwise
+    assert np.abs(saved - seen).mean() < 2
+
+
+@pytest.mark.long
+def test_two_fingers_zoom_a_panorama(page: Page) -> None:
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    page.set(view="around")
+    page.settle()
+    fingers = """(places) => places.forEach(([type, pointerId, clientX]) => {
+        const canvas = document.querySelector("#stage canvas");
+        canvas.setPointerCapture = () => {};
+        canvas.dispatchEvent(new PointerEvent(type, { pointerId, clientX, clientY: 30, buttons: 1 }));
+    })"""
+    down = [["pointerdown", 1, 10], ["pointerdown", 2, 30]]
+    page.page.evaluate(fingers, [*down, ["pointermove", 2, 50], ["pointerup", 2, 50], ["pointerup", 1, 10]])
+    assert page.page.evaluate("[metapp.settings.field, metapp.settings.heading]") == [37.5, 0]
+    page.page.evaluate(fingers, [["pointermove", 2, 20]])
+    assert page.page.evaluate("[metapp.settings.field, metapp.settings.heading]") == [37.5, 0]
+
+
+@pytest.mark.long
+def test_what_cannot_be_drawn_makes_room_for_the_reason(page: Page) -> None:
+    page.page.evaluate("metapp.viewer.draw = () => { throw new Error('no memory'); }; metapp.set('show', 'one')")
+    page.page.wait_for_selector(".problem:not([hidden])")
+    assert page.page.inner_text(".problem") == "This view cannot be drawn: no memory"
+    assert kinds(page) == ("", 0)
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    assert kinds(page) == ("light", 1)
+    assert page.page.locator(".problem").is_hidden()
+    page.problems.clear()
+
+
+@pytest.mark.long
+def test_a_view_comes_back_after_the_browser_stopped_webgl(page: Page) -> None:
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    page.set(exposure=1.5)
+    page.settle()
+    before = page.screenshot()
+    page.page.evaluate("window.ended = metapp.viewer.renderer.getContext().getExtension('WEBGL_lose_context')")
+    page.page.evaluate("ended.loseContext()")
+    page.page.wait_for_selector(".problem:not([hidden])")
+    assert "The view comes back when WebGL does" in page.page.inner_text(".problem")
+    page.set(exposure=1)
+    page.set(exposure=1.5)
+    page.page.wait_for_timeout(200)
+    page.page.evaluate("ended.restoreContext()")
+    page.page.wait_for_selector(".problem", state="hidden")
+    page.settle()
+    assert kinds(page) == ("light", 1)
+    assert page.page.evaluate("metapp.settings.exposure") == 1.5
+    assert_alike(page.screenshot(), before)
+
+
+@pytest.mark.long
+def test_another_light_map_is_read_or_refused(page: Page) -> None:
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    head, rows = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n", [128, 128, 128, 129] * 32
+    read = """async (bytes) => {
+        await metapp.viewer.readLight(new File([Uint8Array.from(bytes)], "a.hdr"));
+        return [metapp.viewer.light.size.x, document.querySelector(".said").textContent];
+    }"""
+    width, said = page.page.evaluate(read, [*head.encode()][:20])
+    assert width == 16
+    assert said.startswith("a.hdr is no light map of Radiance (.hdr): ")
+    assert page.page.evaluate(read, [*head.encode(), *rows]) == [8, "Light map: a.hdr"]
+    page.settle()
