@@ -296,8 +296,8 @@ def test_the_first_look_under_a_light_map_is_as_bright_as_the_last(open_page: Ca
 @pytest.mark.long
 def test_a_long_picture_comes_in_pieces_and_can_be_stopped_and_goes_on(open_page: Callable) -> None:
     """Where a sample takes long the page is asked in between, many times."""
-    page = open_page(views("nbrdf", "few"))
-    page.sized(192, 96)
+    page = open_page(views("nbrdf"))
+    page.sized(96, 48)
     page.page.evaluate(SLOW)
     page.set(light="lamp")
     before = page.page.evaluate("metapp.drawn")
