@@ -24,7 +24,8 @@ from metapp.extensions.baselines.table import baseline_cell, baseline_rows, pict
 from metapp.extensions.examples.commands import lines_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
-from metapp.registry import WITHOUT, registry
+from metapp.registry import WITHOUT as LEAVING_OUT
+from metapp.registry import registry
 from metapp.runs.options import fit_options
 from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter
@@ -283,7 +284,7 @@ def test_the_methods_offered_are_those_of_all_protocols(name: str) -> None:
 def test_without_it_its_command_and_table_are_refused_by_its_name(
     metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(WITHOUT, "baselines")
+    monkeypatch.setenv(LEAVING_OUT, "baselines")
     assert "a table of the extension baselines" in metapp("evaluate", "--which", "baselines").misuse
     assert "baselines" not in table_names()
     assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in lines_of(app, Path()))
