@@ -208,7 +208,6 @@ def test_all_that_ships_can_be_loaded() -> None:
 
 def test_references_of_an_entry_are_all_that_it_names() -> None:
     application = registry().applications["brdf"]
-    presentation = "metapp.apps.brdf.presentation:BrdfPresentation"
     files = "data_tools.synthetic.examples:write_example"
-    assert application.references() == [application.reference, presentation, files]
+    assert application.references() == [application.reference, files]
     assert Recipe("a:B", lacks="c:d", checkpoints="e.f", kind="few").references() == ["a:B", "c:d"]

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from metapp.appearance.presentation import Presentation
 from torch import Generator
 from typer.testing import CliRunner
 
-from metapp.apps import app_names, app_of, options_of, presentation_of, protocols_of, recipes_of
+from metapp.apps import app_names, app_of, options_of, protocols_of, recipes_of
 from metapp.cli.commands import app as cli
 from metapp.cli.fit import SUMMARIES
+from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.options import BadOption, declared
 from metapp.runs.checkpoints.shipped import ships
@@ -80,7 +80,7 @@ def test_offers_of_an_application_are_what_it_has(name: str) -> None:
     protocols = protocols_of(name)
     assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
     app = app_of(name, recipes_of(name)["quick"], (protocols or ("",))[0])
-    assert hasattr(options_of(name), "size") is (type(presentation_of(app)).refusal is not Presentation.refusal)
+    assert hasattr(options_of(name), "size") is (type(app).size_refusal is not App.size_refusal)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) ->
     usual, fine = (plan(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
     assert usual.options.own.given() == {}
     assert fine.options.own.given() == {"detail": 512}
-    assert (usual.app.traits.reads, fine.app.traits.reads) == (0, 512)
+    assert (usual.app.read_size, fine.app.read_size) == (0, 512)
     shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
     assert shapes[0] == shapes[1]
     small = Task("small", {"image": torch.zeros(3, 300, 300, dtype=torch.uint8)})
