@@ -9,8 +9,8 @@ import pytest
 from metapp.extensions.native import fastest
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms import Job
-from tests.paradigms.small import KINDS, SMALL, small_app, small_recipe
+from metapp.paradigms import Paradigm
+from tests.paradigms.small import KINDS, SMALL, fits_of, small_app, small_recipe
 
 
 @pytest.fixture(autouse=True)
@@ -57,6 +57,6 @@ def judged(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.fixture
-def job(app: App) -> Job:
-    recipe = small_recipe(app)
-    return Job(app, recipe, recipe.rule)
+def fits(app: App) -> dict[str, Paradigm]:
+    """The five paradigms of the application, by name."""
+    return fits_of(app, small_recipe(app))

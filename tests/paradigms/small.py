@@ -36,7 +36,7 @@ from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
-from metapp.paradigms import Job, Paradigm
+from metapp.paradigms import PARADIGMS, Paradigm
 from tests.marked import long
 from tests.small_spheres import shrink_spheres
 
@@ -162,11 +162,17 @@ def rng(seed: int = 0) -> Generator:
     return Generator().manual_seed(seed)
 
 
-def untrained(job: Job) -> MetaParameters:
+def fits_of(app: App, recipe: Recipe, rule: str = "", steps: int | None = None) -> dict[str, Paradigm]:
+    """The five paradigms of an application, by name."""
+    return {name: kind(app, recipe, rule, steps) for name, kind in PARADIGMS.items()}
+
+
+def untrained(paradigm: Paradigm) -> MetaParameters:
     """phi for every paradigm: a random encoder, a random theta_0 and its rule's initial hyperparameters."""
-    theta = {key: value[0] for key, value in job.app.init(rng(1), 1).items()}
-    alpha = rule_of(job.rule).alpha(job.app, theta, job.recipe.steps, Adam(5e-3, beta2=0.99))
-    return MetaParameters(theta, alpha, job.app.init_encoder(rng(2)))
+    app = paradigm.app
+    theta = {key: value[0] for key, value in app.init(rng(1), 1).items()}
+    alpha = rule_of(paradigm.rule_name).alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
+    return MetaParameters(theta, alpha, app.init_encoder(rng(2)))
 
 
 def result(preparation: Iterable[Progress]) -> Prepared:
@@ -176,7 +182,7 @@ def result(preparation: Iterable[Progress]) -> Prepared:
     return best
 
 
-def prepared_for(paradigm: Paradigm, job: Job) -> MetaParameters:
+def prepared_for(paradigm: Paradigm) -> MetaParameters:
     """What its preparation would leave, untrained."""
-    phi = untrained(job)
+    phi = untrained(paradigm)
     return phi._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=phi.encoder)

@@ -10,12 +10,14 @@ from typing import Any
 import pytest
 import torch
 
+from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, outer_loop, paradigms
-from metapp.paradigms import training as prepare
+from metapp.paradigms import Paradigm, outer_loop
+from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import TrainingData
+from metapp.paradigms.training import preparing
 from metapp.paradigms.validation import split_validation, validation_error
 from tests.marked import long
 from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, prepared_for, result, rng
@@ -45,15 +47,15 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
 
 
 @pytest.mark.parametrize("app", ["brdf"], indirect=True)
-def test_validation_counts_kinds_alike(job: Job, tasks: Tasks) -> None:
+def test_validation_counts_kinds_alike(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """One material of another kind counts as much as all others."""
-    start = MetaParameters(encoder=job.app.init_encoder(rng(0)))
-    apart = [error_of("general", job, start, tasks.select(rows)) for rows in ([0], range(1, len(tasks)))]
+    general, start = fits["general"], MetaParameters(encoder=app.init_encoder(rng(0)))
+    apart = [validation_error(general, start, tasks.select(rows)) for rows in ([0], range(1, len(tasks)))]
     kinds = torch.tensor([[i == 0] for i in range(len(tasks.names))])
     mixed = replace(tasks, data=tasks.data | {"kind": kinds})
     # what the encoder reads is drawn for all tasks at once
-    assert error_of("general", job, start, mixed) == pytest.approx(sum(apart) / 2, rel=1e-3)
-    assert error_of("general", job, start, tasks) != pytest.approx(sum(apart) / 2, rel=1e-2)
+    assert validation_error(general, start, mixed) == pytest.approx(sum(apart) / 2, rel=1e-3)
+    assert validation_error(general, start, tasks) != pytest.approx(sum(apart) / 2, rel=1e-2)
 
 
 OTHERS = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport")
@@ -64,21 +66,19 @@ EVERY = pytest.mark.parametrize(
 )
 
 
-def by(name: str, job: Job) -> Job:
-    return job if name == "general" else job._replace(rule=name)
+@pytest.fixture
+def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
+    """What prepares the checkpoint of a name."""
+    return preparing(fits["meta"], name)
 
 
-def look(name: str, job: Job, tasks: Tasks, **options: Any) -> Prepared:
-    return result(prepare.prepare(name, by(name, job), TrainingData(*split_validation(tasks), rng(3), **options)))
-
-
-def error_of(name: str, job: Job, start: MetaParameters, tasks: Tasks) -> float:
-    return validation_error(paradigms()["general" if name == "general" else "meta"], by(name, job), start, tasks)
+def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> Prepared:
+    return result(paradigm.prepare(TrainingData(*split_validation(tasks), rng(3), **options)))
 
 
 @EVERY
-def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
-    prepared = look(name, job, tasks)
+def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
+    prepared = look(trained, tasks)
     steps, losses, errors = zip(*prepared.curve, strict=True)
     assert steps == (0, 2, 4, 6)
     assert prepared.validation == min(errors) <= errors[0]
@@ -86,21 +86,19 @@ def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
     assert losses[0] is None
     assert all(loss is not None and math.isfinite(loss) for loss in losses[1:])
     validation = split_validation(tasks)[1]
-    assert math.isclose(error_of(name, job, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
-    again = look(name, job, tasks)
+    assert math.isclose(validation_error(trained, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
+    again = look(trained, tasks)
     assert again.curve[1:] == prepared.curve[1:]
     assert all(torch.equal(again.phi.flat()[key], value) for key, value in prepared.phi.flat().items())
 
 
 @ONE_APP
 @pytest.mark.parametrize("name", ["general", "meta-sgd"])
-def test_a_start_that_only_gets_worse_is_kept(
-    name: str, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
     """Iteration 0 is among the states to choose from, and it is not written to afterwards."""
-    before, errors = look(name, job, tasks, steps=0), itertools.count(1)
+    before, errors = look(trained, tasks, steps=0), itertools.count(1)
     monkeypatch.setattr(outer_loop, "validation_error", lambda *_: float(next(errors)))
-    prepared = look(name, job, tasks)
+    prepared = look(trained, tasks)
     assert (prepared.step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
     assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
@@ -108,29 +106,31 @@ def test_a_start_that_only_gets_worse_is_kept(
 
 @pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
 @pytest.mark.parametrize(("name", "steps", "rate"), [("general", 100, 2e-3), ("meta-curvature", 30, 2e-2)])
-def test_preparing_improves_what_it_is_prepared_for(name: str, steps: int, rate: float, job: Job, tasks: Tasks) -> None:
+def test_preparing_improves_what_it_is_prepared_for(
+    name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks
+) -> None:
     """By a share of the error's size: errors may be negative."""
-    before = job.recipe.general if name == "general" else job.recipe.meta[name]
-    training = replace(before, steps=steps, rates={"": rate}, validate_every=10)
+    training = replace(trained.training, steps=steps, rates={"": rate}, validate_every=10)
     changed: dict[str, Any] = {"general": training} if name == "general" else {"meta": {name: training}}
-    prepared = look(name, job._replace(recipe=replace(job.recipe, **changed)), tasks)
+    prepared = look(replace(trained, recipe=replace(trained.recipe, **changed)), tasks)
     first = prepared.curve[0][2]
     assert first - prepared.validation > 0.1 * abs(first)
 
 
-def starting_from(start: str, job: Job) -> Job:
-    rule = job.recipe.rule
-    return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], initialisation=start)}))
+def meta_by(meta: Paradigm, **training: Any) -> Paradigm:
+    """Meta with other settings of its training."""
+    recipe = meta.recipe
+    return Meta(meta.app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **training)}))
 
 
-def test_meta_starts_from_the_mean_of_general_or_at_random(job: Job, tasks: Tasks) -> None:
+def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """At random where it is told to, and where there is no General."""
-    encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
-    predicted = paradigms()["general"].fit(job, encoder, split_validation(tasks)[0], rng(3))
+    encoder = prepared_for(fits["general"])
+    predicted = fits["general"].fit(encoder, split_validation(tasks)[0], rng(3))
     mean = {key: value.mean(0) for key, value in predicted.items()}
-    random = {key: value[0] for key, value in job.app.init(rng(3), 1).items()}
+    random = {key: value[0] for key, value in app.init(rng(3), 1).items()}
     for start, given, expected in (("mean", encoder, mean), ("random", encoder, random), ("mean", None, random)):
-        phi = look(rule, starting_from(start, job), tasks, encoder=given, steps=0).phi
+        phi = look(meta_by(fits["meta"], initialisation=start), tasks, encoder=given, steps=0).phi
         assert not phi.encoder
         for key, value in expected.items():
             if expected is mean:
@@ -140,30 +140,28 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(job: Job, tasks: Task
 
 
 @pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
-def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
+def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
-    encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
-    job = starting_from("encoder", job)
-    first = look(rule, job, tasks, encoder=encoder, steps=0).phi
+    encoder, meta = prepared_for(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
+    first = look(meta, tasks, encoder=encoder, steps=0).phi
     assert not first.theta
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
-    training = replace(job.recipe.meta[rule], steps=20, rates={"": 1e-3}, validate_every=5)
-    job = job._replace(recipe=replace(job.recipe, meta={rule: training}))
-    prepared = look(rule, job, tasks, encoder=encoder)
+    meta = meta_by(meta, steps=20, rates={"": 1e-3}, validate_every=5)
+    prepared = look(meta, tasks, encoder=encoder)
     assert prepared.step > 0
     assert prepared.validation < prepared.curve[0][2]
     assert not prepared.phi.theta
     assert not all(torch.equal(prepared.phi.encoder[key], value) for key, value in encoder.encoder.items())
     assert not all(torch.equal(prepared.phi.alpha[key], value) for key, value in first.alpha.items())
     validation = split_validation(tasks)[1]
-    assert math.isclose(error_of(rule, job, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
+    assert math.isclose(validation_error(meta, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("app", "name"), [*((app, "general") for app in OWN_RULES), ("brdf", "meta-sgd")], indirect=["app"]
 )
 def test_training_never_sees_a_validation_task(
-    name: str, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+    trained: Paradigm, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the data of the validation tasks spoilt, the training loss stays finite."""
     rows = split_validation(tasks)[1].rows
@@ -172,5 +170,5 @@ def test_training_never_sees_a_validation_task(
         own = value.stride(0) != 0  # what all tasks share is no task's
         spoilt[key] = value.float().index_fill(0, rows, math.nan) if own else value
     monkeypatch.setattr(outer_loop, "validation_error", lambda *_: 1.0)
-    prepared = look(name, job, Tasks(tasks.names, spoilt, tasks.rows), steps=12)
+    prepared = look(trained, Tasks(tasks.names, spoilt, tasks.rows), steps=12)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])

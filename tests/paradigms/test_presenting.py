@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms import Paradigm
 from metapp.storage.records import file_name
 from tests.paradigms.small import rng
 
@@ -21,9 +22,9 @@ pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
 
 @pytest.fixture
-def fitted(job: Job, tasks: Tasks) -> Params:
+def fitted(fits: dict[str, Paradigm], tasks: Tasks) -> Params:
     """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
-    theta = paradigms()["overfit"].fit(job._replace(steps=3), MetaParameters(), tasks.select([0]), rng())
+    theta = replace(fits["overfit"], asked_steps=3).fit(MetaParameters(), tasks.select([0]), rng())
     return {key: value[0] for key, value in theta.items()}
 
 

@@ -16,14 +16,14 @@ import torch
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms, tuning
-from metapp.paradigms import training as prepare
+from metapp.paradigms import Paradigm, tuning
+from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.validation import split_validation
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.marked import long
-from tests.paradigms.small import OWN_RULES, prepared_for, rng
+from tests.paradigms.small import OWN_RULES, rng, untrained
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
@@ -48,26 +48,25 @@ class Cutting(TrainingCheckpoint):
             raise Cut
 
 
-def encoder_for(job: Job) -> MetaParameters:
-    return prepared_for(paradigms()["quickft"], job)
-
-
-def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Job]:
-    """A preparation by name."""
+@pytest.fixture
+def trained(kind: str, fits: dict[str, Paradigm], monkeypatch: pytest.MonkeyPatch) -> Paradigm:
+    """What prepares a checkpoint: general, quickft, or a rule, the Adam of which may be tuned first."""
     monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
-    if kind in ("general", "quickft"):
-        return kind, job
+    if kind in fits:
+        return fits[kind]
+    recipe = fits["meta"].recipe
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
-    rule = rule if rule in job.recipe.meta else "meta-encoder"  # networks are for grids alone
-    training = replace(job.recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
-    return rule, job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
+    rule = rule if rule in recipe.meta else "meta-encoder"  # networks are for grids alone
+    training = replace(recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
+    return Meta(fits["meta"].app, replace(recipe, meta={rule: training}), rule)
 
 
-def run(name: str, job: Job, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> Prepared:
-    options: dict[str, Any] = {"encoder": None if name == "general" else encoder_for(job)}
+def run(paradigm: Paradigm, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> Prepared:
+    encoder = MetaParameters(encoder=untrained(paradigm).encoder)
+    options: dict[str, Any] = {"encoder": None if paradigm.name == "general" else encoder}
     if checkpoint is not None:
         options["since"] = checkpoint.load()
-    for progress in prepare.prepare(name, job, TrainingData(*split_validation(tasks), rng(3), **options)):
+    for progress in paradigm.prepare(TrainingData(*split_validation(tasks), rng(3), **options)):
         if checkpoint is not None:
             checkpoint.keep(progress)
     assert progress.best is not None
@@ -89,15 +88,14 @@ OWN_KINDS = [long(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 @pytest.mark.parametrize(("app", "kind"), KINDS + OWN_KINDS, indirect=["app"])
 def test_what_was_cut_off_ends_as_if_it_had_not_been(
-    kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path
 ) -> None:
-    name, job = small_job(kind, job, monkeypatch)
-    expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
+    expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
     path, chance, seen = tmp_path / "start.safetensors", random.Random(kind), [0]
     while True:
         checkpoint = Cutting(path, after=chance.randint(1, 3))
         try:
-            made = run(name, job, tasks, checkpoint)
+            made = run(trained, tasks, checkpoint)
             break
         except Cut:
             seen += checkpoint.steps
@@ -111,13 +109,12 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
     indirect=["app"],
 )
 def test_ctrl_c_at_any_moment_loses_no_step(
-    kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the middle of an outer step or of a validation, as signals come; what is written is of between two."""
-    name, job = small_job(kind, job, monkeypatch)
-    expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
+    expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
-    of = type(job.app)
+    of = type(trained.app)
     augment, errors, calls = of.augment, of.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -137,7 +134,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
             patch.setattr(of, "augment", interrupting(augment))
             patch.setattr(of, "errors", interrupting(errors))
             try:
-                made = run(name, job, tasks, checkpoint)
+                made = run(trained, tasks, checkpoint)
                 break
             except KeyboardInterrupt:
                 checkpoint.write()
@@ -149,11 +146,11 @@ def test_ctrl_c_at_any_moment_loses_no_step(
 
 
 @pytest.fixture
-def cut(job: Job, tasks: Tasks, tmp_path: Path) -> Path:
+def cut(fits: dict[str, Paradigm], tasks: Tasks, tmp_path: Path) -> Path:
     """A training checkpoint of a General."""
     checkpoint = Cutting(tmp_path / "general.safetensors", after=4)
     with pytest.raises(Cut):
-        run("general", job, tasks, checkpoint)
+        run(fits["general"], tasks, checkpoint)
     return checkpoint.path
 
 
@@ -212,9 +209,13 @@ def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
 
 @ONE_APP
 def test_a_full_disk_ends_no_training(
-    cut: Path, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+    cut: Path,
+    fits: dict[str, Paradigm],
+    tasks: Tasks,
+    monkeypatch: pytest.MonkeyPatch,
+    recwarn: pytest.WarningsRecorder,
 ) -> None:
-    before, expected = cut.read_bytes(), as_file(run("general", job, tasks), cut.with_name("expected"))
+    before, expected = cut.read_bytes(), as_file(run(fits["general"], tasks), cut.with_name("expected"))
 
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -223,7 +224,7 @@ def test_a_full_disk_ends_no_training(
     checkpoint.seconds = 0.0
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        made = run("general", job, tasks, checkpoint)
+        made = run(fits["general"], tasks, checkpoint)
     assert f"{cut.parent}: No space left on device; {cut.name} was not written" in str(recwarn[0].message)
     assert cut.read_bytes() == before
     assert as_file(made, cut.with_name("made")) == expected

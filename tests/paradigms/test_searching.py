@@ -11,14 +11,15 @@ import pytest
 import torch
 
 from metapp.apps import recipes_of
+from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, Paradigm, tuning
-from metapp.paradigms import training as prepare
+from metapp.paradigms import Paradigm, tuning
+from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import TrainingData
-from metapp.paradigms.quickft import QUICKFT, adam_of
+from metapp.paradigms.quickft import QuickFT
 from metapp.paradigms.validation import split_validation
 from tests.paradigms.small import result, rng
 from tests.quick import app_by
@@ -45,20 +46,20 @@ class Search:
     """A search from an Adam on that is told errors in closed form, and what it looked at."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
-        self.job = Job(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first), "meta-sgd")
+        self.quickft = QuickFT(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
         self.looked: list[Adam] = []
 
-        def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Any, seeds: int = 2) -> float:
-            assert paradigm.name == "quickft"
-            self.looked.append(adam_of(job, prepared))
+        def told(paradigm: Paradigm, prepared: MetaParameters, tasks: Any) -> float:
+            assert paradigm is self.quickft
+            self.looked.append(self.quickft.adam(prepared))
             return error(self.looked[-1])
 
         monkeypatch.setattr(tuning, "validation_error", told)
         none: Any = None  # what errors are told without
         encoder = MetaParameters(encoder={"w": torch.ones(2)})
-        self.path = list(QUICKFT.prepare(self.job, TrainingData(none, none, rng(), encoder)))
+        self.path = list(self.quickft.prepare(TrainingData(none, none, rng(), encoder)))
         self.tuned = result(self.path)
-        self.found = adam_of(self.job, self.tuned.phi)
+        self.found = self.quickft.adam(self.tuned.phi)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +85,7 @@ def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPat
         assert (now.done, now.total, now.errors) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
         best, found = min(looked[:i], key=bowl), result([now])
-        assert adam_of(search.job, found.phi) == best == looked[found.step - 1]
+        assert search.quickft.adam(found.phi) == best == looked[found.step - 1]
         assert found.validation == found.curve[-1][2] == bowl(best)
     for each in looked[1 : 1 + lines[0]]:
         assert replace(each, rate=first.rate) == first
@@ -109,19 +110,18 @@ def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(monke
 def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
     name: str, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recipe = recipes_of(name)["quick"]
-    job = Job(app_by(name), recipe, recipe.rule)
+    quickft = QuickFT(app_by(name), recipes_of(name)["quick"])
     names = tuple(f"{i:03d}" for i in range(240))
     looked: list[int] = []
 
-    def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
+    def told(paradigm: Paradigm, prepared: MetaParameters, tasks: Tasks) -> float:
         looked.append(len(tasks))
         return 1.0
 
     monkeypatch.setattr(tuning, "validation_error", told)
     encoder = MetaParameters(encoder={"w": torch.ones(2)})
     data = Tasks(names, {}, torch.arange(240))
-    assert len(list(prepare.prepare("quickft", job, TrainingData(*split_validation(data), rng(), encoder, 3)))) == 3
+    assert len(list(quickft.prepare(TrainingData(*split_validation(data), rng(), encoder, 3)))) == 3
     assert looked == [count] * 3
 
 
@@ -129,15 +129,16 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
 @pytest.mark.parametrize("outer", [0, 2])
 @pytest.mark.parametrize("rule", ["meta-axes", "meta-basis"])
 def test_a_rule_is_tuned_as_quickft_is(
-    rule: str, outer: int, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+    rule: str, outer: int, app: App, fits: dict[str, Paradigm], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
     monkeypatch.setattr(tuning, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
-    training = replace(job.recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
-    job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
-    encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
-    made = result(prepare.prepare(rule, job, TrainingData(*split_validation(tasks), rng(), encoder)))
-    plain = rule_of(rule).alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
+    recipe = fits["meta"].recipe
+    training = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
+    meta = Meta(app, replace(recipe, meta={rule: training}), rule)
+    encoder = MetaParameters(encoder=app.init_encoder(rng()))
+    made = result(meta.prepare(TrainingData(*split_validation(tasks), rng(), encoder)))
+    plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, training.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta
     for name, value in made.phi.alpha.items():

@@ -16,7 +16,7 @@ from metapp.apps import app_names, protocols_of
 from metapp.learning import learn as learning
 from metapp.learning.app import stack
 from metapp.learning.learn import checked, descend, last
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms.meta import Meta
 from tests.paradigms.small import KINDS, OWN_RULES, SMALL, prepared_for, rng, small_app, small_recipe
 
 READS = ("item", "tolist", "cpu", "numpy", "__bool__", "__int__", "__float__", "__index__")
@@ -62,15 +62,14 @@ def reading_nothing(allowed: tuple[str, ...]) -> Iterator[None]:
 def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the check that the first loss is finite."""
     app = replace(small_app(kind), protocol=protocol)
-    job = Job(app, small_recipe(app), OWN_RULES[kind])
-    meta = paradigms()["meta"]
+    meta = Meta(app, small_recipe(app), OWN_RULES[kind])
     tasks = stack(app, SMALL[app.name].tasks()[:2])
-    prepared = prepared_for(meta, job)
-    loss = meta.loss(job)
+    prepared = prepared_for(meta)
+    loss = meta.loss
 
     def fit(where: AbstractContextManager[None]) -> None:
-        theta = meta.initialisation(job, prepared, tasks, rng())
-        rule, draws = meta.rule(job, prepared, theta, STEPS), rng()
+        theta = meta.initialisation(prepared, tasks, rng())
+        rule, draws = meta.rule(prepared, theta, STEPS), rng()
         with where:
             last(checked(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
 
