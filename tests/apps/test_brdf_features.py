@@ -19,7 +19,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms.meta import Meta
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
 APP = Brdf(SIZE)
@@ -95,8 +95,7 @@ def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None
     )
     start.alpha["penalty.last"].fill_(-20.0)
     tasks = tasks_of(theta)
-    job = Job(APP, RECIPE, "ridge", 5)
-    fit = paradigms()["meta"].fit(job, start, tasks, Generator().manual_seed(5))
+    fit = Meta(APP, RECIPE, "ridge", 5).fit(start, tasks, Generator().manual_seed(5))
     before = float(APP.errors({key: value[None] for key, value in start.theta.items()}, tasks)["error"])
     assert float(APP.errors(fit, tasks)["error"]) < 1e-3 * before
     for key, value in fit.items():

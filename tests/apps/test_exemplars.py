@@ -22,7 +22,7 @@ from metapp.networks.exemplar import SOFTNESS, ExemplarApp, softness_of
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms.overfit import Overfit
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
 SHARE = 0.6  # of the steps at half the size
@@ -180,8 +180,8 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
     layout = paved.data["layout"]
     assert layout.shape == (2, 3, *app.layout_size)
     assert layout[0].std() > 0.1
-    rng, recipe = Generator().manual_seed(0), tiny(app.name)
-    theta = paradigms()["overfit"].fit(Job(app, recipe, recipe.rule, 2), MetaParameters(), paved, rng)
+    rng = Generator().manual_seed(0)
+    theta = Overfit(app, tiny(app.name), asked_steps=2).fit(MetaParameters(), paved, rng)
     encoded = app.encode(app.init_encoder(rng), app.condition(paved, rng))
     assert torch.equal(theta["layout"], layout)
     assert torch.equal(encoded["layout"], layout)

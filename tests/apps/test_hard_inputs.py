@@ -24,7 +24,8 @@ from metapp.apps import recipes_of
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters, Step, last
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.quickft import QuickFT
 from metapp.runs.checkpoints.finding import checkpoint_name
 from metapp.runs.checkpoints.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
@@ -47,8 +48,7 @@ class Found(NamedTuple):
 def fitted(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
     recipe = recipes_of(app.name, app.protocol)["quick"]
-    meta, quickft = paradigms()["meta"], paradigms()["quickft"]
-    job, tasks = Job(app, recipe, recipe.rule), stack(app, list(sources))
+    meta, quickft, tasks = Meta(app, recipe), QuickFT(app, recipe), stack(app, list(sources))
 
     def shipped(name: str) -> MetaParameters:
         return load_checkpoint(shipped_path(app.name, checkpoint_name(app, name)))[0]
@@ -57,10 +57,10 @@ def fitted(app: App, sources: Iterable[Task]) -> Found:
     rng = [Generator().manual_seed(0) for _ in range(4)]
     return Found(
         tasks,
-        meta.initialisation(job, learned, tasks, rng[0]),
-        quickft.fit(job, tuned, tasks, rng[1]),
-        meta._replace(guard=lambda job: None).fit(job, learned, tasks, rng[2]),
-        last(meta.descend(job, learned, tasks, rng[3])),
+        meta.initialisation(learned, tasks, rng[0]),
+        quickft.fit(tuned, tasks, rng[1]),
+        meta.unguarded().fit(learned, tasks, rng[2]),
+        last(meta.descend(learned, tasks, rng[3])),
     )
 
 

@@ -151,7 +151,7 @@ def fitted(paradigm: str, recipe: str, tasks: Callable[[Illumination], Tasks]) -
     found = find_checkpoint(plan(fit_options("illumination", paradigm, observe="photo", recipe=recipe, quiet=True)))
     assert isinstance(found.app, Illumination)
     made = tasks(found.app)
-    theta = found.paradigm.fit(found.job, found.prepared, made, Generator().manual_seed(0))
+    theta = found.paradigm.fit(found.prepared, made, Generator().manual_seed(0))
     return found.app, theta, made
 
 

@@ -105,7 +105,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
     by = find_checkpoint(plan(fit_options("brdf", **options, device="cpu", quiet=True)))
     try:
-        theta = by.paradigm.fit(by.job, by.prepared, small_tasks(), torch.Generator().manual_seed(0))
+        theta = by.paradigm.fit(by.prepared, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged
         return
     assert all(bool(value.isfinite().all()) for value in theta.values())

@@ -28,7 +28,7 @@ def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: 
     prepared = find_checkpoint(planned).prepared
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
-    file = f"{planned.job.rule}{'-photo' if observe == 'photo' else ''}"
+    file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
     learned = load_checkpoint(shipped_path(name, file, "full"))[0].alpha
     assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
     assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
@@ -38,9 +38,9 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     start, info = load_checkpoint(shipped_path("illumination", "meta-lgd"))
     bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
-    request = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
+    options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        find_checkpoint(plan(request))
+        find_checkpoint(plan(options))
 
 
 @pytest.mark.parametrize(("name", "observe"), APPS)

@@ -16,7 +16,7 @@ from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.ablation import INITIALISATION_ALONE, RULE_ALONE, combined, learned, same_initialisation
+from metapp.evaluation.tables.ablation import InitialisationAlone, RuleAlone, combined, learned, same_initialisation
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, path_steps, trace_cell
 from metapp.evaluation.tables.image import image_cell
 from metapp.evaluation.tables.storage import size, stored
@@ -49,14 +49,15 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     folders = [cell.folder for _, _, cell in combined(subject, "meta")]
     assert {folder.path.parent.name for folder in folders if folder} == {"ablation-rule", "ablation-start"}
     meta, general = (subject.fits[name].prepared for name in ("meta", "general"))
-    tasks, job = stack(subject.app, subject.tasks), subject.fits["meta"].job
+    tasks, recipe = stack(subject.app, subject.tasks), subject.plan.recipe
+    start, rule = InitialisationAlone(subject.app, recipe), RuleAlone(subject.app, recipe)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
-    ours = INITIALISATION_ALONE.initialisation(job, meta, tasks, rngs[0])
+    ours = start.initialisation(meta, tasks, rngs[0])
     assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
-    theirs = RULE_ALONE.initialisation(job, general._replace(alpha=meta.alpha), tasks, rngs[1])
-    encoded = subject.fits["general"].paradigm.initialisation(job, general, tasks, rngs[2])
+    theirs = rule.initialisation(general._replace(alpha=meta.alpha), tasks, rngs[1])
+    encoded = subject.fits["general"].paradigm.initialisation(general, tasks, rngs[2])
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
-    assert INITIALISATION_ALONE.count(job) == RULE_ALONE.count(job) == 10
+    assert start.steps == rule.steps == 10
 
 
 def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:

@@ -12,11 +12,9 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, inputs_of
 from metapp.extensions.pretrained.app import SHALLOW, STEEPER, FromFeatures
 from metapp.extensions.pretrained.encoder import SHARE, SMALLER, _smaller, beside_smaller, patch_of
-from metapp.learning.learn import descend, last
+from metapp.learning.learn import descend, last, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job
-from metapp.paradigms.paradigm import plain_loss
 from tests.extensions.pretrained.conftest import RECIPE, SIDE
 
 
@@ -103,7 +101,7 @@ def test_a_step_by_a_photo_is_that_of_the_whole_field_but_for_what_is_held(
 def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     batch = app.sample(tasks, rng, 1)
-    before, photo = app.maps_of(theta, batch["photo"]), plain_loss(Job(app, RECIPE, ""))
+    before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.batch)
     end = last(
         descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
     ).theta

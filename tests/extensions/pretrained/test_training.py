@@ -14,8 +14,7 @@ from metapp.extensions.pretrained.app import FromFeatures
 from metapp.learning.learn import descend, last
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Batch, Tasks
-from metapp.paradigms import Job
-from metapp.paradigms.general import outer_problem
+from metapp.paradigms.general import General
 from tests.extensions.pretrained.conftest import RECIPE
 
 
@@ -56,7 +55,7 @@ def test_relief_that_a_photo_does_not_tell_is_best_left_out(
 @pytest.mark.usefixtures("weights")
 def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
-    phi, loss = outer_problem(Job(app, replace(RECIPE, general=training), ""), rng)
+    phi, loss = General(app, replace(RECIPE, general=training)).outer_problem(rng)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch
     flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
     assert float(flat.normal[:, 2].mean()) > 0.99
