@@ -19,7 +19,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, ge
 
 from metapp.storage.text import meant
 
-INPUT, FIT, OUTPUT = "Input", "Fit", "Output"
+PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # of --help
 Options = TypeVar("Options")
 
 

@@ -3,21 +3,40 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
+from metapp.cli import group
 from metapp.cli.apps import app_group
-from metapp.cli.data import group as data
 from metapp.cli.fit import SUMMARIES, command_of
-from metapp.cli.group import Group, add_commands
 from metapp.registry import registry
 from metapp.runs.reporter import say
 
+
+class Commands(group.Group):
+    """All commands; those of the paradigms and of `metapp data` are metapp's own."""
+
+    def own(self) -> dict[str, Callable[[], group.Command]]:
+        """Groups of commands, by name."""
+        paradigms = {
+            name: functools.partial(app_group, functools.partial(command_of, name), summary)
+            for name, summary in SUMMARIES.items()
+        }
+        return {**paradigms, "data": _data}
+
+
+def _data() -> typer.Typer:
+    from metapp.cli.data.group import app
+
+    return app
+
+
 app = typer.Typer(
-    cls=Group,
+    cls=Commands,
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings=group.CONTEXT,
     help="Fit small neural networks to visual appearance: BRDFs, textures, svBRDFs, illumination, light transport.",
 )
 
@@ -39,9 +58,3 @@ def options(
     """Take the options that need no command; warn of extensions that cannot be used."""
     for extension, reason in registry().problems.items():
         say(f"warning: extension {extension}: {reason}; it is left out.")
-
-
-for name, summary in SUMMARIES.items():
-    app.add_typer(app_group(functools.partial(command_of, name), summary), name=name)
-add_commands(app, "")
-app.add_typer(data.app, name="data")

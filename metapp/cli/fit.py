@@ -69,24 +69,28 @@ def command_of(paradigm: str, app: str) -> Callable[..., None]:
     shown = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
     parameters = [parameter("inputs", Annotated[list[Path] | None, shown])]
-    parameters += [_option(one, paradigm, app) for one in (*declared(FitOptions), *declared(options_of(app)))]
+    texts = _texts(app)
+    for one in (*declared(FitOptions), *declared(options_of(app))):
+        text = texts.get(one.name, one.option.help)
+        hidden = not text or one.name in IGNORED[paradigm]
+        parameters.append(_option(one, text, hidden=hidden))
     parameters.append(parameter("json", Annotated[bool, as_json], False))
     return signed(command, command, parameters)
 
 
-def _option(one: Declared, paradigm: str, app: str) -> inspect.Parameter:
-    """An option with its help for an application; hidden where paradigm or application do not use it."""
-    exports, rules = ", ".join(exports_of(app)), ", ".join(rule_names())
+def _texts(app: str) -> dict[str, str]:
+    """Help that differs between applications; "" of an option that one does not have."""
+    exports = ", ".join(exports_of(app))
     texts = {
-        "observe": one.option.help if protocols_of(app) else "",
         "export": f"{exports}; several separated by commas." if exports else "",
         "recipe": f"{', '.join(recipe_entries(app))}; default: full, the best that ships.",
-        "rule": f"{rules}; or parts joined by +, such as adam+curvature; default: the recipe's.",
+        "rule": f"{', '.join(rule_names())}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
-    text = texts.get(one.name, one.option.help)
-    hidden = not text or one.name in IGNORED[paradigm]
-    panel = one.option.panel
-    shown = parameter_of(one, help=text, hidden=hidden, show_default=False, rich_help_panel=panel)
+    return texts if protocols_of(app) else texts | {"observe": ""}
+
+
+def _option(one: Declared, text: str, *, hidden: bool) -> inspect.Parameter:
+    shown = parameter_of(one, help=text, hidden=hidden, show_default=False, rich_help_panel=one.option.panel)
     if one.name == "export":  # which may be given several times, too
         return parameter("export", Annotated[list[str] | None, shown.annotation.__metadata__[0]])
     return shown

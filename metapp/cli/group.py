@@ -1,4 +1,4 @@
-"""Groups of commands that extensions offer, and help of a command."""
+"""Groups of commands: those that metapp has by itself, and those of the registry, loaded when they are asked for."""
 
 from __future__ import annotations
 
@@ -18,56 +18,72 @@ ORDER = (  # of commands in help: first what a user does first, commands of othe
     *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
     *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
 )
+Command = Callable[..., object] | typer.Typer
 
 
 class Group(help.Group):
-    """A group that lists commands by ORDER, and knows of which extension a command is that is left out."""
+    """A group whose commands are in the order of ORDER, each made when it is asked for.
+
+    Attributes:
+        under: words before those of its commands in the registry, such as "data ".
+    """
+
+    under = ""
+
+    def own(self) -> dict[str, Callable[[], Command]]:
+        """Commands that are not of the registry, by name."""
+        return {}
+
+    def _commands(self) -> dict[str, Callable[[], Command]]:
+        registered = {
+            words.removeprefix(self.under): entry.load
+            for words, entry in registry().commands.items()
+            if words.startswith(self.under) and " " not in words.removeprefix(self.under)
+        }
+        return registered | self.own()
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of all commands."""
-        return sorted(self.commands, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+        return sorted(self._commands(), key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """The command of a name; None where there is none, or typer cannot make it of another package's function."""
+        load = self._commands().get(name)
+        if load is None:
+            return None
+        words = f"{self.under}{name}"
+        try:
+            return made(load(), name, bare_is_help=bool(self.under))
+        except Exception as error:
+            owner = registry().owners.get(f"commands {words}", TRUSTED[0])
+            if owner in TRUSTED:
+                raise
+            registry().problems[f"{words} of {owner}"] = reason_of(error)
+            return None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is named; a usage error names the extension that has it."""
         name = args[0] if args else ""
-        under = f"{self.name} {name}" if self.name == "data" else name
-        if extension := left_out_with("commands", under) or (under != name and left_out_with("formats", name)):
+        if extension := left_out_with("commands", f"{self.under}{name}") or left_out_with("formats", name):
             raise typer.BadParameter(
                 f"'{name}' is a command of the extension {extension}, which {WITHOUT} leaves out; unset it."
             )
         return super().resolve_command(ctx, args)
 
 
-def add_commands(app: typer.Typer, under: str) -> None:
-    """Add the commands that are offered under another one, or, for "", under none."""
-    for words, entry in registry().commands.items():
-        group, _, name = words.rpartition(" ")
-        if group != under:
-            continue
-        if isinstance(command := entry.load(), typer.Typer):
-            app.add_typer(command, name=name)
-        elif function := _usable(words, command):
-            needs = any(each.default is each.empty for each in inspect.signature(function).parameters.values())
-            add_command(app, function, name, bare_is_help=needs and under != "")
+def made(command: Command, name: str, *, bare_is_help: bool) -> Any:
+    """The command that typer makes of a function, or of an app of its own.
 
-
-def _usable(words: str, function: Callable[..., object]) -> Callable[..., object] | None:
-    """The function of a command; None where typer cannot make one of another package's, which is said as others are."""
-    owner = registry().owners[f"commands {words}"]
-    if owner in TRUSTED:
-        return function
-    probe = typer.Typer()
-    probe.command()(function)
-    try:
-        typer.main.get_command(probe)
-    except Exception as error:
-        registry().problems[f"{words} of {owner}"] = reason_of(error)
-        return None
-    return function
-
-
-def add_command(app: typer.Typer, function: Callable[..., object], name: str, *, bare_is_help: bool) -> None:
-    """Add a command; for --help the paragraphs of its docstring flow, while indented examples keep their lines."""
-    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+    For --help the paragraphs of a function's docstring flow, while indented examples keep their lines.
+    """
+    if isinstance(command, typer.Typer):
+        return typer.main.get_group(command)
+    paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
     text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
-    app.command(name, cls=help.Command, no_args_is_help=bare_is_help, help=text)(function)
+    needs = any(each.default is each.empty for each in inspect.signature(command).parameters.values())
+    typed = typer.Typer(add_completion=False, context_settings=CONTEXT)
+    typed.command(name, cls=help.Command, no_args_is_help=bare_is_help and needs, help=text)(command)
+    return typer.main.get_command(typed)
+
+
+CONTEXT = {"help_option_names": ["-h", "--help"]}

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
+from metapp.options import PANELS
+
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.text import Text
@@ -60,9 +62,11 @@ def _padded(text: str) -> RenderableType:
 
 
 def _options(console: Console, params: list[Any]) -> None:
-    """Panels of arguments and options that are not hidden, in the order in which parameters name panels."""
+    """Panels of arguments, then options, that are not hidden."""
     shown = [param for param in params if not getattr(param, "hidden", False) and param.name != "help"]
     panels: dict[str, list[tuple[Text, str]]] = {}
+    order = [*PANELS, OPTIONS]
+    shown.sort(key=lambda param: (order.index(param.rich_help_panel or OPTIONS), not _is_place(param)))
     for param in shown:
         panels.setdefault(getattr(param, "rich_help_panel", None) or OPTIONS, []).append((_label(param), _text(param)))
     for title, rows in panels.items():

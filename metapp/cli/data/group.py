@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+
 import typer
 
 from data_tools.formats import formats
+from metapp.cli import group
 from metapp.cli.data.convert import command_of
-from metapp.cli.group import Group, add_command, add_commands
+
+
+class Group(group.Group):
+    """A group with a command for each format that is converted."""
+
+    under = "data "
+
+    def own(self) -> dict[str, Callable[[], group.Command]]:
+        """The conversions, by the format's name."""
+        return {
+            name: functools.partial(command_of, name, form, form.command)
+            for name, form in formats().items()
+            if form.command
+        }
+
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
-for name, form in formats().items():
-    if form.command:
-        add_command(app, command_of(name, form, form.command), name, bare_is_help=True)
-add_commands(app, "data")
