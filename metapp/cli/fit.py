@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from data_tools.formats import exports_of, inputs_of
-from metapp.apps import options_of, protocols_of, recipe_entries
+from metapp.apps import options_of, protocols_of, recipe_names
 from metapp.cli.console import Exit, importing, out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.cli.streams import escaped, one_line
@@ -83,7 +83,7 @@ def _texts(app: str) -> dict[str, str]:
     exports = ", ".join(exports_of(app))
     texts = {
         "export": f"{exports}; several separated by commas." if exports else "",
-        "recipe": f"{', '.join(recipe_entries(app))}; default: full, the best that ships.",
+        "recipe": f"{', '.join(recipe_names(app))}; default: full, the best that ships.",
         "rule": f"{', '.join(rule_names())}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
     return texts if protocols_of(app) else texts | {"observe": ""}

@@ -118,6 +118,6 @@ def _text(param: Any) -> str:
     default = getattr(param.default, "value", param.default)
     if isinstance(param.show_default, str):
         return f"{text} Default: {param.show_default}."
-    if param.show_default and default not in (None, False, (), []) and not callable(default):
+    if param.show_default and default is not False and default not in (None, "", (), []) and not callable(default):
         return f"{text} Default: {default}."
     return text

@@ -45,12 +45,12 @@ def size(limits: str) -> Option:
 
 def fov(default: str) -> Option:
     """The option --fov of photos that fits read; `default` says what 0 means."""
-    about = f"Camera field of view along the shorter side; default: {default}."
+    about = f"Field of view, shorter side; default: {default}."
     return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=field_of_view)
 
 
 STOPS = Option(
-    "Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
+    "Stops by which photos are too bright; negative: dark.",
     "STOPS",
     low=-4.0,
     high=4.0,
@@ -63,7 +63,7 @@ STOPS = Option(
 class CameraOptions(AppOptions):
     """The option of applications that read photos of a known camera."""
 
-    fov: Annotated[float, fov("from EXIF, else 45")] = 0.0
+    fov: Annotated[float, fov("EXIF's, else 45")] = 0.0
 
     def reading(self) -> dict[str, Any]:
         """Readers take the field of view in rad."""

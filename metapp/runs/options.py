@@ -37,7 +37,7 @@ class FitOptions:
     observe: Annotated[
         str,
         Option(
-            "What fits see: reference (ground truth, the default) or photo (photos alone; required for INPUT photos).",
+            "What fits see: reference (default) or photo (for INPUT photos).",
             "NAME",
             panel=INPUT,
         ),
@@ -52,11 +52,9 @@ class FitOptions:
     ] = None
     checkpoint: Annotated[
         Path | None,
-        Option("Checkpoint, or folder of trained ones; default: the one that ships.", "FILE", panel=FIT),
+        Option("Checkpoint or folder of these; default: shipped.", "FILE", panel=FIT),
     ] = None
-    train: Annotated[
-        bool, Option("Train first, on the training tasks of --data, from --checkpoint if given.", panel=FIT)
-    ] = False
+    train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT)] = False
     train_steps: Annotated[
         int | None, Option("Outer training steps; default: the recipe's.", "N", low=1, high=MOST_STEPS, panel=FIT)
     ] = None
@@ -66,16 +64,12 @@ class FitOptions:
     ] = "auto"
     batch: Annotated[
         int | None,
-        Option(
-            "Fit N inputs in parallel; the same command resumes the run; failures are listed.", "N", low=1, panel=FIT
-        ),
+        Option("Fit N inputs in parallel, and resume the run.", "N", low=1, panel=FIT),
     ] = None
     export: Annotated[
         str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)
     ] = ""
-    out: Annotated[Path, Option("Folder for runs and trained checkpoints; default: runs.", "DIR", panel=OUTPUT)] = Path(
-        "runs"
-    )
+    out: Annotated[Path, Option("Folder for runs and checkpoints; default: runs.", "DIR", panel=OUTPUT)] = Path("runs")
     quiet: Annotated[bool, Option("No progress bar, no table.", flags=("--quiet", "-q"), panel=OUTPUT)] = False
 
     @property

@@ -14,7 +14,7 @@ class IlluminationOptions(CameraOptions):
     """Size of the map, camera and shutter times of photos of a mirror ball."""
 
     size: Annotated[tuple[int, int] | None, size("of the map, up to 1024x2048")] = None
-    fov: Annotated[float, fov("from EXIF, else a distant camera")] = 0.0
+    fov: Annotated[float, fov("EXIF's, else a distant camera")] = 0.0
     shutter: Annotated[
         str,
         Option(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from metapp.apps import options_of
+from metapp.apps import options_of, protocols_of
 from metapp.cli import completion
 from metapp.cli.apps import app_group
 from metapp.cli.console import out, print_json
@@ -42,7 +42,8 @@ def command_of(app: str) -> Callable[..., None]:
         help=f"{names}; default: nearest.",
     )
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
-    general = [one for one in declared(FitOptions) if one.name in TAKEN]
+    taken = [name for name in TAKEN if name != "observe" or protocols_of(app)]
+    general = [one for one in declared(FitOptions) if one.name in taken]
     own = [one for one in declared(options_of(app)) if one.option.panel != OUTPUT]
     parameters = [parameter("json", Annotated[bool, as_json], False)]
     parameters += [parameter("inputs", Annotated[list[Path] | None, files])]
