@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import typer
 
 from metapp.cli.console import run
 from metapp.cli.group import ORDER, Group
