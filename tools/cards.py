@@ -1,7 +1,7 @@
 """Make the cards of docs/what-can-i-make.md, 720 x 360 px, of what commands have written: cards.py FOLDER OUT.
 
 FOLDER holds exemplars of the embedded data sets as pictures (`metapp data synth APP` draws these), ball0.jpg to
-ball2.jpg (`metapp.appearance.photograph.mirror` of a map of `metapp data synth illumination --size 256`, on grey, each
+ball2.jpg (`metapp.appearance.photograph.mirror` of a map of `metapp data synth illumination --rows 256`, on grey, each
 a third as bright as the one before), and the runs of
 
     metapp meta texture bricks.png
@@ -9,7 +9,7 @@ a third as bright as the one before), and the runs of
     metapp meta svbrdf_nonstationary sign.png --observe photo
     metapp meta transport --data boxes --render 256       (metapp data cornell --count 2 --split test --out boxes)
     metapp baseline texture bricks.png --method quilting
-    metapp data ball ball0.jpg ball1.jpg ball2.jpg --exposures 1/20,1/60,1/180 --out garden
+    metapp data ball ball0.jpg ball1.jpg ball2.jpg --shutter 1/20,1/60,1/180 --out garden
     metapp meta brdf; metapp evaluate brdf --recipe quick; metapp compare RUN RUN --out compare.png     (Meta, QuickFT)
 
 The others are cut from pictures of docs/.

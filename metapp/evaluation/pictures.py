@@ -19,12 +19,12 @@ def draw_paradigms(subject: Subject) -> Path | None:
 
 def draw_cells(subject: Subject, cells: Mapping[str, Cell], kind: str) -> Path | None:
     """Draw fits that are complete, by their names; None where there are none."""
-    request, app = subject.plan.options, subject.app
-    words = [kind, subject.label, request.recipe, f"seed{request.seed}", *filter(None, [app.protocol])]
+    options, app = subject.plan.options, subject.app
+    words = [kind, subject.label, options.recipe, f"seed{options.seed}", *filter(None, [app.protocol])]
     runs = [(name, cell.folder.path, cell.records()) for name, cell in cells.items() if cell.folder]
     if not runs:
         return None
-    file = request.out / app.name / f"{'-'.join(words)}.png"
+    file = options.out / app.name / f"{'-'.join(words)}.png"
     tasks = min((list(cell.tasks) for cell in cells.values()), key=len)
-    with progress(f"pictures of {subject.title}", len(tasks[:COMPARED]), quiet=request.quiet) as bar:
+    with progress(f"pictures of {subject.title}", len(tasks[:COMPARED]), quiet=options.quiet) as bar:
         return picture_of_table(app, tasks, runs, file, bar.advance)

@@ -57,8 +57,8 @@ def allowed_for(plan: Plan) -> Allowed:
 
 def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
     """Everything that figures of a baseline on data of this name depend on."""
-    app, request = plan.app, plan.options
-    own, source = plan.options.own.recorded(), training_folder(plan, baseline)
+    app, options = plan.app, plan.options
+    own, source = options.own.recorded(), training_folder(plan, baseline)
     return {
         "app": app.name,
         **observe_of(app),
@@ -66,9 +66,9 @@ def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
         "data": label,
         "training": source and data_label(source),
         "allowed": allowed_for(plan)._asdict(),
-        "recipe": request.recipe,
+        "recipe": options.recipe,
         **({"options": own} if own else {}),
-        "seed": request.seed,
+        "seed": options.seed,
         "versions": versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),
     }

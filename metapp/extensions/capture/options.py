@@ -17,5 +17,5 @@ def _checked_view(degrees: float) -> float:
     try:
         options.field_of_view(degrees)
     except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise typer.BadParameter(f"{degrees:g} degrees, {error}.") from None
     return degrees

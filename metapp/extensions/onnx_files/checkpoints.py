@@ -34,16 +34,16 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         ValueError: no checkpoint of that General; packages, or the browser's part, cannot be had.
         BadOption: the file is there already.
     """
-    request = _request(path)
+    options = _options(path)
     file = folder / ("index.html" if kind == PAGE else f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx")
     check_new_files([file])
     require()
     parts = _runtime(quiet) if kind == PAGE else {}
-    found = find_checkpoint(plan(request))
+    found = find_checkpoint(plan(options))
     app, checkpoint = found.app, found.checkpoint
     assert isinstance(app, SvbrdfNonstationary)
     assert checkpoint is not None
-    about = {"made_by": "metapp export", "recipe": request.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
+    about = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
     if reads_features := bool(app.conditions()):
         about |= {"features": FEATURES, "license": f"MIT; of the features: {FEATURES}"}
     model, any_size = photographs_model(app, checkpoint.prepared.encoder, about)
@@ -58,7 +58,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     return [file]
 
 
-def _request(path: Path) -> FitOptions:
+def _options(path: Path) -> FitOptions:
     """General of the checkpoint that a file is, or that ships by a name."""
     if path.is_file():
         about = load_checkpoint(path)[1]

@@ -100,7 +100,7 @@ def plan_as(settings: Document, options: Mapping[str, object] | None = None, **m
     Args:
         settings: of the record.
         options: of extensions, beside those that the record states.
-        more: further options, as of `Request`.
+        more: further options, as of `FitOptions`.
 
     Raises:
         BadOption: one of `options`.

@@ -27,7 +27,7 @@ def bracket(tmp_path: Path) -> list[Path]:
 
 def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "garden"
-    options = ["--exposures", "1/40,1/20,1/10", "--ball", "80,75,60", "--size", "32"]
+    options = ["--shutter", "1/40,1/20,1/10", "--ball", "80,75,60", "--size", "32"]
     done = metapp("data", "ball", *bracket, *options, "--out", out, "--json")
     said = done.done
     assert [photo["radius"] for photo in said["photos"]] == pytest.approx([60] * 3, abs=0.1)
@@ -51,7 +51,7 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, brack
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--exposures", "a"], "expected exposure times"),
+        (["--shutter", "a"], "expected exposure times"),
         (["--fov", "1e-300"], "1e-300 degrees, expected 0 or 0.5 to 150"),
         (["--ball", "1,2"], "expected centre and radius"),
     ],

@@ -118,7 +118,7 @@ def test_no_ball_is_one_line(tmp_path: Path) -> None:
     [
         ((1.0, 2.0), r"exposures: 2 for 3 photos, expected"),
         ((20, 60, 240), r"exposures: photos get darker as times get longer, expected times such as 1/60"),
-        ((), r"0\.png: no exposure time in its EXIF, expected different ones; give them: --exposures"),
+        ((), r"0\.png: no exposure time in its EXIF, expected different ones; give them: --shutter"),
     ],
 )
 def test_exposures_that_cannot_be_are_a_line(brackets: list[Path], times: tuple[float, ...], line: str) -> None:

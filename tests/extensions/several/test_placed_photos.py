@@ -109,10 +109,10 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tm
     task = photos.read_task(folder)
     with ShardWriter(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), {}) as writer:
         writer.add(task, "test")
-    request = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
-    assert chosen_recipe(request) == recipe_of_tasks(request, [task]) == "several"
+    options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
+    assert chosen_recipe(options) == recipe_of_tasks(options, [task]) == "several"
     one = Task("one", {"photo": task.data["photo"]})
-    assert recipe_of_tasks(request, [one]) == ("full" if lacking else "pretrained")
+    assert recipe_of_tasks(options, [one]) == ("full" if lacking else "pretrained")
 
 
 def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:

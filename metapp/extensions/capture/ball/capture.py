@@ -56,19 +56,19 @@ class Capture(NamedTuple):
         return Task(name, {"photos": photo[None], "seen": self.seen, "certain": self.certain})
 
 
-def merge(paths: Sequence[Path], exposures: str, rows: int = ROWS, fov_rad: float = 0.0) -> Task:
+def merge(paths: Sequence[Path], shutter: str, rows: int = ROWS, fov_rad: float = 0.0) -> Task:
     """Turn photographs of one mirror ball, of different exposures, into a task named by the first one's stem.
 
     Args:
         paths: the files.
-        exposures: times in their order, such as "1/20,1/60"; "auto": as EXIF says.
+        shutter: times in their order, such as "1/20,1/60"; "auto": as EXIF says.
         rows: rows of the map.
         fov_rad: as of `capture`.
 
     Raises:
         ValueError: as `capture`; no exposure times.
     """
-    times = () if exposures == "auto" else parsed(exposures)
+    times = () if shutter == "auto" else parsed(shutter)
     return capture(paths, times, fov_rad=fov_rad, rows=rows).task(paths[0].stem)
 
 
@@ -151,7 +151,7 @@ def _exposures(paths: Sequence[Path], times: Sequence[float]) -> Floats:
         path = paths[int(np.argmin(values))]
         raise ValueError(
             f"{path}: {'the exposure of all photos' if values.all() else 'no exposure time'} in its EXIF, expected "
-            f"different ones; give them: --exposures 1/20,1/60,1/160."
+            f"different ones; give them: --shutter 1/20,1/60,1/160."
         )
     return values
 

@@ -27,11 +27,11 @@ class BallOptions:
         list[Path], typer.Argument(metavar="PHOTO...", help="Photographs of one ball, of different exposures.")
     ]
     folder: Out
-    exposures: Annotated[
+    shutter: Annotated[
         str,
         typer.Option(
             metavar="T,T,...",
-            help="Exposure times of the photos in their order, such as 1/20,1/60; default: EXIF.",
+            help="Shutter times of the photos in their order, such as 1/20,1/60; default: EXIF.",
         ),
     ] = ""
     fov: Annotated[float, field_of_view("as EXIF says of uncropped photos, else far away")] = 0
@@ -54,14 +54,14 @@ def ball(options: BallOptions) -> None:
     it is seen and does not clip, and pictures of what was found in DIR/found/.
 
     Examples:
-      metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
+      metapp data ball a.jpg b.jpg c.jpg --shutter 1/20,1/60,1/160 --out garden
       metapp data ball IMG_1.jpg --fov 55 --size 256 --out garden
     """
     from metapp.extensions.capture.ball.capture import capture
     from metapp.extensions.capture.ball.files import FOUND, write_capture
     from metapp.storage.manifest import MANIFEST
 
-    times, place = _times(options.exposures), _place(options.ball)
+    times, place = _times(options.shutter), _place(options.ball)
     folder, name = options.folder, options.folder.resolve().name
     check_new(folder / MANIFEST, options.overwrite)
     fov_rad = math.radians(options.fov)
@@ -82,7 +82,7 @@ def _times(text: str) -> tuple[float, ...]:
     try:
         return parsed(text) if text else ()
     except ValueError as error:
-        raise typer.BadParameter(f"{error}.", param_hint="--exposures") from None
+        raise typer.BadParameter(f"{error}.", param_hint="--shutter") from None
 
 
 def _place(text: str) -> tuple[float, float, float] | None:
