@@ -13,7 +13,6 @@ from metapp.registry import registry
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import locked
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
@@ -107,9 +106,11 @@ def embedded_data(
     _remove_stale(folder.parent)
     try:
         _make(app, work, counts, notes, quiet=quiet)
-        with locked(folder.parent):
+        try:
+            os.replace(work, folder)
+        except OSError:  # there is one: of another program that was faster, or a damaged one
             if not _is_finished(folder, app, notes):
-                shutil.rmtree(folder, ignore_errors=True)  # half a set, or a damaged one
+                shutil.rmtree(folder, ignore_errors=True)
                 os.replace(work, folder)
     finally:
         shutil.rmtree(work, ignore_errors=True)
