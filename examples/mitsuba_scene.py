@@ -1,7 +1,7 @@
 """Render fits of three kinds together with Mitsuba 3: mitsuba_scene.py MAPS LIGHT.exr PICTURE BRDF.safetensors...
 
-MAPS is a folder of `--export mitsuba` of an svBRDF, LIGHT.exr is outputs/<map>/map.exr of a run of illumination, each
-BRDF.safetensors is params/<material>.safetensors of a run of brdf: one to three balls. Fits of the embedded data sets:
+MAPS is a folder of `--export mitsuba` of an svBRDF, LIGHT.exr is map.exr in the folder of a fit of illumination,
+each BRDF.safetensors is params.safetensors in that of a fit of brdf: one to three balls. Of the embedded data sets:
 
     metapp meta svbrdf_nonstationary --recipe quick --export mitsuba
     metapp meta illumination --recipe quick

@@ -12,15 +12,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from metapp.runs.api import Fit, fit, fit_all
+    from metapp.runs.api import Fit, fit, fit_all, load
 
-__all__ = ["Fit", "__version__", "fit", "fit_all"]
+__all__ = ["Fit", "__version__", "fit", "fit_all", "load"]
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
     """Import the API on first use, as torch takes a second or more to load."""
-    if name in ("Fit", "fit", "fit_all"):
+    if name in ("Fit", "fit", "fit_all", "load"):
         from metapp.runs import api
 
         return getattr(api, name)

@@ -29,9 +29,9 @@ Part = tuple[str, tuple[int, int, int, int] | None]  # a file, which may be a pa
 DOCS = Path(__file__).parent.parent / "docs"
 HEIGHT, WIDTH, GAP = 360, 720, 4  # px
 QUARTER = (0, 0, 512, 512)
-STATIONARY = "runs/svbrdf_stationary/meta/*{}*/outputs/*/{}.png"
-PHOTO = "runs/svbrdf_nonstationary/meta/*sign*/outputs/*/{}.png"
-BOX = "runs/transport/meta/*/outputs/cornell-0-000/{}.png"
+STATIONARY = "runs/svbrdf_stationary/meta*/*{}*/{}.png"
+PHOTO = "runs/svbrdf_nonstationary/meta*/*sign*/{}.png"
+BOX = "runs/transport/meta*/cornell-0-000/{}.png"
 
 
 def maps(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | None) -> list[list[Part]]:
@@ -43,7 +43,7 @@ def maps(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | No
 # columns of a card, each a list of rows of parts
 CARDS: dict[str, list[list[list[Part]]]] = {
     "brdf": [[[("demo.png", (372, 32, 996, 350))]]],
-    "texture": [[[("bricks.png", None)]], [[("runs/texture/meta/*bricks*/outputs/*/texture.png", QUARTER)]]],
+    "texture": [[[("bricks.png", None)]], [[("runs/texture/meta*/*bricks*/texture.png", QUARTER)]]],
     "svbrdf-stationary": [
         [[("rust.png", None)]],
         maps(STATIONARY.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), QUARTER),
@@ -67,7 +67,7 @@ CARDS: dict[str, list[list[list[Part]]]] = {
     ],
     "compare": [[[("compare.png", (0, 30, 991, 525))]]],
     "report": [[[("report.jpg", (14, 0, 714, 350))]]],
-    "baseline": [[[("bricks.png", None)]], [[("runs/texture/baseline/*bricks*/outputs/*/texture.png", None)]]],
+    "baseline": [[[("bricks.png", None)]], [[("runs/texture/baseline*/*bricks*/texture.png", None)]]],
     "guided": [[[("guiding-scenes.jpg", (0, 14, 258, 272))]], [[("guiding-scenes.jpg", (261, 14, 519, 272))]]],
 }
 

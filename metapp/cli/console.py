@@ -160,7 +160,7 @@ REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and
 
 def _interrupted(terminal: Reporter) -> int:
     terminal.say(
-        "interrupted; the same command goes on with training where it was and with fits that are not finished; "
-        "conversions start over."
+        "interrupted; the same command goes on with training where it was, with --resume with fits that are not "
+        "finished; conversions start over."
     )
     return Exit.INTERRUPTED

@@ -51,7 +51,7 @@ def command(
     data: FittedData = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND, of files KIND."),
+        typer.Option("--out", callback=check_folder, help="Folder to write to; default: TASK/KIND, of files KIND."),
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="HxW|N", help="Output size in pixels of maps and textures.")
@@ -65,7 +65,7 @@ def command(
       metapp export runs/brdf/meta bsdf
       metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.files import Exported, export_run, listed
+    from metapp.runs.outputs.files import Exported, export_run
     from metapp.runs.outputs.recorded import holds_runs
 
     if form in registry().file_exports and not holds_runs(source):
@@ -78,6 +78,6 @@ def command(
         own = {"size": size} if size else {}
         done = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
-        say(f"written as {done.form}: {listed(Path(done.out), done.tasks)}")
+        say(f"written as {done.form}: {done.out}")
     if json:
         print_json(done._asdict())

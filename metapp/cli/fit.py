@@ -126,23 +126,20 @@ def fit(plan: Plan, *, json: bool) -> None:
 
 def _show(run: Run, *, json: bool) -> None:
     """Print the table of a run, or its object, and say where everything is and what failed."""
-    from metapp.runs.outputs.files import listed
-
     plan, paradigm = run.plan, run.plan.paradigm.name
     if not plan.options.quiet:
         if not json:
-            resumes = plan.options.resumes
-            most, rate = (LISTED, run.tasks_per_second) if resumes else (None, None)
-            out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
-        folder, names = run.folder.path, [record["name"] for record in run.records]
-        made = f"\nmade: {listed(run.made, names)}" if run.made else ""
-        say(f"picture: {run.picture}\nrecords: {run.folder.file}\nfit: {listed(folder / 'params', names)}{made}")
-        if "view" in registry().commands:
-            say(f"to look at: metapp view {shlex.quote(str(folder))}")
-        if others := [kind for kind in exports_of(plan.app.name) if kind not in plan.options.exports]:
-            say(f"other forms ({', '.join(others)}): metapp export {shlex.quote(str(folder))} {others[0]}")
+            rate = run.tasks_per_second if len(run.records) > 1 else None
+            out().print(table_of(plan.app, paradigm, run.records, rate=rate, most=LISTED))
         for line in run.remarks:
             say(line)
+        if run.skipped:
+            say(f"{run.skipped} of {len(run.records)} fits are of before, and stay")
+        if run.replaced:
+            say(f"{run.replaced} of {len(run.records)} fits replace fits of before; --resume keeps those")
+        say(f"fits: {run.folder}")
+        if "view" in registry().commands:
+            say(f"to look at: metapp view {shlex.quote(str(run.folder))}")
     for failure in run.failures:
         what = "failed" if failure.counted else "warning: skipped"
         say(f"{what}: {one_line(failure.reason)}")
@@ -154,20 +151,18 @@ def table_of(
     app: App,
     paradigm: str,
     records: Sequence[Document],
-    made: Path | None = None,
     *,
     rate: float | None = None,
     most: int | None = None,
 ) -> Table:
     """One line a task, and their mean; of more than `most` those of the largest errors.
 
-    Where there is no error, as of photos, it says how many files were made instead.
+    Where there is no error, as of photos, it says how many pictures were made instead.
 
     Args:
         app: the application.
         paradigm: its name.
         records: of all tasks.
-        made: the folder of what fits made for their user, if any.
         rate: tasks that were fitted in a second, if that is to be said.
         most: lines, None for all.
     """
@@ -176,7 +171,7 @@ def table_of(
 
     from metapp.evaluation.notes import warned
     from metapp.runs.naming import caption_of, factor_of, title_of
-    from metapp.storage.records import file_name, guarded, summary
+    from metapp.storage.records import guarded, summary
 
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
     listed = records
@@ -193,11 +188,12 @@ def table_of(
     if measured:
         table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
-    if not measured and made:
-        table.add_column("files", justify="right")
+    pictures = {} if measured else {each["name"]: len([*Path(each["folder"]).glob("*.png")]) for each in listed}
+    if any(pictures.values()):
+        table.add_column("pictures", justify="right")
     for record in listed:
         cells = [number(record["error"], ".3f")] if measured else []
         cells.append(number(record.get("seconds"), ".4f"))
-        cells += [f"{sum(1 for _ in (made / file_name(record['name'])).glob('*'))}"] if made and not measured else []
+        cells += [f"{pictures[record['name']]}"] if any(pictures.values()) else []
         table.add_row(Text(escaped(record["name"])), *cells)
     return table

@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from metapp.learning.task import Params, Task
+from metapp.runs.inputs.sources import content_of
 from metapp.runs.reporter import progress
 from metapp.runs.torch_state import threads
-from metapp.storage.records import Record, RunFolder
+from metapp.storage.fits import Fits
+from metapp.storage.records import Record
 
 Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
@@ -19,7 +21,7 @@ class Cell(NamedTuple):
     Attributes:
         title: for the progress; it begins with the application's name.
         tasks: what it is measured on.
-        folder: where records are kept; None where the checkpoint is missing that it needs.
+        fits: where records are kept; None where the checkpoint is missing that it needs.
         measure: tasks -> the record of each, and what is kept beside it as parameters, if anything.
         steps: gradient steps a task, about: cells with few come first.
         stage: cells of a lower stage come first, which this one reads.
@@ -28,7 +30,7 @@ class Cell(NamedTuple):
 
     title: str
     tasks: Sequence[Task]
-    folder: RunFolder | None
+    fits: Fits | None
     measure: Measure
     steps: int
     stage: int = 0
@@ -36,12 +38,12 @@ class Cell(NamedTuple):
 
     def records(self) -> list[Record]:
         """The records there are, in the order of the tasks."""
-        finished = self.folder.finished() if self.folder else {}
+        finished = self.fits.records() if self.fits else {}
         return [finished[task.name] for task in self.tasks if task.name in finished]
 
     def missing(self) -> list[Task]:
         """The tasks that have no record yet."""
-        finished = self.folder.finished() if self.folder else {}
+        finished = self.fits.records() if self.fits else {}
         return [task for task in self.tasks if task.name not in finished]
 
     @property
@@ -51,10 +53,9 @@ class Cell(NamedTuple):
 
     def run(self, tasks: list[Task]) -> Iterator[Record]:
         """Measure tasks; each record is kept before it is yielded."""
-        assert self.folder is not None
-        for record, tensors in self.measure(tasks):
-            self.folder.add(record, tensors)
-            yield record
+        assert self.fits is not None
+        for task, (record, tensors) in zip(tasks, self.measure(tasks), strict=False):  # it may end early
+            yield self.fits.write({**record, "content": content_of(task)}, tensors)
 
 
 def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
@@ -62,7 +63,7 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
 
     Within a stage cells of few steps come first: most of a table is soon there. The progress counts gradient steps.
     """
-    once = {cell.folder.path: cell for cell in cells if cell.folder}.values()  # tables share most of them
+    once = {cell.fits.path: cell for cell in cells if cell.fits}.values()  # tables share most of them
     ordered = sorted(once, key=lambda cell: (cell.stage, cell.steps))
     planned = [(cell, missing) for cell in ordered if (missing := cell.missing())]
     if not planned:

@@ -21,7 +21,7 @@ def draw_cells(subject: Subject, cells: Mapping[str, Cell], kind: str) -> Path |
     """Draw fits that are complete, by their names; None where there are none."""
     options, app = subject.plan.options, subject.app
     words = [kind, subject.label, options.recipe, f"seed{options.seed}", *filter(None, [app.protocol])]
-    runs = [(name, cell.folder.path, cell.records()) for name, cell in cells.items() if cell.folder]
+    runs = [(name, cell.records()) for name, cell in cells.items() if cell.fits]
     if not runs:
         return None
     file = options.out / app.name / f"{'-'.join(words)}.png"

@@ -19,7 +19,8 @@ from metapp.runs.naming import name_of, title_of
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
 from metapp.runs.surroundings import make_folder, threads_of
-from metapp.storage.records import FIT, Record, RunFolder
+from metapp.storage.fits import FIT, Fits
+from metapp.storage.records import Record
 
 LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
 FEW = 3  # tasks of these rows, unless all are asked for
@@ -119,36 +120,29 @@ class Subject:
             settings: what else the figures depend on.
             name: added to the run folder's, where it is no paradigm's own.
         """
-        folder = None
+        fits = None
         if plan.checkpoint is not None:
             path = plan.path(self.label)
             path = path.with_name(f"{path.name}-{name}") if name else path
-            folder = RunFolder(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin())
-        return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps)
+            fits = Fits(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin(()))
+        return self.make_cell(title, fits, functools.partial(fit_tasks, plan), plan.steps)
 
-    def make_cell(self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0) -> Cell:
+    def make_cell(self, title: str, fits: Fits | None, measure: Measure, steps: int = 0) -> Cell:
         """A cell of the application's threads; other entries by `Cell._replace`."""
         tasks = self.tasks if self.whole or steps <= LONG else evenly(self.tasks, FEW)
-        return Cell(f"{name_of(self.app)} {title}", tasks, folder, measure, steps, threads=threads_of(self.app))
+        return Cell(f"{name_of(self.app)} {title}", tasks, fits, measure, steps, threads=threads_of(self.app))
 
-    def folder(self, kind: str, settings: Record, entries: Collection[str], *, of_fits: bool = False) -> RunFolder:
-        """Where records are kept: <out>/<app>/<kind>/<data>-<recipe>-seed<seed>, with the protocol.
+    def kept(self, kind: str, settings: Record, entries: Collection[str], *, of_fits: bool = False) -> Fits:
+        """Where records are kept: <out>/<app>/<kind>, with what is not the default.
 
         Args:
-            kind: of records, a folder.
+            kind: of records.
             settings: everything that their figures depend on.
             entries: of records, beside the name.
             of_fits: whether they are of fits of several paradigms: with the rule.
         """
-        options = self.plan.options
-        words = [
-            self.label,
-            options.recipe,
-            f"seed{options.seed}",
-            *([self.plan.paradigm.rule_name] if of_fits else []),
-        ]
-        path = options.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
-        return RunFolder(path, settings, entries, self.plan.origin())
+        path = self.plan.path(self.label, kind, self.plan.paradigm.rule_name if of_fits else "")
+        return Fits(path, settings, entries, self.plan.origin(()))
 
     def command(self, which: str) -> str:
         """The command that fills a table for this application."""

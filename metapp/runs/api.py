@@ -29,15 +29,21 @@ from metapp.runs.naming import factor_of, title_of
 from metapp.runs.options import FitOptions, check_export, fit_options
 from metapp.runs.outputs.files import export_fit, outputs_of
 from metapp.runs.outputs.pictures import beside, image_of
+from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.plan import Plan, plan
 from metapp.runs.surroundings import threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
+from metapp.storage.fits import read_params
 from metapp.storage.images import png_address, png_bytes
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+# entries of records that are no errors
+NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded"}
+NO_ERRORS |= {"source", "content", "origin", "settings", "folder", "batch"}
 
 
 class Fit:
@@ -67,8 +73,7 @@ class Fit:
         self.warning: str = record.get("warning", "")
         self.guarded: bool = record.get("guarded", False)
         self.steps: int = settings["steps"]
-        fields = ("name", "seconds", "threads", "counts", "note", "warning", "guarded")
-        self.errors = {key: value for key, value in record.items() if key not in fields and value is not None}
+        self.errors = {key: value for key, value in record.items() if key not in NO_ERRORS and value is not None}
 
     def __getattr__(self, name: str) -> Callable[..., object]:
         """A method that an extension adds."""
@@ -250,6 +255,23 @@ def fit_all(
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
         raise
+
+
+def load(folder: str | PathLike[str]) -> Fit:
+    """Read a fit back from its folder, such as runs/brdf/meta/gold of `metapp meta brdf gold.binary`.
+
+    Its task has data where the input is where it was, and as it was.
+
+    Raises:
+        ValueError: no fit, or several; damaged files.
+    """
+    run = read_run(Path(folder))
+    if len(run.records) != 1:
+        raise ValueError(f"{folder}: {len(run.records)} fits, expected the folder of one task; take one inside it.")
+    (record,) = run.records
+    planned, name = plan_as(record["settings"]), record["name"]
+    task = tasks_as(run.records, planned.app, [], None).get(name, Task(name, {}))
+    return Fit(planned, task, record["settings"], record, read_params(record["folder"]))
 
 
 def _fitted(options: FitOptions) -> list[Fit]:

@@ -66,9 +66,8 @@ def _lacking(recipe: Recipe) -> str:
 
 def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]]) -> str:
     """The kind of all inputs, "" for none; BadOption where they are of several and a recipe is for one of them."""
-    reads = not options.resumes  # of the inputs, which may be thousands
     kinds = [
-        (_kind_of_path(form, path, reads), form, path)
+        (_kind_of_path(form, path), form, path)
         for form in inputs_of(options.app).values()
         for path in options.paths
         if form.load().recognises(path)
@@ -86,9 +85,9 @@ def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]])
     return chosen[0]
 
 
-def _kind_of_path(form: Format, path: Path, reads: bool) -> str:
+def _kind_of_path(form: Format, path: Path) -> str:
     """The kind of an input of a format, or of one that a folder holds."""
-    told = (kind for kind, tells in form.kinds if not tells or (reads and getattr(form.load(), tells)(path)))
+    told = (kind for kind, tells in form.kinds if not tells or getattr(form.load(), tells)(path))
     return next(told, "")
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from data_tools.formats import exports_of
 from metapp.apps import app_names, options_of, protocols_of, recipe_entries
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Declared, Option, declared, parse
-from metapp.storage.text import meant
+from metapp.storage.text import file_name, meant
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
 TASKS = "default: the test tasks of --data"
@@ -64,8 +64,12 @@ class FitOptions:
     ] = "auto"
     batch: Annotated[
         int | None,
-        Option("Fit N inputs in parallel, and resume the run.", "N", low=1, panel=FIT),
+        Option("Fit N inputs in parallel; default: 1.", "N", low=1, panel=FIT),
     ] = None
+    resume: Annotated[
+        bool,
+        Option("Skip inputs whose fit is there, of the same settings and content; default: replace.", panel=FIT),
+    ] = False
     export: Annotated[
         str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)
     ] = ""
@@ -86,11 +90,6 @@ class FitOptions:
     def objects(self) -> list[object]:
         """The inputs that are objects in memory."""
         return [one for one in self.inputs if not isinstance(one, Path)]
-
-    @property
-    def resumes(self) -> bool:
-        """True if a run that is finished stays as it is, and failures are listed: with --batch."""
-        return self.batch is not None
 
 
 def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (), **values: Any) -> FitOptions:
@@ -221,5 +220,6 @@ def own_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> 
 
 
 def name_parts(own: AppOptions) -> list[str]:
-    """The parts of a run folder's name that state options of the recipe: detail512."""
-    return [name if value is True else f"{name}{value}" for name, value in own.given(FIT).items()]
+    """The parts of a run folder's name that state options that fits depend on: conserve, detail512."""
+    recorded = {name: value for name, value in own.recorded().items() if not isinstance(value, list)}
+    return [file_name(name if value is True else f"{name}{value}") for name, value in recorded.items()]

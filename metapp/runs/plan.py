@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,11 +17,13 @@ from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
 from metapp.options import FIT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.runs.checkpoints.shipped import usual_recipe
 from metapp.runs.choosing import chosen_recipe
-from metapp.runs.naming import observe_of
+from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.options import FitOptions, name_parts
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
+from metapp.storage.records import digest
 from metapp.storage.text import meant
 
 
@@ -103,24 +106,36 @@ class Plan:
             **precision_of(app, self.device, self.steps),
         }
 
-    def path(self, label: str) -> Path:
-        """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, protocol, and what is not the recipe's."""
-        options = self.options
-        name = f"{label}-{options.recipe}-seed{options.seed}"
-        if self.paradigm.name == "meta":
-            name += f"-{self.paradigm.rule_name}"
-        name += "".join(f"-{part}" for part in name_parts(options.own))
-        if options.steps is not None:
-            name += f"-{options.steps}steps"
-        if self.app.protocol:
-            name += f"-{self.app.protocol}"
-        return options.out / self.app.name / self.paradigm.name / name
+    def path(self, label: str, kind: str = "", rule: str = "") -> Path:
+        """runs/<app>/<paradigm>, with what is not the default, as meta-materials-1a2b3c-quick-seed3.
 
-    def origin(self) -> Document:
+        Args:
+            label: of the data.
+            kind: of records that are no paradigm's fits, in place of its name.
+            rule: that these depend on; "" for none.
+        """
+        options, app = self.options, self.app
+        rule = rule or (self.paradigm.rule_name if self.paradigm.name == "meta" and not kind else "")
+        given = str(options.checkpoint.resolve()) if options.checkpoint else ""
+        origin = self.checkpoint.digest if self.checkpoint else digest(given)
+        words = [
+            kind or self.paradigm.name,
+            label if options.data and not options.paths else "",
+            options.recipe if options.recipe != usual_recipe(app.name) else "",
+            rule if rule != self.recipe.rule else "",
+            *name_parts(options.own),
+            "" if options.steps is None else f"{options.steps}steps",
+            "" if is_first_protocol(app) else app.protocol,
+            f"checkpoint-{origin[:6]}" if given and origin else "",
+            f"seed{options.seed}" if options.seed else "",
+        ]
+        return options.out / app.name / "-".join(filter(None, words))
+
+    def origin(self, inputs: Sequence[Path]) -> Document:
         """Where inputs and data set are, by which they are found again: absolute paths, as far as given."""
         data = self.options.data
         places: Document = {
-            "inputs": [str(path.absolute()) for path in self.options.paths],
+            "inputs": [str(path.absolute()) for path in inputs],
             "data": data and str(data.absolute()),
         }
         return {key: value for key, value in places.items() if value}

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
 
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
+_PROGRAM = os.urandom(3).hex()  # programs on two machines of a cluster may have the same process id
 
 
 def open_regular(path: str | Path) -> io.BufferedReader:
@@ -36,26 +37,17 @@ def open_regular(path: str | Path) -> io.BufferedReader:
         ValueError: it is no file, such as a pipe that has no end.
         OSError: it cannot be read.
     """
-    return open(_regular(path, os.O_RDONLY), "rb")
-
-
-def _regular(path: str | Path, flags: int) -> int:
-    """The descriptor of a file; one that is opened to write to must be no link to another folder's."""
-    writes = flags != os.O_RDONLY
-    if writes and os.path.islink(path):
-        raise ValueError(_LINKED.format(path))
     # a pipe that nobody writes to would be waited for
-    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0), 0o666)
-    state = os.fstat(descriptor)
-    if stat.S_ISREG(state.st_mode) and not (writes and state.st_nlink > 1):
-        return descriptor
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return open(descriptor, "rb")
     os.close(descriptor)
-    if stat.S_ISDIR(state.st_mode):
+    if stat.S_ISDIR(mode):
         raise IsADirectoryError(f"{path}: a folder, expected a file; name a file in it.")
-    raise ValueError((_LINKED if stat.S_ISREG(state.st_mode) else _UNENDING).format(path))
+    raise ValueError(_UNENDING.format(path))
 
 
-_LINKED = "{}: a link, expected a file of this folder; remove it or write to another folder."
 _UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
 
 
@@ -168,8 +160,8 @@ def suffixed(path: Path, suffix: str) -> Path:
 
 def partial_path(path: Path) -> Path:
     """Where to write a file until it is whole: in the same folder, with the same suffix."""
-    # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
-    return path.with_name(f"{PARTIAL}{os.getpid()}-{path.name}")
+    # The suffix stays, since image writers choose the format by it; the rest keeps two programs apart.
+    return path.with_name(f"{PARTIAL}{os.getpid()}-{_PROGRAM}-{path.name}")
 
 
 def remove_partial(path: Path) -> None:
@@ -214,46 +206,6 @@ def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def append_line(path: Path, line: bytes, is_whole: Callable[[bytes], bool]) -> None:
-    """Append a line to a file by a single write, and have it on the disk; whoever appends must hold the file's lock.
-
-    Args:
-        path: the file, made if missing.
-        line: without its end.
-        is_whole: whether a last line without end is one all the same; else it is a torn one, which a program that was
-            killed left behind: the new line takes its place.
-
-    Raises:
-        OSError: the disk is full; the file is then as before.
-        ValueError: it is a link, symbolic or hard, or no file.
-    """
-    with open(_regular(path, os.O_RDWR | os.O_APPEND | os.O_CREAT), "a+b", buffering=0) as file:
-        size = file.seek(0, os.SEEK_END)
-        tail = _last_line(file, size)
-        start = b"\n" if tail and is_whole(tail) else b""
-        if tail and not start:
-            size -= len(tail)
-            file.truncate(size)
-        payload = start + line + b"\n"
-        try:
-            if file.write(payload) < len(payload):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            os.fsync(file.fileno())
-        except OSError as error:
-            file.truncate(size)
-            raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def _last_line(file: io.FileIO, size: int) -> bytes:
-    """The bytes after the last line's end, read from the file's end; nothing where the last line is whole."""
-    tail, at = b"", size
-    while at > 0 and b"\n" not in tail:
-        at = max(0, at - 65536)
-        file.seek(at)
-        tail = file.read(size - len(tail) - at) + tail
-    return tail.rpartition(b"\n")[2]
 
 
 def named(error: Exception, source: Path) -> ValueError:

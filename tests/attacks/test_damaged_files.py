@@ -12,7 +12,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save, save_file
 
-from metapp.storage.records import FIT, SCHEMA, RunFolder, load_checkpoint, save_checkpoint
+from metapp.storage.fits import FIT, PARAMS, RECORD, read_fits, read_params, write_fit
+from metapp.storage.records import SCHEMA, load_checkpoint, save_checkpoint
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -26,14 +27,13 @@ NESTED = "[" * 100_000 + "]" * 100_000
 THETA = {"w": torch.arange(3.0)}
 
 
-def two_fits(path: Path) -> RunFolder:
-    run = RunFolder(path, {"steps": 10}, FIT)
-    for name in ("gold", "tin"):
-        run.add({"name": name, "error": 0.5, "seconds": 0.1}, THETA)
-    return run
+def fitted(run: Path, name: str) -> Path:
+    """The folder of a fit."""
+    record = {"name": name, "error": 0.5, "seconds": 0.1, "settings": {"steps": 10}}
+    return Path(write_fit(run, record, THETA)["folder"])
 
 
-BAD_LINES: dict[str, Any] = {
+BAD_RECORDS: dict[str, Any] = {
     "text": {"error": "0.5"},
     "list as name": {"name": ["gold"]},
     "NaN": {"error": float("nan")},
@@ -43,30 +43,31 @@ BAD_LINES: dict[str, Any] = {
     "no settings": {"settings": None},
     "nested": NESTED,
     "no text": "\x7f\xfe",
+    "empty": "",
 }
 
 
-@pytest.mark.parametrize("change", BAD_LINES.values(), ids=BAD_LINES)
-def test_a_bad_line_is_passed_over_with_its_number(tmp_path: Path, change: Any) -> None:
-    run = two_fits(tmp_path)
-    first, second = run.file.read_text().splitlines()
-    line = change if isinstance(change, str) else json.dumps({**json.loads(first), **change})
-    run.file.write_text(f"{line}\n{second}\n", errors="surrogateescape")
-    with pytest.warns(UserWarning, match=r"record.jsonl: line 1: no record"):
-        assert list(run.finished()) == ["tin"]
-    run.add({"name": "gold", "error": 0.5, "seconds": 0.2}, THETA)  # the task is fitted again
-    with pytest.warns(UserWarning, match="line 1"):
-        assert set(run.finished()) == {"gold", "tin"}
+@pytest.mark.parametrize("change", BAD_RECORDS.values(), ids=BAD_RECORDS)
+def test_a_bad_record_is_passed_over_with_a_warning(tmp_path: Path, change: Any) -> None:
+    file = fitted(tmp_path, "gold") / RECORD
+    fitted(tmp_path, "tin")
+    text = change if isinstance(change, str) else json.dumps({**json.loads(file.read_text()), **change})
+    file.write_text(text, errors="surrogateescape")
+    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; passed over"):
+        assert [record["name"] for record in read_fits(tmp_path, FIT)] == ["tin"]
+    again = fitted(tmp_path, "gold")  # whose the folder is cannot be said
+    with pytest.warns(UserWarning, match="no record"):
+        assert [record["name"] for record in read_fits(tmp_path, FIT)] == [again.name, "tin"]
 
 
 def test_damaged_parameters_are_one_line(tmp_path: Path) -> None:
-    run = two_fits(tmp_path)
-    assert torch.equal(run.theta("gold")["w"], THETA["w"])
-    run.params("gold").write_bytes(b"\xff" * 100)
-    run.params("tin").unlink()
-    for name in ("gold", "tin"):
-        with pytest.raises(ValueError, match=rf"{name}.safetensors: fitted parameters not readable"):
-            run.theta(name)
+    gold, tin = fitted(tmp_path, "gold"), fitted(tmp_path, "tin")
+    assert torch.equal(read_params(gold)["w"], THETA["w"])
+    (gold / PARAMS).write_bytes(b"\xff" * 100)
+    (tin / PARAMS).unlink()
+    for folder in (gold, tin):
+        with pytest.raises(ValueError, match=rf"{folder}/{PARAMS}: fitted parameters not readable .*; remove"):
+            read_params(folder)
 
 
 DAMAGED = {
@@ -77,15 +78,17 @@ DAMAGED = {
 
 @pytest.mark.parametrize("place", DAMAGED)
 def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, network: Path, place: str) -> None:
-    file = Path(fit("meta", network, "--recipe", "quick", "--json").done["out"], "record.jsonl")
+    folder = Path(fit("meta", network, "--recipe", "quick", "--json").done["tasks"][0]["folder"])
+    file = folder / RECORD
     whole = json.loads(file.read_text())
     for value in DAMAGED[place]:
         new = {**whole[place], **value} if place == "settings" else value
         file.write_text(json.dumps({**whole, place: new}))
-        for words in (("export", file, "merl"), ("view", file), ("compare", file, file)):
-            line = metapp(*words).error
-            assert "record.jsonl: m0: " in line, words
-            assert "expected" in line
+        for run in (folder, folder.parent):
+            for words in (("export", run, "merl"), ("view", run), ("compare", run, run)):
+                line = metapp(*words).error
+                assert "record.json: m0: " in line, words
+                assert "expected" in line
 
 
 # Checkpoints

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from metapp.storage.files import (
-    append_line,
     check_readable,
     open_regular,
     partial_path,
@@ -18,9 +17,11 @@ from metapp.storage.files import (
     read_text,
     write_atomically,
 )
-from metapp.storage.records import RunFolder
+from metapp.storage.fits import PARAMS, RECORD, read_fits, write_fit
 
-KEYS = "first\nlast"  # its last line has no end, as one that was cut off: a record would take its place
+KEYS = "first\nlast"
+GOLD = {"name": "gold", "error": 1.0, "seconds": 1.0}
+THETA = {"w": torch.zeros(1)}
 
 
 @pytest.fixture
@@ -37,17 +38,30 @@ def sent(tmp_path: Path) -> Path:
     return tmp_path / "sent"
 
 
-def link_record(sent: Path, target: Path, hard: bool) -> None:
-    (sent / "record.jsonl").hardlink_to(target) if hard else (sent / "record.jsonl").symlink_to(target)
+@pytest.mark.parametrize("name", [RECORD, PARAMS])
+@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
+def test_a_linked_record_does_not_cut_another_file(sent: Path, keys: Path, name: str, link: Callable) -> None:
+    """It is replaced by a file of the folder, what it led to stays."""
+    write_fit(sent, GOLD, THETA)
+    file = sent / "gold" / name
+    content = file.read_bytes()
+    (keys.write_bytes if name == RECORD else keys.write_text)(content if name == RECORD else KEYS)
+    before = keys.read_bytes()
+    file.unlink()
+    link(file, keys)
+    kept = write_fit(sent, GOLD | {"error": 2.0}, THETA)
+    assert (kept["folder"], file.is_symlink(), file.stat().st_nlink) == (str(sent / "gold"), False, 1)
+    assert keys.read_bytes() == before
+    assert [record["error"] for record in read_fits(sent)] == [2.0]
 
 
-@pytest.mark.parametrize(("name", "hard"), [("keys", False), ("new", False), ("keys", True)])
-def test_a_linked_record_does_not_cut_another_file(sent: Path, keys: Path, name: str, hard: bool) -> None:
-    link_record(sent, keys.with_name(name), hard)
-    with pytest.raises(ValueError, match=r"record\.jsonl: a link, expected a file of this folder; remove it"):
-        RunFolder(sent, {"steps": 1}).add({"name": "gold", "error": 1.0, "seconds": 1.0}, {"w": torch.zeros(1)})
+def test_nothing_is_written_into_a_linked_folder(sent: Path, keys: Path) -> None:
+    (sent / "gold").symlink_to(keys.parent)
+    write_fit(keys.parent.parent, GOLD | {"name": "home"}, THETA)  # even where a fit is
+    kept = write_fit(sent, GOLD, THETA)
+    assert kept["name"].startswith("gold-")
+    assert (sent / kept["name"] / RECORD).is_file()
     assert [path.name for path in keys.parent.iterdir()] == ["keys"]
-    assert keys.read_text() == KEYS
 
 
 def test_a_linked_file_is_replaced_and_its_target_as_it_was(sent: Path, keys: Path) -> None:
@@ -73,10 +87,13 @@ def test_what_is_no_file_is_not_read(read: Callable, tmp_path: Path) -> None:
         read(tmp_path / "none")
 
 
-def test_a_pipe_is_no_record_file(sent: Path) -> None:
-    os.mkfifo(sent / "record.jsonl")
-    with pytest.raises(ValueError, match="a pipe or device, expected a file"):
-        append_line(sent / "record.jsonl", b"{}", bool)
+def test_a_pipe_is_no_record(metapp: Callable, sent: Path) -> None:
+    (sent / "gold").mkdir()
+    os.mkfifo(sent / "gold" / RECORD)
+    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; passed over"):
+        assert read_fits(sent) == []
+    assert write_fit(sent, GOLD, THETA)["name"].startswith("gold-")
+    assert f"gold/{RECORD}: no record, expected one of a task" in metapp("export", sent / "gold", "merl").error
 
 
 PIPES = {

@@ -19,7 +19,7 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.streams import LONGEST, one_line
 from metapp.learning.recipe import Adam
 from metapp.runs.fits import fitter
-from metapp.storage.records import read_records
+from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.conftest import Result
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -68,7 +68,8 @@ def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Pat
         shutil.copytree(network, place / (place.name + name))
     words = ("brdf", place, "--recipe", "quick", "--json", "--quiet")
     runs = [metapp("meta", *words).done["out"], metapp("meta", *words, "--batch", "2").done["out"]]
-    texts = [path.read_bytes() for path in Path("runs").rglob("*.jsonl")]
+    assert runs[0] == runs[1]
+    texts = [json.dumps(json.loads(path.read_bytes())).encode() for path in Path("runs").rglob(RECORD)]
     texts += [metapp("compare", run, run, "--json").out.encode() for run in runs]
     texts += [metapp("meta", *words[:1], place / "none", "--batch", "2", *words[2:]).out.encode()]
     for text in texts:
@@ -76,8 +77,7 @@ def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Pat
             json.dumps(json.loads(line), ensure_ascii=False).encode()
     assert sum(rb"caf\\udce9" in text for text in texts) == 2
     assert metapp("compare", runs[0], runs[0], "--json").done["picture"]
-    said = metapp("meta", *words[:-1], "--batch", "2").err
-    assert "2 fitted before" in said
+    assert "2 of 2 fits are of before, and stay" in metapp("meta", *words[:-1], "--resume").err
 
 
 @pytest.mark.parametrize(
@@ -90,9 +90,11 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -
     (task,) = result.document["tasks"]
     assert task["name"].isprintable()
     folder = Path(result.document["out"])
-    assert [record["name"] for record in read_records(folder / "record.jsonl")] == [task["name"]]
+    assert [record["name"] for record in read_fits(folder)] == [task["name"]]
     assert (folder / "pictures.png").is_file()
-    assert len(list((folder / "params").iterdir())) == len(list((folder / "nbrdf").iterdir())) == 1
+    place = Path(task["folder"])
+    assert (place / PARAMS).is_file()
+    assert len(list((place / "nbrdf").iterdir())) == 1
 
 
 def test_messages_are_one_short_line(metapp: Callable) -> None:
@@ -127,7 +129,7 @@ def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
 ) -> None:
     def record(*words: str) -> tuple[Result, dict[str, Any]]:
         result = fit("overfit", network, "--steps", "2", "--json", *words)
-        return result, read_records(Path(result.done["out"], "record.jsonl"))[-1]
+        return result, read_fits(Path(result.done["out"]))[-1]
 
     _, whole = record()
     assert whole["threads"] == torch.get_num_threads()

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from data_tools.formats import exports_of
+from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -33,24 +34,27 @@ def finished(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPa
     """A run of two networks, fitted by Meta's gradient rule; for tests to copy, not to write to."""
     folder = tmp_path_factory.mktemp("finished")
     run_small("meta", "brdf", neural_fits(2), "--rule", "meta-curvature", "--out", folder, "--quiet")
-    (record,) = folder.rglob("record.jsonl")
-    return record.parent
+    first, _ = folder.rglob(RECORD)
+    return first.parents[1]
 
 
 @pytest.fixture
 def run(finished: Path) -> Path:
-    return Path(shutil.copytree(finished, Path("runs") / finished.name))
+    return Path(shutil.copytree(finished, Path("runs/brdf") / finished.name))
 
 
 @pytest.mark.long
 def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
     for kind in exports_of("brdf"):
         document = metapp("export", run, kind, "--json").done
-        assert document == {"form": kind, "out": str(run / kind), "tasks": ["m0", "m1"]}
-        made = [file.format(name, name) for name in document["tasks"] for file in FILES[kind]]
-        assert all((run / kind / file).is_file() for file in made), kind
-        assert metapp("export", run / "record.jsonl", kind, "--out", f"else/{kind}", "--quiet") == (0, "", "")
-        assert Path("else", kind, made[0]).read_bytes() == (run / kind / made[0]).read_bytes(), kind
+        assert document == {"form": kind, "out": str(run), "tasks": ["m0", "m1"]}
+        for name in document["tasks"]:
+            made = [file.format(name, name) for file in FILES[kind]]
+            assert all((run / name / kind / file).is_file() for file in made), kind
+        one = metapp("export", run / "m1", kind, "--json").document
+        assert one == {"form": kind, "out": str(run / "m1" / kind), "tasks": ["m1"]}
+        assert metapp("export", run, kind, "--out", f"else/{kind}", "--quiet") == (0, "", "")
+        assert Path("else", kind, made[0]).read_bytes() == (run / "m1" / kind / made[0]).read_bytes(), kind
 
 
 @pytest.mark.long
@@ -65,7 +69,7 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
     done = metapp("export", run, "nbrdf", moved)
     assert done.code == 0
     assert "distilled" in done.err
-    assert Path(run, "nbrdf", "m0", "b3.npy").is_file()
+    assert Path(run, "m0", "nbrdf", "m0", "b3.npy").is_file()
 
 
 def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
@@ -77,18 +81,19 @@ def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
         assert said in metapp("export", *words).misuse
     refused = metapp("export", "nowhere", "nbrdf").error
     assert "nowhere: no such folder, expected a run's folder" in refused
-    assert "no record.jsonl with fits" in metapp("export", run / "params", "nbrdf").error
+    assert "no folders of fits" in metapp("export", Path(), "nbrdf").error
 
 
 def test_of_a_folder_of_runs_the_newest_is_taken(metapp: Callable, run: Path) -> None:
-    other = Path("runs/brdf/meta/later")
+    other = Path("runs/brdf/later")
     shutil.copytree(run, other)
     for times, newest in ((1, run), (3, other)):
-        os.utime(run / "record.jsonl", (2, 2))
-        os.utime(other / "record.jsonl", (times, times))
+        for place, when in ((run, 2), (other, times)):
+            for name in ("m0", "m1"):
+                os.utime(place / name / RECORD, (when, when))
         said = metapp("export", "runs", "nbrdf", "--out", "made", "--quiet")
         assert said == (0, "", f"runs: the newest run is {newest}\n")
-    assert metapp("export", "runs/brdf", "nbrdf", "--json").document["out"] == str(other / "nbrdf")
+    assert metapp("export", "runs/brdf", "nbrdf", "--json").document["out"] == str(other)
     assert "runs/brdf: the newest run" not in metapp("export", other, "nbrdf").err
 
 
@@ -96,16 +101,17 @@ def test_a_run_behind_a_link_is_not_the_newest(metapp: Callable, run: Path) -> N
     """A folder that somebody sent must not lead to runs elsewhere, where files would be written."""
     Path("sent").mkdir()
     Path("sent/x").symlink_to(run.resolve())
-    Path("sent/y").mkdir()
-    Path("sent/y/record.jsonl").symlink_to(run.resolve() / "record.jsonl")
-    Path("sent/broken").mkdir()
-    Path("sent/broken/record.jsonl").symlink_to("nothing")
-    assert "sent: no record.jsonl with fits" in metapp("export", "sent", "nbrdf").error
-    assert not (run / "nbrdf").exists()
+    for name, target in (("y", run.resolve() / "m0" / RECORD), ("broken", "nothing")):
+        Path("sent", name, "m0").mkdir(parents=True)
+        Path("sent", name, "m0", RECORD).symlink_to(target)
+    assert "sent: no folders of fits" in metapp("export", "sent", "nbrdf").error
+    assert not list(run.rglob("nbrdf"))
 
 
-def test_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
-    lines = [json.loads(line) for line in (run / "record.jsonl").read_text().splitlines()]
-    lines[0]["settings"]["recipe"] = "other"
-    (run / "record.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
+    (run / "m0" / PARAMS).write_bytes(b"hello")
+    assert "m0/params.safetensors: fitted parameters not readable" in metapp("export", run, "merl").error
+    record = read_fits(run)[0]
+    record["settings"]["recipe"] = "other"
+    (run / "m0" / RECORD).write_text(json.dumps(record))
     assert "a fit of other settings than are known" in metapp("export", run, "merl").error

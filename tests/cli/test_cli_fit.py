@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import shutil
 import subprocess
 import sys
@@ -19,7 +18,8 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
-from metapp.storage.records import digest, load_checkpoint, read_records
+from metapp.storage.fits import RECORD, marked_name, read_fits, read_params
+from metapp.storage.records import digest, load_checkpoint
 from tests.conftest import Result
 
 STEPS = ("--train", "--train-steps", "3")
@@ -57,10 +57,7 @@ def errors_of(result: Result) -> list[float]:
 @pytest.mark.parametrize("full", [False, True])
 def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
     """Parameters and records are written first; a file in a folder's place, or a full disk, is said by its path."""
-    assert fit("general", *STEPS).code == 0
-    (folder,) = Path("runs/brdf/general").iterdir()
-    shutil.rmtree(folder)
-    folder.mkdir()
+    folder = Path(fit("general", *STEPS, "--json").done["out"])
 
     def write(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -68,17 +65,18 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
     if full:
         monkeypatch.setattr("data_tools.readers.merl.export", write)
     else:
-        (folder / "merl").touch()
+        for name in ("m4", "m9"):
+            (folder / name / "merl").touch()
     result = fit("general", *STEPS, "--export", "merl,nbrdf")
     assert result.code == 1
     said = " ".join(result.err.split())
     for name in ("m4", "m9"):
-        assert f"{folder}/merl/{name}: not written as merl: {'No space left' if full else 'File exists'}" in said
-        assert (folder / "params" / f"{name}.safetensors").is_file()
+        assert f"{folder}/{name}/merl/{name}: not written as merl: {'No space left' if full else 'File exists'}" in said
+        assert (folder / name / "nbrdf" / name).is_dir()
+        assert read_params(folder / name)
     assert "error: 2 exports were not written; all fits are kept." in said
     assert "inputs were not fitted" not in said
-    assert {record["name"] for record in read_records(folder / "record.jsonl")} == {"m4", "m9"}
-    assert len(list((folder / "nbrdf").iterdir())) == 2
+    assert [record["name"] for record in read_fits(folder)] == ["m4", "m9"]
 
 
 def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: Callable) -> None:
@@ -87,14 +85,17 @@ def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: C
     assert "m4" in result.out
     assert "mean error" in result.out
     assert "from a random initialisation" in result.err
-    (folder,) = Path("runs/brdf/overfit").iterdir()
-    records = read_records(folder / "record.jsonl")
+    (folder,) = Path("runs/brdf").iterdir()
+    assert folder.name.startswith("overfit-materials-")
+    assert f"fits: {folder}" in result.err
+    assert f"to look at: metapp view {folder}" in result.err
+    records = read_fits(folder)
     assert [record["name"] for record in records] == ["m4", "m9"]
-    lines = [json.loads(line) for line in (folder / "record.jsonl").read_text().splitlines()]
-    assert all(line["settings"]["adam"]["rate"] > 0 for line in lines)
+    assert all(record["settings"]["adam"]["rate"] > 0 for record in records)
     assert records[0]["settings"]["steps"] == 40
     assert records[0]["settings"]["versions"]["torch"] == str(torch.__version__)
-    assert load_file(folder / "params" / "m4.safetensors")["w2"].shape == (21, 21)
+    assert load_file(folder / "m4" / "params.safetensors")["w2"].shape == (21, 21)
+    assert {file.name for file in folder.iterdir()} == {"m4", "m9", "pictures.png"}
     assert (folder / "pictures.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -103,10 +104,10 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     document = result.document
     assert len(result.out.splitlines()) == 1
     keys = ["app", "paradigm", "rule", "steps", "device", "data", "error", "seconds", "tasks", "out"]
-    assert sorted(document) == sorted([*keys, "guarded"])
+    assert sorted(document) == sorted([*keys, "guarded", "failures", "tasks_per_second"])
     assert (document["app"], document["paradigm"], document["rule"]) == ("brdf", "meta", "meta-sgd")
     assert document["steps"] == 10
-    assert sorted(document["tasks"][0]) == ["error", "name", "note", "seconds"]  # it reflects more than all
+    assert sorted(document["tasks"][0]) == ["error", "folder", "name", "note", "seconds"]  # it reflects more than all
     assert document["error"] == pytest.approx(np.mean([task["error"] for task in document["tasks"]]))
     assert Path(document["out"]).is_dir()
 
@@ -190,8 +191,8 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
-    (file,) = Path("runs/brdf/quickft").rglob("record.jsonl")
-    assert read_records(file)[-1]["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
+    record = read_fits(Path(tuned.document["out"]))[-1]
+    assert record["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
 def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,17 +207,17 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     monkeypatch.setattr(Brdf, "errors", staticmethod(interrupted))
     result = fit("overfit")
     assert result.code == 130
-    assert "the same command goes on" in result.err
-    (file,) = Path("runs").rglob("record.jsonl")
-    (kept,) = read_records(file)
-    assert fit("overfit").code == 0
-    first, second = read_records(file)
+    assert "the same command goes on with training where it was, with --resume with fits" in result.err
+    (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
+    (kept,) = read_fits(run)
+    assert "1 of 2 fits are of before, and stay" in fit("overfit", "--resume").err
+    first, second = read_fits(run)
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
-    before = file.read_text()
-    assert fit("overfit").code == 130  # a finished run, run again
-    assert file.read_text() == before
+    assert fit("overfit").code == 130  # run again, without --resume
+    assert read_fits(run) == [first, second]
+    assert "2 of 2 fits replace fits of before; --resume keeps those" in fit("overfit").err
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:
@@ -237,8 +238,8 @@ def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(fi
     shutil.copytree(networks / "m2", mixed / "damaged")
     (mixed / "damaged" / "b1.npy").write_bytes(b"damaged")
     shutil.copytree(networks / "m3", mixed / "more" / "net")
-    result = fit("overfit", mixed, networks / "m1", "--json")
-    assert [task["name"] for task in result.document["tasks"]] == ["more-net", "mixed-net", "m1"]
+    result, other = fit("overfit", mixed, networks / "m1", "--json"), marked_name("net", str((mixed / "net").resolve()))
+    assert [task["name"] for task in result.document["tasks"]] == ["net", other, "m1"]
     assert "skipped" in result.err
 
 
@@ -388,10 +389,10 @@ def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_qu
 def test_records_say_what_brdfs_reflect(fit: Callable) -> None:
     done = fit("meta", "--conserve", "--json")
     assert done.code == 0, done.err
-    record = read_records(Path(done.document["out"]) / "record.jsonl")[0]
+    record = read_fits(Path(done.document["out"]))[0]
     assert len(record["albedo"]) == 16
     assert max(record["albedo"]) <= 1
-    assert "conserve" in done.document["out"]
+    assert "-conserve" in done.document["out"]
     refused = fit("meta", "--recipe", "few", "--conserve")
     assert refused.code == 2
     assert "expected networks of isotropic BRDFs, as of --recipe full or quick" in " ".join(refused.err.split())

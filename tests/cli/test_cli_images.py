@@ -126,7 +126,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     (record,) = judged["tasks"]
     assert record["normal"] < 20
     assert {"seconds", "threads"}.isdisjoint(record)
-    assert (Path(judged["out"]) / "outputs" / "1_a_0" / "normal.png").is_file()
+    assert (Path(judged["out"]) / "1_a_0" / "normal.png").is_file()
     options = ("--observe", "photo", "--data", OUT, "--recipe", "quick")
     ours = metapp("general", "svbrdf_nonstationary", *options, "--json").done["out"]
     compared = metapp("compare", ours, judged["out"], "--json")

@@ -1,4 +1,4 @@
-"""`--batch`: many inputs, side by side, whatever is broken among them."""
+"""`--batch` and `--resume`: many inputs, side by side, whatever is broken among them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from metapp.apps.brdf.app import Brdf
 from metapp.runs.fits.fitter import Fitter
 from metapp.runs.inputs.sources import Source
-from metapp.storage.records import read_records
+from metapp.storage.fits import marked_name, read_fits
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]
@@ -56,24 +56,28 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[l
     assert together["tasks_per_second"] > 0
     assert together["failures"] == []
     folder = Path(together["out"])
-    assert [record["batch"] for record in read_records(folder / "record.jsonl")] == [2, 2, 2, 2, 1]
-    assert folder != Path(alone["out"])  # seconds of fits side by side are shares
+    assert [record.get("batch") for record in read_fits(folder)] == [2, 2, 2, 2, None]  # seconds are shares
+    assert folder == Path(alone["out"])
     assert (folder / "pictures.png").is_file()
-    assert (folder / "params" / "m3.safetensors").is_file()
+    assert (folder / "m3" / "params.safetensors").is_file()
 
 
 def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[str]], materials: Path) -> None:
     first = fit("--batch", "2").document
     del fitted[:]
-    again = fit("--batch", "4")  # another number is the same run
+    again = fit("--batch", "4", "--resume")  # another number is the same run
     assert fitted == []
     assert (again.document["tasks_per_second"], again.document["tasks"]) == (None, first["tasks"])
-    assert "5 fitted before" in again.err
+    assert "5 of 5 fits are of before, and stay" in again.err
+    for file in (materials / "m3").iterdir():
+        file.touch()  # which does not change its content
     shutil.rmtree(materials / "m1")
     shutil.copytree(materials / "m0", materials / "m1")
     shutil.copytree(materials / "m2", materials / "new")
-    assert sorted(errors(fit("--batch", "4").document)) == sorted([*NAMES, "new"])
+    assert sorted(errors(fit("--batch", "4", "--resume").document)) == sorted([*NAMES, "new"])
     assert fitted == [["m1", "new"]]
+    fit("--resume", "--seed", "3")
+    assert fitted[1:] == [[name] for name in [*NAMES, "new"]]  # of other settings
 
 
 def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], materials: Path) -> None:
@@ -81,14 +85,13 @@ def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], ma
     whole = broken.read_bytes()
     broken.write_bytes(b"broken")
     result = fit("--batch", "3")
-    assert "failed: " in result.err
-    assert result.error == "error: 1 of 5 inputs were not fitted."
+    assert "warning: skipped: " in result.err  # it was found in a folder, not named
     (failure,) = result.document["failures"]
     assert failure["source"].endswith("m2")
     assert sorted(errors(result.document)) == ["m0", "m1", "m3", "m4"]
     broken.write_bytes(whole)
     del fitted[:]
-    assert sorted(errors(fit("--batch", "3").done)) == NAMES
+    assert sorted(errors(fit("--batch", "3", "--resume").done)) == NAMES
     assert fitted == [["m2"]]
 
 
@@ -105,14 +108,13 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
 
     monkeypatch.setattr(Brdf, "errors", staticmethod(broken))
     result = fit("--batch", "4")
-    assert result.code == 1
+    assert result.error == "error: 1 of 5 inputs were not fitted."
     assert sorted(errors(result.document)) == ["m0", "m2", "m3", "m4"]
     assert "not finite" in result.document["failures"][0]["reason"]
     assert fitted == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
-    (folder,) = Path("runs/brdf/quickft").iterdir()
-    assert {record["name"]: record["batch"] for record in read_records(folder / "record.jsonl")} == dict.fromkeys(
-        ["m0", "m2", "m3", "m4"], 1
-    )
+    records = read_fits(Path(result.document["out"]))
+    assert [record["name"] for record in records] == ["m0", "m2", "m3", "m4"]
+    assert not any("batch" in record for record in records)
 
 
 def test_tasks_of_batches_that_are_too_large_for_the_memory_are_fitted_one_by_one(
@@ -131,19 +133,21 @@ def test_tasks_of_batches_that_are_too_large_for_the_memory_are_fitted_one_by_on
 
 
 def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
-    fit: Callable, monkeypatch: pytest.MonkeyPatch
+    fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Each has its folder again when it is fitted again."""
     task = Source.task
     monkeypatch.setattr(Source, "task", lambda self: task(self)._replace(name="one"))
-    assert sorted(errors(fit("--batch", "8").document)) == ["one", *(f"one-{i}" for i in range(2, 6))]
+    names = ["one", *(marked_name("one", str((materials / name).resolve())) for name in NAMES[1:])]
+    first = errors(fit("--batch", "8").document)
+    assert list(first) == names
+    assert "5 of 5 fits replace fits of before" in (again := fit()).err
+    assert list(errors(again.document)) == names
 
 
-def test_one_at_a_time_is_the_run_of_no_batch(fit: Callable, fitted: list[list[str]]) -> None:
-    """It goes on where that was cut off, and stays as it is once it is finished."""
+def test_without_resuming_a_finished_run_is_run_anew(fit: Callable, fitted: list[list[str]]) -> None:
     alone = fit().document
     del fitted[:]
     again = fit("--batch", "1").document
-    assert fitted == []
+    assert fitted == [[name] for name in NAMES]
     assert (again["out"], errors(again)) == (alone["out"], errors(alone))
-    fit()
-    assert fitted == [[name] for name in NAMES]  # without, a finished run is run anew

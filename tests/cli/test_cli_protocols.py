@@ -27,7 +27,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.networks.field import LocalField
 from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
-from metapp.storage.records import read_records
+from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.marked import long
 from tests.pictures import write_planes
 
@@ -122,17 +122,17 @@ def luminance_of(path: Path) -> float:
 def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference: Path) -> None:
     document = metapp("overfit", app, reference, "--json").done
     assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "reference")
-    assert "-full-" in document["out"]
+    assert document["out"] == f"runs/{app}/overfit"  # of the full recipe, the usual one
     assert 0 < document["error"] < (100 if app == "illumination" else 2)
-    made = Path(document["out"]) / "outputs" / "reference"
-    assert {path.name for path in made.iterdir()} == APPS[app].files
+    made = Path(document["out"]) / "reference"
+    assert {path.name for path in made.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     if app == "illumination":
         assert luminance_of(made / "map.exr") == pytest.approx(float(mean_luminance(read_map(reference, 8))), rel=0.5)
         pixels = torch.from_numpy(oiio.ImageBuf(str(made / "map.exr")).get_pixels(oiio.FLOAT))
         shown = oiio.ImageBuf(str(made / "map.png")).get_pixels(oiio.UINT8)
         assert np.abs(shown - 255 * tone_map(pixels / pixels.mean()).numpy()).max() <= 1
     else:
-        specs = [oiio.ImageBuf(str(path)).spec() for path in made.iterdir()]
+        specs = [oiio.ImageBuf(str(path)).spec() for path in made.glob("*.png")]
         assert {(spec.width, spec.height) for spec in specs} == {(256, 256)}  # readers scale to it
 
 
@@ -143,10 +143,10 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     document = metapp(*fit, photo).done
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
     assert document["out"].endswith("-photo")
-    assert read_records(Path(document["out"]) / "record.jsonl")[0]["settings"]["observe"] == "photo"
-    made = Path(document["out"]) / "outputs" / "photo"
+    assert read_fits(Path(document["out"]))[0]["settings"]["observe"] == "photo"
+    made = Path(document["out"]) / "photo"
     more = {"confidence.png"} if app == "illumination" else set()
-    assert {path.name for path in made.iterdir()} == APPS[app].files | more
+    assert {path.name for path in made.iterdir()} == APPS[app].files | more | {PARAMS, RECORD}
     assert Path(document["out"], "pictures.png").is_file()
     if app == "illumination":
         assert luminance_of(made / "map.exr") == pytest.approx(1, rel=0.01)
@@ -161,7 +161,7 @@ def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, ref
     result = metapp("overfit", app, photo)
     assert APPS[app].refusal in result.error
     assert len(result.err.strip().splitlines()) <= 2
-    assert not any(path.read_text().strip() for path in Path("runs").rglob("record.jsonl"))
+    assert not list(Path("runs").rglob(RECORD))
     both = metapp("overfit", app, reference, photo, "--quiet")
     assert both.code == 1
     assert APPS[app].refusal in both.err
@@ -188,12 +188,10 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
-    assert fits["0"]["data"] != fits["-1"]["data"]  # read otherwise, the same files are other data
+    assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
     runs = [read_run(Path(fit["out"])).records for fit in fits.values()]
     (one,), (other,) = (tasks_as(run, plan_as(run[0]["settings"]).app, [], None).values() for run in runs)
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
-    batches = {stops: metapp(*common, "--batch", "1", "--stops", stops).document["out"] for stops in ("0", "-1")}
-    assert batches["0"] != batches["-1"]
     misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse
     assert "--stops: only with --observe photo; add that." in misuse
     misuse = metapp("overfit", SVBRDF, "--observe", "photo", "--stops", "1").misuse

@@ -20,7 +20,7 @@ from metapp.appearance.flash import normal_from_height, unpack
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
 from metapp.registry import load
-from metapp.storage.records import read_records
+from metapp.storage.fits import read_fits
 from tests.appearance.test_features import made_up
 from tests.pictures import photograph
 from tests.quick import app_by
@@ -79,12 +79,12 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: str, met
     document = metapp("meta", app, wall, *common, *trained, "--export", "asset").done
     assert [task["name"] for task in document["tasks"]] == ["wall"]
     assert "random filters" in document["features"]
-    made = Path(document["out"]) / "outputs" / "wall"
-    assert {file.stem for file in made.iterdir()} == OUTPUTS[app]
-    assert {size_of(file) for file in made.iterdir()} == {(64, 64)}  # four times the training's
-    assert {str(oiio.ImageBuf(str(file)).spec().format) for file in made.iterdir()} == {"uint8"}
+    made = Path(document["out"]) / "wall"
+    assert {file.stem for file in made.iterdir()} == OUTPUTS[app] | {"params", "record", "asset"}
+    assert {size_of(file) for file in made.glob("*.png")} == {(64, 64)}  # four times the training's
+    assert {str(oiio.ImageBuf(str(file)).spec().format) for file in made.glob("*.png")} == {"uint8"}
     assert Path(document["out"], "pictures.png").is_file()
-    told = json.loads(Path(document["out"], "asset", "wall", "material.json").read_text(encoding="utf-8"))
+    told = json.loads((made / "asset" / "wall" / "material.json").read_text(encoding="utf-8"))
     assert (told["tiles"], told["size"]["width"]) == (True, 64)
     assert (told["provenance"]["app"], told["provenance"]["steps"]) == (app, 2)
     assert len(told["files"]) == {"texture": 1, "svbrdf_stationary": 10}[app]
@@ -101,20 +101,19 @@ def test_fits_in_bfloat16_are_runs_of_their_own(
     with monkeypatch.context() as patch:
         patch.setenv(precision.FLOAT32, "1")
         long = fit("long")
-    (one,), (other,) = (read_records(run / "record.jsonl") for run in (short, long))
+    (one,), (other,) = (read_fits(run) for run in (short, long))
     if app == "svbrdf_stationary":  # whose fits gain less by it
-        assert (one["key"], one["error"]) == (other["key"], other["error"])
+        assert (one["settings"], one["error"]) == (other["settings"], other["error"])
         return
     assert one["settings"] == other["settings"] | {"precision": "VGG in bfloat16"}
-    assert one["key"] != other["key"]
     assert 0 < abs(one["error"] - other["error"]) < 0.01 * other["error"]
 
 
 def test_files_of_another_size(app: str, data: str, metapp: Callable, wall: Path) -> None:
     common = ("overfit", app, wall, "--data", data, "--json")
     run = Path(metapp(*common, "--size", "32x48", "--export", "png16").done["out"])
-    files = [*(run / "outputs").rglob("*.png"), *(run / "png16").rglob("*.png")]
-    assert {"outputs", "png16"} == {file.relative_to(run).parts[0] for file in files}
+    files = [*(run / "wall").glob("*.png"), *(run / "wall" / "png16").rglob("*.png")]
+    assert {"wall", "wall/png16/wall"} == {str(file.relative_to(run).parent) for file in files}
     assert {size_of(file) for file in files} == {(32, 48)}
     assert f"--size 33x48: {app} expects multiples of " in metapp(*common, "--size", "33x48").misuse
     assert "--size '48x': expected HEIGHTx" in metapp(*common, "--size", "48x").misuse
@@ -123,14 +122,14 @@ def test_files_of_another_size(app: str, data: str, metapp: Callable, wall: Path
 @pytest.mark.parametrize("app", ["svbrdf_stationary"], indirect=True)
 def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, wall: Path) -> None:
     run = Path(metapp("overfit", app, wall, "--data", data, "--json").done["out"])
-    made, theta = run / "outputs" / "wall", load_file(run / "params" / "wall.safetensors")
+    made, theta = run / "wall", load_file(run / "wall" / "params.safetensors")
     files = app_by(app).pictures(theta, Task("wall", {}))
     wanted = {name: torch.movedim(each.pixels, -1, 0) for name, each in files.items()}
     found = unpack(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
     for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):
         side_by_side = getattr(found, name)[0], space(wanted[name]).expand_as(getattr(found, name)[0])
         torch.testing.assert_close(*side_by_side, rtol=0, atol=0.006)  # 8 bits
-    texts = {file.stem: oiio.ImageBuf(str(file)).spec() for file in made.iterdir()}
+    texts = {file.stem: oiio.ImageBuf(str(file)).spec() for file in made.glob("*.png")}
     linear = {name for name, spec in texts.items() if spec["encoding"] == "linear"}
     assert linear == {"roughness", "normal", "height"}
     assert all(spec["encoding"] == "sRGB" for name, spec in texts.items() if name not in linear)

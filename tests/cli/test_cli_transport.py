@@ -137,8 +137,6 @@ def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatc
     assert result.done["tasks"][0]["note"].startswith("paths have next-event estimation")
     assert np.isfinite(result.done["error"])
     made = Path(result.done["out"])
-    assert "next-event estimation" in json.loads((made / "record.jsonl").read_text())["note"]
-    guided, regular = (
-        oiio.ImageBuf(str(made / "outputs" / "bulb" / f"{name}.exr")).get_pixels() for name in ("guided", "regular")
-    )
+    assert "next-event estimation" in json.loads((made / "bulb" / "record.json").read_text())["note"]
+    guided, regular = (oiio.ImageBuf(str(made / "bulb" / f"{name}.exr")).get_pixels() for name in ("guided", "regular"))
     assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)

@@ -169,8 +169,6 @@ def checkpoints() -> list[Files]:
 
 
 def records() -> list[Files]:
-    from metapp.storage.records import digest
-
     settings = {"app": "brdf", "steps": 10}
-    line = {"error": 0.5, "seconds": 0.1, "key": digest(settings), "settings": settings}
-    return [{"record.jsonl": b"".join(json.dumps({"name": n, **line}).encode() + b"\n" for n in ("a", "b", "c"))}]
+    record = {"name": "a", "error": 0.5, "seconds": 0.1, "source": "/a.csv", "content": "12ab", "settings": settings}
+    return [{"record.json": json.dumps(record, indent=1).encode()}]

@@ -112,10 +112,14 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 
 def read_records(folder: Path, file: Path) -> None:
-    """As a run that goes on, whose table shows all finished tasks."""
-    from metapp.storage.records import FIT, RunFolder, summary
+    """As a table, which shows all finished tasks."""
+    from metapp.storage.fits import FIT, Fits
+    from metapp.storage.records import summary
 
-    records = RunFolder(folder, {"app": "brdf", "steps": 10}, FIT).finished()
+    place = folder / "fits" / "a"  # of a run's folder
+    place.mkdir(parents=True, exist_ok=True)
+    shutil.copy(file, place)
+    records = Fits(folder / "fits", {"app": "brdf", "steps": 10}, FIT).records()
     for record in records.values():
         numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
         assert all(math.isfinite(number) for number in numbers)

@@ -102,7 +102,7 @@ def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
     (table,) = (folder / "bsdf").rglob("*.bsdf")
     yield "brdf", table, {}
     run("meta", "svbrdf_stationary", folder / "leather.png", "--recipe", "quick", "--out", folder / "maps", "--quiet")
-    (maps,) = (folder / "maps").rglob("outputs/leather")
+    (maps,) = (folder / "maps").rglob("meta*/leather")
     yield "svbrdf_nonstationary", maps / "diffuse.png", {}
     placed = folder / "placed"
     placed.mkdir()

@@ -37,7 +37,12 @@ def test_a_fit_is_that_of_the_command(metapp: Callable, network: Path, tmp_path:
     told = metapp("meta", "brdf", network, "--out", tmp_path, "--json", "--quiet").document
     fit = api.fit("brdf", network)
     assert (fit.name, fit.error) == (told["tasks"][0]["name"], told["error"])
-    kept = read_tensors(next((Path(told["out"]) / "params").iterdir()))
+    (folder,) = (task["folder"] for task in told["tasks"])
+    kept = api.load(folder).parameters
+    assert api.load(folder).settings["checkpoint"] == fit.settings["checkpoint"]
+    assert (api.load(folder).errors, api.load(folder).task.data.keys()) == (fit.errors, fit.task.data.keys())
+    with pytest.raises(ValueError, match="no such folder, expected a run's folder"):
+        api.load(tmp_path / "none")
     assert kept.keys() == fit.parameters.keys()
     assert all(torch.equal(kept[key], value) for key, value in fit.parameters.items())
     assert fit.seconds > 0

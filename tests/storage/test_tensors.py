@@ -10,7 +10,8 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Task
-from metapp.storage.records import FIT, RunFolder, load_checkpoint, save_checkpoint
+from metapp.storage.fits import read_fits, read_params, write_fit
+from metapp.storage.records import load_checkpoint, save_checkpoint
 from metapp.storage.shards import ShardWriter, read_shard
 from metapp.storage.tensors import read_tensors
 
@@ -25,9 +26,9 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def test_parameters_checkpoints_and_data_sets(folder: Path) -> None:
-    run = RunFolder(folder / "run", {"steps": 10}, FIT)
-    run.add({"name": "gold", "error": 1.0, "seconds": 0.1}, {"w": VALUES})
-    assert torch.equal(run.theta("gold")["w"], VALUES)
+    kept = write_fit(folder / "run", {"name": "gold", "error": 1.0, "seconds": 0.1}, {"w": VALUES})
+    assert torch.equal(read_params(kept["folder"])["w"], VALUES)
+    assert [record["name"] for record in read_fits(folder / "run")] == ["gold"]
     save_checkpoint(folder / "a.safetensors", MetaParameters(theta={"w": VALUES}), {"app": "brdf"})
     assert torch.equal(load_checkpoint(folder / "a.safetensors")[0].theta["w"], VALUES)
     with ShardWriter(folder / "set", "brdf", {"w": "1"}) as writer:

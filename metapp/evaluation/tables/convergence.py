@@ -21,6 +21,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits.fitter import rng_of
 from metapp.runs.naming import observe_of
 from metapp.runs.plan import Plan
+from metapp.storage.fits import read_params
 from metapp.storage.records import Record, digest
 
 TRACED = 5  # tasks
@@ -34,18 +35,18 @@ ENTRIES = ("curves", "further", "paths", "explained")  # of a record
 def trace_cell(subject: Subject) -> Cell:
     """Traces of a few tasks."""
     fits = {name: subject.fits[name] for name in CURVES}
-    folder = None
+    kept = None
     if all(fit.checkpoint for fit in fits.values()):
         keys = [digest(fit.settings(subject.label)) for fit in fits.values()]
         subject_settings = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
         settings = subject_settings | {"further": FURTHER, "walked": WALKED}
-        folder = subject.folder("trace", settings, ENTRIES, of_fits=True)
+        kept = subject.kept("trace", settings, ENTRIES, of_fits=True)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
         return (trace(subject, fits, task) for task in tasks)
 
     steps = sum(fit.steps for fit in fits.values()) + sum(FURTHER)
-    cell = subject.make_cell("trace", folder, measure, steps)
+    cell = subject.make_cell("trace", kept, measure, steps)
     return cell._replace(tasks=evenly(list(cell.tasks), TRACED))
 
 
@@ -166,9 +167,9 @@ def project(states: Tensor) -> tuple[Tensor, float]:
 
 def parts_of(cell: Cell, task: Task) -> dict[float, Params]:
     """Meta's parameters at PARTS of its steps, without task axis, from a trace."""
-    assert cell.folder is not None
     states: dict[float, Params] = {part: {} for part in PARTS}
-    for name, value in cell.folder.theta(task.name).items():
+    (folder,) = (record["folder"] for record in cell.records() if record["name"] == task.name)
+    for name, value in read_params(folder).items():
         part, key = name.split("/", 1)
         states[float(part)][key] = value
     return states

@@ -13,7 +13,8 @@ from metapp.evaluation.subject import Subject
 from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.storage.records import Record
+from metapp.storage.fits import read_params
+from metapp.storage.records import Record, digest
 
 
 def fits_of(subject: Subject) -> dict[str, Cell]:
@@ -32,19 +33,19 @@ def cells(subject: Subject) -> list[Cell]:
 def image_cell(subject: Subject) -> Cell:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
     fits, app = fits_of(subject), subject.app
-    folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
-    keys = {name: folder.key for name, folder in folders.items()}
+    keys = {name: digest(cell.fits.settings) for name, cell in fits.items() if cell.fits}
     further = picture_measures(subject.app.name)[0]
     settings = {"app": app.name, "measure": [app.image_measure, further], "fits": keys}
-    folder = subject.folder("image", settings, ("measures",), of_fits=True) if len(folders) == len(fits) else None
+    kept = subject.kept("image", settings, ("measures",), of_fits=True) if len(keys) == len(fits) else None
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
-        seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
+        records = {name: {record["name"]: record for record in fits[name].records()} for name in fits}
         for task in tasks:
-            fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
+            of_task = {name: records[name][task.name] for name in fits}
+            fitted = {name: Fitted(read_params(one["folder"]), one["seconds"]) for name, one in of_task.items()}
             yield {"name": task.name, "error": None, "measures": image_errors(app, fitted, task)}, None
 
-    cell = subject.make_cell("pictures", folder, measure)
+    cell = subject.make_cell("pictures", kept, measure)
     return cell._replace(stage=1, tasks=min((fit.tasks for fit in fits.values()), key=len))
 
 

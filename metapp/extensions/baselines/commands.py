@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from metapp.cli.console import out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, Declared, declared
 from metapp.registry import registry
-from metapp.runs.options import TASKS, FitOptions, fit_options, name_parts
+from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import progress, say
 from metapp.storage.text import meant
 
@@ -64,10 +65,10 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     from metapp.cli.fit import table_of
     from metapp.extensions.baselines import baselines_of
     from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder
-    from metapp.runs.inputs.sources import tasks_to_fit
-    from metapp.runs.outputs.files import OUTPUTS, write_pictures
+    from metapp.runs.inputs.sources import content_of, tasks_to_fit
+    from metapp.runs.outputs.files import write_pictures
     from metapp.runs.plan import plan
-    from metapp.storage.records import RunFolder, file_name
+    from metapp.storage.fits import Fits
 
     planned = plan(options)
     app, options = planned.app, planned.options
@@ -78,22 +79,19 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     baseline, (tasks, label) = methods[method], tasks_to_fit(planned)
     if baseline.learns and training_folder(planned, baseline) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
-    words = [label, options.recipe, f"seed{options.seed}", *name_parts(options.own), method, app.protocol]
-    path = options.out / app.name / "baseline" / "-".join(filter(None, words))
-    folder = RunFolder(path, settings_of(planned, baseline, label), ENTRIES, planned.origin())
-    records, made = [], None
+    path = planned.path(label, f"baseline-{method}")
+    kept = Fits(path, settings_of(planned, baseline, label), ENTRIES, planned.origin(options.paths))
+    records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(planned, baseline, tasks, warm=False)
-        for task, (record, kept, answer) in zip(tasks, fits, strict=True):
-            folder.add(record, kept)
-            if pictures := app.answer_pictures(answer, task):
-                made = folder.path / OUTPUTS
-                write_pictures(pictures, made / file_name(task.name))
-            records.append(record)
+        for task, (record, picture, answer) in zip(tasks, fits, strict=True):
+            record["content"] = content_of(task)
+            files = app.answer_pictures(answer, task)
+            records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     if not (options.quiet or json):
-        out().print(table_of(app, method, records, made))
+        out().print(table_of(app, method, records))
     if not options.quiet:
-        say(f"{method} cannot {baseline.cannot}\nrecords: {folder.path}")
+        say(f"{method} cannot {baseline.cannot}\nfits: {path}")
     if json:
-        print_json({"method": method, "out": str(folder.path), "cannot": baseline.cannot, "tasks": records})
+        print_json({"method": method, "out": str(path), "cannot": baseline.cannot, "tasks": records})

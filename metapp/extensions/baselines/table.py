@@ -25,6 +25,7 @@ from metapp.learning.task import Params, Task
 from metapp.runs.naming import caption_of, name_of
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import say
+from metapp.storage.fits import PARAMS
 from metapp.storage.records import Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
@@ -55,20 +56,20 @@ def _able(subject: Subject) -> list[Baseline]:
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     """The fits of a baseline."""
-    folder = None
+    kept = None
     if subject.tasks and (not baseline.learns or training_folder(subject.plan, baseline)):
         settings = settings_of(subject.plan, baseline, subject.label)
-        folder = subject.folder(f"baselines/{baseline.name}", settings, ENTRIES)
+        kept = subject.kept(f"baseline-{baseline.name}", settings, ENTRIES)
 
     def measured(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         """The record and the picture of each task, as far as it can be fitted."""
         try:
-            for record, kept, _ in fit_baselines(subject.plan, baseline, tasks):
-                yield record, kept
+            for record, picture, _ in fit_baselines(subject.plan, baseline, tasks):
+                yield record, picture
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
-    return subject.make_cell(baseline.name, folder, measured)
+    return subject.make_cell(baseline.name, kept, measured)
 
 
 def picture(subject: Subject) -> Path | None:
@@ -80,9 +81,8 @@ def picture(subject: Subject) -> Path | None:
 def picture_cells(subject: Subject) -> dict[str, Cell]:
     """The fits of the baselines that are measured and are pictures, by name."""
     cells = {baseline.name: baseline_cell(subject, baseline) for baseline in _able(subject)}
-    measured = {name: (cell, cell.folder) for name, cell in cells.items() if cell.folder and not cell.missing()}
-    first = subject.tasks[0].name if subject.tasks else ""
-    return {name: cell for name, (cell, folder) in measured.items() if folder.params(first).is_file()}
+    measured = {name: cell for name, cell in cells.items() if cell.whole}
+    return {name: cell for name, cell in measured.items() if Path(cell.records()[0]["folder"], PARAMS).is_file()}
 
 
 def rows(subject: Subject) -> list[Row]:

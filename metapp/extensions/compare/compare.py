@@ -18,6 +18,7 @@ from metapp.runs.reporter import progress
 from metapp.runs.surroundings import threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
+from metapp.storage.fits import PARAMS
 from metapp.storage.records import summary
 
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
@@ -112,7 +113,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     """Put two runs side by side.
 
     Args:
-        first: folder or record file of a run.
+        first: folder of a run, or of one of its tasks.
         second: of the other one.
         task: the one to compare; "" for all in common.
         inputs: what was fitted, where it is not where records say.
@@ -156,7 +157,8 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
         The file; None where it is not known what was fitted, or one run is of a method that keeps no picture. And the
         comparison, of spheres with the colour differences of what was drawn.
     """
-    if not compared.tasks or not all((side.folder / "params").is_dir() for side in compared.sides):
+    kept = (Path(record["folder"], PARAMS) for side in compared.sides for record in side.records)
+    if not compared.tasks or not all(path.is_file() for path in kept):
         return None, compared
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
     drawn, app = compared.tasks[:COMPARED], compared.sides[0].app
@@ -164,7 +166,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     with progress("picture", len(drawn), quiet=quiet) as bar, threads(threads_of(app)):
         for task in drawn:
             pairs = zip(compared.sides, records, strict=True)
-            columns.append(column_of(task, [(side.label, side.app, side.folder, of[task.name]) for side, of in pairs]))
+            columns.append(column_of(task, [(side.label, side.app, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
     judged = [column for column in columns if "reference" in column.pictures]
     if app.name in SPHERES and judged:
@@ -207,13 +209,10 @@ def _notes(settings: list[Document], by_name: list[Document], names: list[str]) 
     """Notes on what differs beside the labels."""
     one, other = settings
     left_out = sum(map(len, by_name)) - 2 * len(names)
+    differ = sum(len({of[name].get("content") for of in by_name}) > 1 for name in names)
     return [
         *([f"{left_out} tasks of one run alone are left out"] if left_out else []),
-        *(
-            [f"data {one['data']} and {other['data']}: tasks are the same by name"]
-            if one["data"] != other["data"]
-            else []
-        ),
+        *([f"{differ} tasks in common have other content in the two runs, and the same name"] if differ else []),
         *(
             f"{key}: {one.get(key)} and {other.get(key)}"
             for key in sorted({*one, *other})

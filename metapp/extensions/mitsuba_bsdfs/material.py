@@ -66,7 +66,7 @@ def _parameters(path: Path) -> Params:
     networks = {app_of("brdf", recipe, rule=rule).network for recipe in recipes for rule in recipe.meta}
     if shapes not in [shapes_of(network) for network in networks]:
         names = ", ".join(sorted(theta)) or "none"
-        raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take a file of its params/.")
+        raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take its params.safetensors.")
     if not all(bool(value.isfinite().all()) for value in theta.values()):
         raise ValueError(f"{path}: NaN or infinite values, expected finite parameters; fit again.")
     return theta

@@ -24,7 +24,7 @@ class Options:
 
     runs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[RUN]...", help="Runs, folders of runs (the newest), files of params/; default: runs."),
+        typer.Argument(metavar="[RUN]...", help="Folders of runs (the newest), of a run or a task; default: runs."),
     ] = None
     inputs: Annotated[
         list[Path] | None,

@@ -19,14 +19,15 @@ from metapp.learning.task import Params, Task
 from metapp.runs.fits.execution import execute
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import Recorded, plan_as, read_run, tasks_as
+from metapp.runs.outputs.recorded import Recorded, by_settings, plan_as, read_run, tasks_as
 from metapp.runs.plan import plan
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
+from metapp.storage.fits import read_params
 from metapp.storage.html import write_page
-from metapp.storage.records import file_name, read_theta
+from metapp.storage.text import file_name
 
 if TYPE_CHECKING:
     from metapp.runs.api import Fit
@@ -40,7 +41,7 @@ class FitOfRun(NamedTuple):
     """A fit that is to be shown: of which run, its record, what was fitted (without data where that is not at hand)."""
 
     app: App
-    folder: Path
+    run: Path
     record: Document
     task: Task
 
@@ -58,7 +59,7 @@ def view_page(
     """Write the page of runs; fits of the same task stand side by side.
 
     Args:
-        runs: folders of runs, their record files, or files of parameters in them.
+        runs: folders of runs, or of their tasks.
         out: the file; None: `view.html` in the first run's folder.
         inputs: what was fitted, where it is not where records say.
         data: the data set that was fitted, for the same.
@@ -69,7 +70,7 @@ def view_page(
     Raises:
         ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
     """
-    read = [_read(path, task) for path in runs]
+    read = [read_run(path, task) for path in runs]
     fits = [fit for run in read for fit in _fits(run, inputs, data)]
     by_task: dict[tuple[str, str], list[FitOfRun]] = {}
     for fit in fits:
@@ -93,30 +94,16 @@ def view_page(
     return write_page(html(document(title, groups)), page)
 
 
-def _read(path: Path, task: str) -> Recorded:
-    """The records of a run, or the one of a file of parameters in it."""
-    if path.suffix != ".safetensors":
-        return read_run(path, task=task)
-    folder = path.resolve().parent.parent
-    if path.resolve().parent.name != "params" or not (folder / "record.jsonl").is_file():
-        raise ValueError(
-            f"{path}: parameters without their run, expected a run's folder or a file of its params/; give the folder."
-        )
-    run = read_run(folder)
-    records = [record for record in run.records if file_name(record["name"]) == path.stem]
-    if not records:
-        raise ValueError(f"{path}: no record of this fit in {folder / 'record.jsonl'}, expected one; fit again.")
-    return Recorded(run.folder, records)
-
-
 def _fits(run: Recorded, inputs: Sequence[Path], data: Path | None) -> list[FitOfRun]:
-    app = plan_as(run.records[-1]["settings"]).app
-    tasks = tasks_as(run.records, app, list(inputs), data)
+    groups = [(plan_as(some[-1]["settings"]).app, some) for some in by_settings(run.records)]
+    tasks = {name: task for app, some in groups for name, task in tasks_as(some, app, list(inputs), data).items()}
     if missing := sum(record["name"] not in tasks for record in run.records):
         what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"
         say(f"view: {what}; give them by --input or --data to see references.")
     return [
-        FitOfRun(app, run.folder, record, tasks.get(record["name"], Task(record["name"], {}))) for record in run.records
+        FitOfRun(app, run.folder, record, tasks.get(record["name"], Task(record["name"], {})))
+        for app, some in groups
+        for record in some
     ]
 
 
@@ -145,11 +132,11 @@ def group_of(fits: Sequence[FitOfRun], labels: dict[Path, str], lacking: list[st
     shown = []
     for fit in fits:
         try:
-            theta = read_theta(fit.folder, fit.record["name"])
+            theta = read_params(fit.record["folder"])
             with threads(threads_of(fit.app)):
-                shown.append(shown_of(fit.app, labels[fit.folder], fit.record, theta, fit.task))
+                shown.append(shown_of(fit.app, labels[fit.run], fit.record, theta, fit.task))
         except ValueError as error:
-            lacking.append(f"{labels[fit.folder]} of {error}")
+            lacking.append(f"{labels[fit.run]} of {error}")
     return Group(fits[0].record["name"], title_of(fits[0].app), shown)
 
 
@@ -195,7 +182,7 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
         recipe: of the fit; "" for the application's own.
 
     Returns:
-        The run's folder; application, name, error, seconds of inference, and those that all of it took.
+        The fit's folder; application, name, error, seconds of inference, and those that all of it took.
 
     Raises:
         ValueError: a folder that cannot be written to; no such recipe, no checkpoint.
@@ -208,4 +195,4 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
     assert run is not None  # of several ranks only
     (fit,) = run.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}
-    return run.folder.path, {"app": app, **told, "whole_seconds": time.perf_counter() - begin}
+    return run.folder, {"app": app, **told, "whole_seconds": time.perf_counter() - begin}

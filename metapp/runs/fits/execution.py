@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -15,9 +16,9 @@ from metapp.paradigms import ranks
 from metapp.runs.checkpoints.finding import find_checkpoint, tuned_by
 from metapp.runs.checkpoints.training import train_checkpoint
 from metapp.runs.fits.fitter import Fitter
-from metapp.runs.inputs.sources import Source, content_of, numbered, sources_to_fit
+from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
 from metapp.runs.naming import name_of, observe_of
-from metapp.runs.outputs.files import OUTPUTS, export_fit, listed, outputs_of, write_files, write_outputs
+from metapp.runs.outputs.files import export_fit, export_path, outputs_of, write_outputs, write_pictures
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
@@ -25,7 +26,8 @@ from metapp.runs.surroundings import make_folder, threads_of
 from metapp.runs.torch_state import threads
 from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.records import FIT, RunFolder, file_name, guarded, summary
+from metapp.storage.fits import Fits, find_fit, read_params
+from metapp.storage.records import guarded, summary
 
 FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # what is wrong with inputs and fits
 
@@ -36,7 +38,7 @@ class Failure(NamedTuple):
     Attributes:
         source: its place.
         reason: the error, with the source named.
-        counted: whether the run fails by it; not by a damaged file that was found in a folder, unless with --batch.
+        counted: whether the run fails by it; not by a damaged file that was found in a folder.
         kept: whether the fit is kept, and only an export was not written.
     """
 
@@ -51,34 +53,35 @@ class Run(NamedTuple):
 
     Attributes:
         plan: with its checkpoint.
-        records: of all fits, those of earlier calls among them.
-        folder: where records and parameters are.
+        records: of all fits, those of before among them that are skipped.
+        fits: where they are.
+        replaced: how many replace fits of before.
+        skipped: how many are fits of before.
         failures: what was not fitted, or not exported.
         remarks: what outputs say of themselves.
         tasks_per_second: of what was fitted now, all that takes time counted: reading, fitting, keeping, pictures; None
             where there was nothing left to fit.
-        picture: of up to 20 fits beside their references.
     """
 
     plan: Plan
     records: list[Document]
-    folder: RunFolder
+    fits: Fits
+    replaced: int
+    skipped: int
     failures: list[Failure]
     remarks: list[str]
     tasks_per_second: float | None
-    picture: Path
 
     @property
-    def made(self) -> Path | None:
-        """The folder of what fits made for their user; None where nothing."""
-        folder = self.folder.path / OUTPUTS
-        return folder if folder.is_dir() else None
+    def folder(self) -> Path:
+        """The folder of the run; of a single fit the task's."""
+        return Path(self.records[0]["folder"]) if len(self.records) == 1 else self.fits.path
 
     def document(self) -> Document:
         """The object that --json prints."""
-        plan, settings = self.plan, self.folder.settings
-        fields = ("name", "error", "seconds", "counts", "note", "warning")
-        document = {
+        plan, settings = self.plan, self.fits.settings
+        fields = ("name", "error", "seconds", "counts", "note", "warning", "folder")
+        return {
             "app": plan.app.name,
             **observe_of(plan.app),
             "paradigm": settings["paradigm"],
@@ -91,12 +94,10 @@ class Run(NamedTuple):
             **summary(self.records),
             "guarded": guarded(self.records),
             "tasks": [{key: record[key] for key in fields if key in record} for record in self.records],
-            "out": str(self.folder.path),
+            "tasks_per_second": self.tasks_per_second,
+            "failures": [{"source": failure.source, "reason": failure.reason} for failure in self.failures],
+            "out": str(self.fits.path),
         }
-        if plan.options.resumes:
-            failures = [{"source": failure.source, "reason": failure.reason} for failure in self.failures]
-            document |= {"tasks_per_second": self.tasks_per_second, "failures": failures}
-        return document
 
 
 def execute(plan: Plan) -> Run | None:
@@ -118,8 +119,7 @@ def execute(plan: Plan) -> Run | None:
         make_folder(plan.options.out)
         sources, label = sources_to_fit(plan)
         plan = replace(plan, checkpoint=_with_checkpoint(plan).checkpoint)
-        folder = _folder(plan, label)
-        return _run(plan, sources, folder)
+        return _run(plan, sources, Fits(plan.path(label), plan.settings(label)))
 
 
 def _with_checkpoint(plan: Plan) -> Plan:
@@ -128,123 +128,101 @@ def _with_checkpoint(plan: Plan) -> Plan:
         with ranks.joined(plan.device):
             trained = train_checkpoint(plan, plan.options.train_steps)
         if plan.paradigm.name == "quickft" and trained.general:  # which may ship
+            plan = replace(plan, options=replace(plan.options, checkpoint=trained.path))
             return replace(plan, checkpoint=tuned_by(trained.general, trained.prepared.phi, trained.path))
         plan = replace(plan, options=replace(plan.options, checkpoint=trained.path))
     return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def _folder(plan: Plan, label: str) -> RunFolder:
-    """The folder of a run; seconds of fits side by side are shares: those have one of their own."""
-    settings, path = plan.settings(label), plan.path(label)
-    if _is_batched(plan):
-        settings, path = settings | {"batched": True}, path.with_name(f"{path.name}-batch")
-    return RunFolder(path, settings, FIT, plan.origin())
-
-
-def _is_batched(plan: Plan) -> bool:
-    return (plan.options.batch or 1) > 1
-
-
-def _run(plan: Plan, sources: list[Source], folder: RunFolder) -> Run:
-    loop = _Loop(plan, sources, folder)
+def _run(plan: Plan, sources: list[Source], fits: Fits) -> Run:
+    loop = _Loop(plan, sources, fits)
     if not plan.options.quiet:
-        _announce(plan, len(sources), len(loop.records) if plan.options.resumes else 0)
+        assert plan.checkpoint is not None
+        count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
+        say(f"{name_of(plan.app)} {plan.paradigm.name}: {count}; {plan.steps} steps, from {plan.checkpoint.source}")
     begin = time.perf_counter()
-    with progress(plan.paradigm.name, len(sources), done=len(loop.records), quiet=plan.options.quiet) as bar:
+    with progress(plan.paradigm.name, len(sources), quiet=plan.options.quiet) as bar:
         loop.fit(bar)
-    rate = loop.count / (time.perf_counter() - begin) if loop.count else None
+    fitted = len(loop.records) - loop.skipped
+    rate = fitted / (time.perf_counter() - begin) if fitted else None
     if not loop.records:
         reason = loop.failures[0].reason
         several = f"none of {len(sources)} inputs could be fitted; the first: " if len(sources) > 1 else ""
         raise ValueError(f"{several}{reason}")
-    for form, names in loop.exported.items():
-        say(f"written as {form}: {listed(folder.path / form, names)}")
-    places = dict.fromkeys(source.place for source in sources)
-    records = [loop.records[place] for place in places if place in loop.records]
-    return Run(plan, records, folder, loop.failures, loop.remarks, rate, loop.picture(records))
-
-
-def _announce(plan: Plan, count: int, finished: int) -> None:
-    assert plan.checkpoint is not None
-    what = f"{name_of(plan.app)} {plan.paradigm.name}: {count} input{'s' * (count != 1)}"
-    what += f", {finished} fitted before" if finished else ""
-    say(f"{what}; {plan.steps} steps, from {plan.checkpoint.source}")
+    loop.draw()
+    records = list(loop.records.values())
+    return Run(plan, records, fits, loop.replaced, loop.skipped, loop.failures, loop.remarks, rate)
 
 
 class _Loop:
     """Reads, fits and keeps the inputs of a run.
 
     Attributes:
-        records: of inputs that are fitted and have not changed since, by their places.
-        count: how many were fitted now.
-        exported: the names of fits by the form that they were written in.
+        records: of inputs that are fitted, by their places, in the order of these once all are.
+        replaced: how many replace fits of before.
+        skipped: how many are fits of before.
         failures: what was not fitted, or not exported.
         remarks: what outputs say of themselves.
     """
 
-    def __init__(self, plan: Plan, sources: list[Source], folder: RunFolder) -> None:
-        self.plan, self.sources, self.folder = plan, sources, folder
-        self.count = 0
-        self.exported: dict[str, list[str]] = {}
+    def __init__(self, plan: Plan, sources: list[Source], fits: Fits) -> None:
+        self.plan, self.sources, self.fits = plan, sources, fits
+        self.records: dict[str, Document] = {}
+        self.replaced = self.skipped = 0
         self.failures: list[Failure] = []
         self.remarks: list[str] = []
-        earlier = {record.get("source", name): record for name, record in folder.finished().items()}
-        self.records = {
-            source.place: earlier[source.place]
-            for source in sources
-            if source.place in earlier and earlier[source.place].get("stamp", "") == source.stamp
-        }
-        if not plan.options.resumes and len(self.records) == len(sources):
-            self.records, earlier = {}, {}  # a finished run is run anew, one that was cut off is completed
-        self._earlier = earlier
-        # of tasks by name: sources of different stems may hold tasks of one name
-        self._places: dict[str, str] = {record["name"]: place for place, record in earlier.items()}
         self._fitter = Fitter(plan, warns=True)
         self._outputs = outputs_of(plan.options)
         self._columns: dict[str, Column] = {}
         self._bar = Bar()
 
     def fit(self, bar: Bar) -> None:
-        """Fit inputs that have no record and keep each fit; a bar shows each."""
-        self._bar, size = bar, self.plan.options.batch or 1
-        left = [source for source in self.sources if source.place not in self.records]
-        for first in range(0, len(left), size):
-            for group in alike(self._read(left[first : first + size])):
+        """Fit inputs and keep each fit; a bar shows each."""
+        self._bar, pairs = bar, self._read()
+        while some := list(itertools.islice(pairs, self.plan.options.batch or 1)):
+            for group in alike(some):
                 self._fit(group)
+        places = [source.place for source in self.sources]
+        self.records = {place: self.records[place] for place in places if place in self.records}
 
-    def picture(self, records: list[Document]) -> Path:
+    def draw(self) -> None:
         """Write the picture of the first fits beside their references."""
         first = [source for source in self.sources if source.place in self.records][:COMPARED]
         for source in first:
-            if source.place not in self._columns:  # fitted by an earlier call
-                self._add_column(source, source.task(), self.folder.theta(self.records[source.place]["name"]))
+            if source.place not in self._columns:  # fitted before
+                self._add_column(source, source.task(), read_params(self.records[source.place]["folder"]))
         columns = [(self._columns[source.place], self.records[source.place]) for source in first]
-        return picture_of_run(self.plan.app, self.plan.paradigm.name, columns, records, self.folder.path)
+        picture_of_run(self.plan.app, self.plan.paradigm.name, columns, list(self.records.values()), self.fits.path)
 
     def _add_column(self, source: Source, task: Task, theta: Params) -> None:
         with torch.no_grad():
             self._columns[source.place] = column_of_fit(self.plan.app, task, theta)
 
-    def _fail(self, source: Source, error: Exception) -> None:
-        resumes = self.plan.options.resumes
-        if not (resumes or isinstance(error, FORESEEN)):
+    def _fail(self, source: Source, error: Exception, *, counted: bool = True) -> None:
+        if not isinstance(error, FORESEEN) and len(self.sources) == 1:
             raise error
-        self.failures.append(Failure(source.place, str(named(error, Path(source.place))), resumes or source.named))
+        self.failures.append(Failure(source.place, str(named(error, Path(source.place))), counted))
         self._bar.advance(f"failed: {Path(source.place).name}")
 
-    def _read(self, sources: list[Source]) -> Iterator[tuple[Source, Task]]:
-        for source in sources:
+    def _read(self) -> Iterator[tuple[Source, Task]]:
+        for source in self.sources:
             try:
                 task = source.task()
-                task = task._replace(name=numbered(task.name, source.place, self._places))
-                record = self._earlier.get(source.place, {})
-                if record.get("content") and record["content"] == content_of([task]):
-                    self.records[source.place] = record  # a file with another time alone
+                if self.plan.options.resume and (record := self._record_of(source, task)):
+                    self.records[source.place] = record
+                    self.skipped += 1
+                    self._bar.advance(f"{task.name}: fitted before")
                     continue
                 self._fitter.check([task])
                 yield source, task
             except (ValueError, OSError) as error:
-                self._fail(source, error)
+                self._fail(source, error, counted=source.named)
+
+    def _record_of(self, source: Source, task: Task) -> Document | None:
+        """The record of a fit of the same settings, of an input of the same content."""
+        record = find_fit(self.fits.path, task.name, source.place)
+        same = record and self.fits.hold(record) and record.get("content") == content_of(task)
+        return record if same else None
 
     def _fit(self, pairs: list[tuple[Source, Task]]) -> None:
         """Fit tasks side by side; where that fails, one by one."""
@@ -262,40 +240,46 @@ class _Loop:
         for (source, task), result in zip(pairs, results, strict=True):
             theta = {key: value.detach().cpu() for key, value in result.theta.items()}
             try:
-                self._keep(source, task, theta, result.record, len(pairs))
+                record = self._keep(source, task, theta, result.record, len(pairs))
             except ValueError as error:
                 self._fail(source, error)
             else:
-                self._export(task, theta)
+                self._export(task, theta, record)
 
-    def _keep(self, source: Source, task: Task, theta: Params, record: Document, beside: int) -> None:
-        """Write the pictures, the parameters and the record of a fit, in this order."""
-        with torch.no_grad():
-            write_files(self.plan.app, task, theta, self.folder.path / OUTPUTS)
-            self.remarks += write_outputs(self.plan.app, self._outputs, self.folder, task, theta)
+    def _keep(self, source: Source, task: Task, theta: Params, record: Document, beside: int) -> Document:
+        """Write the parameters, the pictures and the record of a fit, in this order."""
+
+        def draw(folder: Path) -> None:
+            with torch.no_grad():
+                write_pictures(self.plan.app.pictures(theta, task), folder)
+                self.remarks += write_outputs(self.plan.app, self._outputs, folder, task, theta)
+
+        record = record | {
+            "source": source.place,
+            "content": content_of(task),
+            "origin": self.plan.origin(source.given),
+        }
+        record |= {"batch": beside} if beside > 1 else {}
+        self.replaced += find_fit(self.fits.path, task.name, source.place) is not None
+        kept = self.fits.write(record, theta, draw)
         if len(self._columns) < COMPARED:
-            self._add_column(source, task, theta)
-        record = record | ({"batch": beside} if _is_batched(self.plan) else {})
-        of_file = {"source": source.place, "stamp": source.stamp, "content": content_of([task])}
-        record |= of_file if source.stamp else {}
-        self.folder.add(record, theta)
-        self.records[source.place], self.count = record, self.count + 1
-        self._bar.advance(f"{record['name']} {number(record['error'], '.3f')}".removesuffix(" -"))
+            self._add_column(source, task._replace(name=kept["name"]), theta)
+        self.records[source.place] = kept
+        self._bar.advance(f"{kept['name']} {number(kept['error'], '.3f')}".removesuffix(" -"))
+        return kept
 
-    def _export(self, task: Task, theta: Params) -> None:
+    def _export(self, task: Task, theta: Params, record: Document) -> None:
         """Write a fit that is kept in each form of --export."""
-        run = self.folder.path
         for form in self.plan.options.exports:
-            path = run / form / file_name(task.name)
+            path = export_path(record, form)
             try:
                 with torch.no_grad():
-                    export_fit(self.plan.app, task, theta, path, form, self.folder.settings)
+                    export_fit(self.plan.app, task, theta, path, form, self.fits.settings)
             except (ValueError, OSError) as error:
                 why = getattr(error, "strerror", None) or str(error).removesuffix(".")
-                line = f"{path}: not written as {form}: {why}; the fit is kept, write it by metapp export {run} {form}"
-                self.failures.append(Failure(str(path), f"{line} --out FOLDER.", kept=True))
-            else:
-                self.exported.setdefault(form, []).append(task.name)
+                again = f"metapp export {record['folder']} {form}"
+                line = f"{path}: not written as {form}: {why}; the fit is kept, write it by {again} --out FOLDER."
+                self.failures.append(Failure(str(path), line, kept=True))
 
 
 def alike(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.storage.records import file_name
+from metapp.storage.text import file_name
 
 
 def in_memory(sources: Sequence[object]) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from glob import escape
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,10 +24,9 @@ from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.plan import plan
 from metapp.runs.reporter import number, progress, say
 from metapp.storage import Document
+from metapp.storage.fits import read_params
 from metapp.storage.images import write_exr, write_png
-from metapp.storage.records import RunFolder, file_name, read_theta
 
-OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
 
 
@@ -38,31 +36,14 @@ def outputs_of(options: FitOptions) -> list[tuple[Output, object]]:
     return [(output, given[name]) for name, output in registry().outputs.of(options.app).items() if name in given]
 
 
-def write_files(app: App, task: Task, theta: Params, folder: Path) -> None:
-    """Write what a fit makes for its user, if anything, <folder>/<task>/<name>.png, 8 bits.
-
-    Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
-    Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
-    `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
-    """
-    write_pictures(app.pictures(theta, task), folder / file_name(task.name))
-
-
-def listed(folder: Path, names: Sequence[str]) -> str:
-    """A folder of what fits made, in words; of a single fit its file, or its own folder and the files in that."""
-    made = sorted(folder.glob(f"{escape(file_name(names[0]))}*")) if len(names) == 1 else []
-    inside = ", ".join(sorted(file.name for place in made for file in place.glob("*")))
-    return f"{made[0]}{': ' * bool(inside)}{inside}" if len(made) == 1 else str(folder)
-
-
 def write_outputs(
     app: App,
     outputs: Sequence[tuple[Output, object]],
-    run: RunFolder,
+    folder: Path,
     task: Task,
     theta: Params,
 ) -> list[str]:
-    """Write what outputs make of a fit, beside its files.
+    """Write what outputs make of a fit into its folder.
 
     Returns:
         what to say of them.
@@ -70,13 +51,18 @@ def write_outputs(
     lines = []
     for output, value in outputs:
         made: Rendered = output.load()(app, task, theta, value)
-        write_pictures(made.files, run.path / OUTPUTS / file_name(task.name))
+        write_pictures(made.files, folder)
         lines += [f"{task.name}: {line}" for line in made.lines]
     return lines
 
 
 def write_pictures(files: dict[str, Picture], folder: Path) -> None:
-    """Write pictures as <folder>/<name>.png, and radiance as .exr beside it; compressed side by side."""
+    """Write pictures as <folder>/<name>.png, 8 bits, compressed side by side.
+
+    Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
+    Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
+    `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
+    """
     with ThreadPoolExecutor(WRITERS) as pool:
         list(pool.map(_write_picture, [folder / f"{name}.png" for name in files], files.values()))
 
@@ -91,6 +77,12 @@ def _write_picture(file: Path, picture: Picture) -> None:
         write_exr(pixels, file.with_suffix(".exr"))
         pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
     write_png(pixels, texts, file)
+
+
+def export_path(record: Document, form: str, out: Path | None = None) -> Path:
+    """Where a fit is written in a form, without suffix: in its own folder, else in another."""
+    name = Path(record["folder"]).name
+    return out / name if out else Path(record["folder"], form, name)
 
 
 def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
@@ -139,7 +131,7 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
 
 
 class Exported(NamedTuple):
-    """The result of an export: the form, its folder, and the names of the fits."""
+    """The result of an export: the form, the folder that holds all of it, and the names of the fits."""
 
     form: str
     out: str
@@ -152,11 +144,11 @@ def export_run(
     """Write every fit of a run.
 
     Args:
-        run: its folder, or the record file in it.
+        run: its folder, or that of one of its tasks.
         form: as of --export.
         inputs: what was fitted, for forms that are made of that, too.
         data: the data set whose test tasks were fitted, for the same.
-        out: folder to write to; None: a folder of the form's name in the run's.
+        out: folder to write to; None: a folder of the form's name in each task's.
         options: that are fields of the application, by name.
         quiet: no progress.
 
@@ -172,13 +164,12 @@ def export_run(
     check_name(name)
     check_export(form, name)
     fit_options(name, **options)
-    target = out or folder / form
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            app, theta = plan_as(settings, options=options).app, read_theta(folder, name)
-            write = functools.partial(export_fit, app, theta=theta, path=target / file_name(name), name=form)
+            app, theta = plan_as(settings, options=options).app, read_params(record["folder"])
+            write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)
             except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
@@ -190,4 +181,5 @@ def export_run(
                     ) from None
                 write(task=tasks[name], settings=settings)
             bar.advance(name)
+    target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
     return Exported(form, str(target), [record["name"] for record in records])

@@ -18,8 +18,9 @@ from metapp.learning.task import Params, Task
 from metapp.runs.naming import factor_of, title_of
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
+from metapp.storage.fits import read_params
 from metapp.storage.images import in_8_bits
-from metapp.storage.records import read_theta, summary
+from metapp.storage.records import summary
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -150,7 +151,7 @@ def picture_of_run(
 def picture_of_table(
     app: App,
     tasks: Sequence[Task],
-    runs: Sequence[tuple[str, Path, list[Document]]],
+    runs: Sequence[tuple[str, list[Document]]],
     file: Path,
     tell: Callable[[], None] = lambda: None,
 ) -> Path:
@@ -159,7 +160,7 @@ def picture_of_table(
     Args:
         app: the application.
         tasks: what was fitted.
-        runs: (label, run folder, records of all tasks) of each paradigm.
+        runs: (label, records of all tasks) of each paradigm.
         file: where to.
         tell: called after each task's pictures, as those of a scene take seconds.
 
@@ -168,16 +169,16 @@ def picture_of_table(
     """
     columns = []
     for i, task in enumerate(tasks[:COMPARED]):
-        columns.append(column_of(task, [(label, app, folder, records[i]) for label, folder, records in runs]))
+        columns.append(column_of(task, [(label, app, records[i]) for label, records in runs]))
         tell()
     return write_compared(app, columns, file)
 
 
-def column_of(task: Task, fits: Sequence[tuple[str, App, Path, Document]]) -> Column:
-    """The reference or the samples of a task, and its fits below: (label, application, run folder, record) of each."""
+def column_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Column:
+    """The reference or the samples of a task, and its fits below: (label, application, record) of each."""
     rows: dict[str, np.ndarray] = {}
-    for label, app, folder, record in fits:
-        theta = read_theta(folder, task.name)
+    for label, app, record in fits:
+        theta = read_params(record["folder"])
         pictures = {"fit": theta[PICTURE]} if PICTURE in theta else app.preview(theta, task)
         rows |= {} if rows else _shown({name: pictures[name] for name in GIVEN if name in pictures})
         rows[f"{label} {_label(record)}".rstrip()] = to_srgb(pictures["fit"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,21 +13,21 @@ from metapp.learning.task import Task
 from metapp.options import BadOption
 from metapp.paradigms import PARADIGMS
 from metapp.runs.inputs.embedded import embedded_exists
-from metapp.runs.inputs.sources import Source, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_to_fit
 from metapp.runs.options import fit_options, own_of_record
 from metapp.runs.plan import Plan, plan
 from metapp.runs.reporter import say
 from metapp.storage import Document
-from metapp.storage.records import FIT, read_records
+from metapp.storage.files import PARTIAL
+from metapp.storage.fits import FIT, RECORD, read_fit, read_fits
 from metapp.storage.text import entry_of, meant, path_of
 
-RECORD = "record.jsonl"
 # settings that plans are made of, and what they are where records lack them
 TEXTS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
 
 
 class Recorded(NamedTuple):
-    """A run's folder, and its records of fits."""
+    """A run's folder, or that of one of its tasks, and records of fits, each with its own `folder`."""
 
     folder: Path
     records: list[Document]
@@ -35,37 +37,40 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
     """The records of a run.
 
     Args:
-        run: its folder, the record file in it, or a folder of runs, whose newest run is taken.
+        run: its folder, that of one of its tasks, or a folder of runs, whose newest run is taken.
         task: the one to take; "" for all.
         by_paradigm: fits alone, to which a network's parameters belong; else those of methods without one, too.
 
     Raises:
         ValueError: there are none, none of that task, or one of other settings than metapp writes.
     """
-    folder = run.parent if run.name == RECORD else _newest_run(run)
-    records = read_records(folder / RECORD, ("settings", *(FIT if by_paradigm else ("error",))))
+    entries = ("settings", *(FIT if by_paradigm else ("error",)))
+    one = read_fit(run, entries)
+    folder = run if one else _newest_run(run)
+    records = [one] if one else read_fits(folder, entries)
     if by_paradigm:
         records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
     if not records:
-        state = "no record.jsonl with fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-        raise ValueError(f"{run}: {state}, expected a run's folder, such as runs/brdf/meta/...")
+        state = "no folders of fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        raise ValueError(f"{run}: {state}, expected a run's folder, such as runs/brdf/meta.")
     names = [record["name"] for record in records]
     if task and task not in names:
         some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
         raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{meant(task, names)}")
     chosen = [records[names.index(task)]] if task else records
     for record in chosen:
-        _check_settings(record, folder / RECORD)
+        _check_settings(record)
     return Recorded(folder, chosen)
 
 
-def _check_settings(record: Document, file: Path) -> None:
+def _check_settings(record: Document) -> None:
     """Refuse settings and an origin, which anybody may have written, that no plan can be made of.
 
     Raises:
         ValueError: one is missing or of another type.
     """
-    settings, origin, where = record["settings"], record.get("origin", {}), f"{file}: {record['name']}: "
+    settings, origin = record["settings"], record.get("origin", {})
+    where = f"{Path(record['folder']) / RECORD}: {record['name']}: "
     for key, absent in TEXTS.items():
         entry_of(settings, key, str, where, "fit again", absent)
     entry_of(settings, "options", dict, where, "fit again", {})
@@ -75,20 +80,21 @@ def _check_settings(record: Document, file: Path) -> None:
 
 
 def holds_runs(path: Path) -> bool:
-    """True of what `read_run` may take for a run or a folder of runs."""
-    return path.name == RECORD or (path / RECORD).is_file() or bool(_records_below(path))
+    """True of what `read_run` may take for the folder of a task, of a run or of runs."""
+    return (path / RECORD).is_file() or bool(_records_below(path, "*/", "*/*/", "*/*/*/"))
 
 
-def _records_below(folder: Path) -> list[Path]:
-    """The record files of a folder of runs, such as `runs` or `runs/brdf/meta`."""
-    found = [file for places in ("*/", "*/*/", "*/*/*/") for file in folder.glob(f"{places}{RECORD}")]
-    return [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]  # through no link
+def _records_below(folder: Path, *places: str) -> list[Path]:
+    """The records of tasks in a folder of runs, such as `runs` or `runs/brdf/meta`."""
+    found = [file for place in places for file in folder.glob(f"{place}{RECORD}")]
+    found = [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]  # through no link
+    return [file for file in found if not file.parent.name.startswith(PARTIAL)]
 
 
 def _newest_run(folder: Path) -> Path:
-    """The run of the latest record in a folder of runs; else the folder itself."""
-    found = [] if (folder / RECORD).is_file() else _records_below(folder)
-    newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent if found else folder
+    """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf`; else the folder itself."""
+    found = [] if any(folder.glob(f"*/{RECORD}")) else _records_below(folder, "*/*/", "*/*/*/")
+    newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent.parent if found else folder
     if found:
         say(f"{folder}: the newest run is {newest}")
     return newest
@@ -127,31 +133,43 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
     Returns:
         Without those that are not there, or not as they were fitted.
     """
-    settings, origin = records[-1]["settings"], records[-1].get("origin", {})
-    sourced = [record for record in records if record.get("stamp")]
-    moved = bool(inputs)
+    return {key: task for some in by_settings(records) for key, task in _tasks_as(some, app, inputs, data).items()}
+
+
+def by_settings(records: Iterable[Document]) -> list[list[Document]]:
+    """Groups of records of the same settings: a run's folder holds fits of several commands."""
+    groups: dict[str, list[Document]] = {}
+    for record in records:
+        groups.setdefault(json.dumps(record["settings"], sort_keys=True), []).append(record)
+    return list(groups.values())
+
+
+def _tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+    """The same of records of the same settings."""
+    settings, origins = records[-1]["settings"], [record.get("origin", {}) for record in records]
+    label, places = settings["data"], [place for origin in origins for place in origin.get("inputs", [])]
     if not (inputs or data):
-        inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
-        data = path_of(origin["data"]) if "data" in origin and path_of(origin["data"]).is_dir() else None
-    if not inputs and any("source" in record for record in records):
-        return {}
-    label = settings["data"]
+        places += [record.get("source", "") for record in records] if label == FILES else []
+        inputs = [path for path in map(path_of, dict.fromkeys(places)) if path.exists()]
+        sets = (path_of(origin["data"]) for origin in origins if "data" in origin)
+        data = next((path for path in sets if path.is_dir()), None)
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
     if not (inputs or data or embedded):
         return {}
     planned = plan_as(settings, inputs=inputs, data=data)
     if inputs:
-        return _of_sources(sourced, sources_to_fit(planned)[0], moved)
+        return _of_sources(records, sources_to_fit(planned)[0])
     tasks, now = tasks_to_fit(planned)
     return {task.name: task for task in tasks} if now == label else {}
 
 
-def _existing(places: Iterable[str]) -> list[Path]:
-    """The paths that are there."""
-    return [path for path in map(path_of, places) if path.exists()]
-
-
-def _of_sources(records: list[Document], sources: list[Source], moved: bool) -> dict[str, Task]:
-    """Tasks of files that have not changed since, or in size where they have moved; no other is read."""
-    by_name = {record["name"]: source_of(record, sources, moved) for record in records}
-    return {name: source.task()._replace(name=name) for name, source in by_name.items() if source}
+def _of_sources(records: list[Document], sources: list[Source]) -> dict[str, Task]:
+    """Tasks of files that have not changed since, wherever these are now; those of other names are not read."""
+    names, read = {Path(record.get("source", "")).name for record in records}, {}
+    for source in sources:
+        if Path(source.place).name in names:
+            with contextlib.suppress(ValueError, OSError):  # one that was damaged meanwhile
+                task = source.task()
+                read[content_of(task)] = task
+    pairs = [(record["name"], read.get(record.get("content", ""))) for record in records]
+    return {name: task._replace(name=name) for name, task in pairs if task}

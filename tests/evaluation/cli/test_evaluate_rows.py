@@ -46,8 +46,8 @@ def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subje
 
 
 def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
-    folders = [cell.folder for _, _, cell in combined(subject, "meta")]
-    assert {folder.path.parent.name for folder in folders if folder} == {"ablation-rule", "ablation-start"}
+    places = [cell.fits.path.name for _, _, cell in combined(subject, "meta") if cell.fits]
+    assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
     meta, general = (subject.fits[name].prepared for name in ("meta", "general"))
     tasks, recipe = stack(subject.app, subject.tasks), subject.plan.recipe
     start, rule = InitialisationAlone(subject.app, recipe), RuleAlone(subject.app, recipe)
@@ -132,7 +132,7 @@ def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.Monkey
         return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
     monkeypatch.setattr(Brdf, "image_errors", measured)
-    shutil.rmtree(image_cell(subject).folder.path)
+    shutil.rmtree(image_cell(subject).fits.path)
     run_cells(load_table("image").cells(subject), quiet=True)
     by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
     assert by["regular", "MAPE"]["error"] == 0.5

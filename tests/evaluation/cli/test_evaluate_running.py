@@ -14,7 +14,8 @@ from metapp.evaluation.cell import Cell, run_cells
 from metapp.learning.task import Task
 from metapp.runs.reporter import Bar
 from metapp.runs.surroundings import find_device, threads_of
-from metapp.storage.records import Record, RunFolder
+from metapp.storage.fits import Fits
+from metapp.storage.records import Record
 from tests.quick import app_by
 
 Make = Callable[..., Cell]
@@ -37,16 +38,16 @@ def cell(tmp_path: Path, log: list[str]) -> Make:
                 during()
                 yield {"name": task.name, "error": 1.0}, None
 
-        folder = RunFolder(tmp_path / title.replace(" ", "-"), {"title": title})
-        return Cell(title, [Task(name, {}) for name in names], folder, measure, steps, **more)
+        fits = Fits(tmp_path / title.replace(" ", "-"), {"title": title})
+        return Cell(title, [Task(name, {}) for name in names], fits, measure, steps, **more)
 
     return make
 
 
 def test_cells_run_once_by_stage_and_steps(cell: Make, log: list[str]) -> None:
     late, long, short = cell("brdf late", "a", 0, stage=1), cell("brdf long", "ab", 100), cell("brdf short", "a", 1)
-    assert long.folder
-    long.folder.add({"name": "a", "error": 1.0})
+    assert long.fits
+    long.fits.write({"name": "a", "error": 1.0})
     run_cells([late, long, short, long, short], quiet=True)
     assert log == ["brdf short a", "brdf long b", "brdf late a"]
     run_cells([late, long, short], quiet=True)

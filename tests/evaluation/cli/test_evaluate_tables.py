@@ -11,7 +11,7 @@ from metapp.cli.show import rich_table
 from metapp.evaluation.rows import paired_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
-from metapp.storage.records import RunFolder
+from metapp.storage.fits import Fits
 from tests.evaluation.cli.subjects import rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
@@ -63,12 +63,12 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: S
 
 
 def test_fits_that_carry_a_warning_are_counted(subject: Subject, evaluate: Callable, tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "warned", {})
+    fits = Fits(tmp_path / "warned", {})
     warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
     for i, record in enumerate(subject.cell("meta").records()):
         more = {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
-        folder.add({key: value for key, value in record.items() if key not in ("key", "settings")} | more)
-    subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
+        fits.write({key: value for key, value in record.items() if key != "settings"} | more)
+    subject._cells["meta"] = subject.cell("meta")._replace(fits=fits)
     for name in ("results", "quickft", "ablation"):
         found = rows(subject, name)
         for kind in ("warnings", "doubtful"):

@@ -9,7 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.records import read_records
+from metapp.storage.fits import read_fits
 from tests.pictures import environment, photograph
 
 
@@ -18,11 +18,11 @@ def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable) -> No
     done = metapp("baseline", "texture", "wall.png", "--method", "quilting", "--recipe", "quick", "--json")
     assert done.code == 0, done.err
     out = Path(done.document["out"])
-    (record,) = read_records(out / "record.jsonl")
+    (record,) = read_fits(out)
     assert record["name"] == "wall"
     assert record["error"] == done.document["tasks"][0]["error"] > 0
     assert record["seconds"] > 0
-    spec = oiio.ImageBuf(str(out / "outputs" / "wall" / "texture.png")).spec()
+    spec = oiio.ImageBuf(str(out / "wall" / "texture.png")).spec()
     assert (spec.width, spec.height) == (64, 64)
     assert "cannot" in done.err
 
@@ -31,10 +31,10 @@ def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
     photograph(Path("cloth.png"), 9, 80)
     done = metapp("baseline", "svbrdf_stationary", "cloth.png", "--method", "quilting", "--recipe", "quick", "--json")
     assert done.code == 0, done.err
-    made = Path(done.document["out"], "outputs", "cloth")
+    made = sorted(Path(done.document["out"], "cloth").glob("*.png"))
     maps = {"diffuse", "specular", "roughness", "normal", "height"}
-    assert {file.stem for file in made.iterdir()} == maps | {f"lit_from_{name}" for name in ("left", "above", "aside")}
-    for file in made.iterdir():
+    assert {file.stem for file in made} == maps | {f"lit_from_{name}" for name in ("left", "above", "aside")}
+    for file in made:
         spec = oiio.ImageBuf(str(file)).spec()
         assert (spec.width, spec.height) == (64, 64)
         encoding = "linear" if file.stem in ("roughness", "normal", "height") else "sRGB"
@@ -51,8 +51,8 @@ def test_harmonics_of_a_map_are_written_as_radiance(metapp: Callable) -> None:
     options = ["--method", "sh", "--observe", "reference", "--recipe", "quick", "--json"]
     done = metapp("baseline", "illumination", "hall.exr", *options)
     assert done.code == 0, done.err
-    made = Path(done.document["out"], "outputs", "hall")
-    assert sorted(file.name for file in made.iterdir()) == ["map.exr", "map.png", "relit.png"]
+    made = Path(done.document["out"], "hall")
+    assert sorted(file.name for file in made.iterdir()) == ["map.exr", "map.png", "record.json", "relit.png"]
     found, wanted = (oiio.ImageBuf(str(file)).get_pixels("float") for file in (made / "map.exr", Path("hall.exr")))
     assert np.abs(found - wanted).mean() < 0.8 * np.abs(wanted - wanted.mean((0, 1))).mean()  # which is noise
 
@@ -68,7 +68,7 @@ def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None
     sides = []
     for detail in ([], ["--detail", "512"]):
         done = metapp("baseline", "texture", "wall.png", "--method", "quilting", *detail, "--json").done
-        spec = oiio.ImageBuf(str(Path(done["out"], "outputs", "wall", "texture.png"))).spec()
+        spec = oiio.ImageBuf(str(Path(done["out"], "wall", "texture.png"))).spec()
         sides.append((spec.width, "detail512" in done["out"]))
     assert sides == [(256, False), (512, True)]
     refused = metapp("baseline", "texture", "wall.png", "--detail", "300")

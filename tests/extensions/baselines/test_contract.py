@@ -29,7 +29,7 @@ from metapp.registry import registry
 from metapp.runs.options import fit_options
 from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter
-from metapp.storage.records import RunFolder, read_theta
+from metapp.storage.fits import Fits, read_params
 from metapp.storage.shards import ShardWriter
 from tests.marked import long
 from tests.quick import app_by
@@ -108,10 +108,10 @@ def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, pr
 
 def pretend_meta(subject: Subject, error: float) -> None:
     """Records of Meta that cost nothing."""
-    folder = subject.cell("meta").folder
-    if folder:
+    fits = subject.cell("meta").fits
+    if fits:
         for task in subject.tasks:
-            folder.add({"name": task.name, "error": error, "seconds": 1.0, "threads": 1})
+            fits.write({"name": task.name, "error": error, "seconds": 1.0, "threads": 1})
 
 
 @pytest.mark.parametrize(("name", "protocol"), [long(*each) if each[0] == "brdf" else each for each in PLACED])
@@ -150,18 +150,18 @@ def test_every_application_has_baselines_and_its_table_prints_them(
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    folder = RunFolder(subject.plan.options.out / "meta", {"of": "meta"})
+    fits = Fits(subject.plan.options.out / "meta", {"of": "meta"})
     for task in subject.tasks:
-        folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
-    subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
+        fits.write({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
+    subject._cells["meta"] = subject.cell("meta")._replace(fits=fits)
     made = subject.plan.options.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
     draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
     draw([subject], ["baselines"])
     assert made.read_bytes().startswith(b"\x89PNG")
-    kept = subject.plan.options.out / "texture" / "baselines" / "quilting" / f"{subject.label}-quick-seed0"
-    assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
+    kept = subject.plan.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
+    assert read_params(kept)["picture"].shape == (64, 64, 3)
 
 
 @pytest.mark.parametrize(
@@ -173,14 +173,14 @@ def test_notes_say_who_is_ahead(
     subject = subject_of("illumination", "photo")
     subject.tasks.extend(task._replace(name=f"more{i}") for i, task in enumerate(subject.tasks * 3))
     baseline = baselines_of(subject.app)[0]
-    folders = subject.cell("meta").folder, baseline_cell(subject, baseline).folder
-    assert folders[0]
-    assert folders[1]
+    meta, other = subject.cell("meta").fits, baseline_cell(subject, baseline).fits
+    assert meta
+    assert other
     for i, task in enumerate(subject.tasks):
-        folders[0].add({"name": task.name, "error": 1.0 + i, "seconds": 1.0})
+        meta.write({"name": task.name, "error": 1.0 + i, "seconds": 1.0})
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
         record = {"name": task.name, "error": error, "seconds": 0.5, "numbers": 1, "size": 4, "shared": 8}
-        folders[1].add(record)
+        other.write(record)
     table = load_table("baselines")
     assert any(said in note for note in table.notes(subject, table.rows(subject)))
 
@@ -228,8 +228,8 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject = subject_of("brdf", "")
     manifest = subject.plan.options.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
-    folders = {baseline.name: baseline_cell(subject, baseline).folder for baseline in baselines_of(subject.app)}
-    assert {name for name, folder in folders.items() if folder} == {"ggx_2"}
+    fits = {baseline.name: baseline_cell(subject, baseline).fits for baseline in baselines_of(subject.app)}
+    assert {name for name, of_it in fits.items() if of_it} == {"ggx_2"}
     table = load_table("baselines")
     assert [cell.title for cell in table.cells(subject)][3:] == ["brdf ggx_2"]  # nothing is missing
     notes = table.notes(subject, table.rows(subject))

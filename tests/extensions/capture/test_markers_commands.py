@@ -59,7 +59,7 @@ def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: P
         assert np.linalg.norm(places.camera[number].numpy() * 5 - camera) < 0.005 * np.linalg.norm(camera)
         assert np.linalg.norm((places.light - places.camera)[number] * 5) == pytest.approx(1, abs=1e-3)
     fitted = metapp("general", "svbrdf_nonstationary", LEAF, "--observe", "photo", "--json").done
-    made = Path(fitted["out"], "outputs", "leaf")
+    made = Path(fitted["out"], "leaf")
     assert {"normal.png", "diffuse.png", "photo_3.png"} <= {file.name for file in made.iterdir()}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.records import read_records
+from metapp.storage.fits import read_fits, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 3
@@ -23,7 +22,7 @@ def test_errors_ratio_and_colours_of_spheres_are_shown(metapp: Callable, fitted:
     told = metapp("compare", meta, quickft, "--json").done
     assert [run["label"] for run in told["runs"]] == ["meta", "quickft"]
     for side, run in enumerate((meta, quickft)):
-        errors = [record["error"] for record in read_records(run / "record.jsonl")]
+        errors = [record["error"] for record in read_fits(run)]
         assert [task["error"][side] for task in told["tasks"]] == errors
         assert told["runs"][side]["error"] == pytest.approx(np.mean(errors))
     ratio = told["runs"][0]["error"] / told["runs"][1]["error"]
@@ -59,7 +58,10 @@ def test_tasks_of_one_run_alone_are_left_out(metapp: Callable, fitted: Callable,
     assert [task["name"] for task in result.document["tasks"]] == ["m1"]
     assert [side["label"] for side in result.document["runs"]] == ["seed-0", "seed-3"]
     assert "2 tasks of one run alone are left out" in result.err
-    assert "tasks are the same by name" in result.err
+    assert "other content" not in result.err
+    changed = Path(shutil.copytree(networks / "m0", "m1"))
+    result = metapp("compare", fitted("meta"), fitted("meta", "--seed", "4", inputs=changed))
+    assert "1 tasks in common have other content in the two runs, and the same name" in result.err
 
 
 def test_without_what_was_fitted_there_is_a_table_and_no_picture(
@@ -75,15 +77,15 @@ def test_without_what_was_fitted_there_is_a_table_and_no_picture(
 
 
 def test_what_cannot_be_compared_is_one_line(metapp: Callable, fitted: Callable, networks: Path) -> None:
-    run, alone = fitted("general"), fitted("general", inputs=networks / "m0")
-    Path("other").mkdir()
-    record = read_records(run / "record.jsonl")[0]
+    run = fitted("general")
+    alone = run / "m0"
+    record = read_fits(run)[0]
     record["settings"]["app"] = "texture"
-    Path("other/record.jsonl").write_text(json.dumps(record))
+    write_fit(Path("other"), record)
     for words, said in (
         ((run, "other"), "runs of brdf and texture, expected two of one application; take another run."),
         ((run, "nowhere"), "nowhere: no such folder, expected a run's folder"),
         ((run, alone, "--task", "m2"), "no record of task 'm2', expected one of m0."),
-        ((fitted("general", inputs=networks / "m1"), alone), "1 and 1 tasks, none in common, expected some"),
+        ((run / "m1", alone), "1 and 1 tasks, none in common, expected some"),
     ):
         assert said in metapp("compare", *words).error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +15,7 @@ from data_tools.readers.measured_pairs import task_of_pairs
 from metapp.appearance.geometry import cosines, directions_to_full_circle
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.few.gonio import read_pairs
+from metapp.storage.fits import read_fits
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -50,7 +50,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     assert "all 12 samples are fitted, none is held out" in fitted.err
     run = Path(fitted.document["out"])
     assert fitted.document["error"] < 0.5
-    (record,) = (json.loads(line) for line in (run / "record.jsonl").read_text().splitlines())
+    (record,) = read_fits(run)
     assert 0 < record["expected"] < expected["before"]
     more = tmp_path / "more.csv"  # its first rows are those that were measured
     then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").document

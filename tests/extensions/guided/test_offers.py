@@ -62,7 +62,7 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     (box,) = write_example("transport", Path())
     result = metapp("overfit", "transport", box, "--steps", "2", "--render", "24")
     assert result.code == 0, result.err
-    (folder,) = Path("runs").rglob("outputs/box")
+    (folder,) = Path("runs").rglob("overfit*/box")
     made = [oiio.ImageBuf(str(folder / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
     assert {picture.shape for picture in made} == {(24, 24, 3)}
     assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)

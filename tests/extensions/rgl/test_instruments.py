@@ -118,9 +118,9 @@ def test_samples_of_a_goniometer_load_as_measured_in_spectral_and_in_rgb_variant
 ) -> None:
     """Either file shows the fit, which is close to the samples; Mitsuba refuses the other one: hence two."""
     table, forms = goniometer(Path("paint.csv")), "bsdf,bsdf-spectral"
-    run = Path(metapp("meta", "brdf", table, "--export", forms, "--json", "-q").done["out"])
+    run = Path(metapp("meta", "brdf", table, "--export", forms, "--json", "-q").done["out"], "paint")
     rgb, spectral = measured(run / "bsdf" / "paint.bsdf"), measured(run / "bsdf-spectral" / "paint_spec.bsdf")
-    fit = evaluated(mi, {"type": "neural_brdf", "filename": str(run / "params" / "paint.safetensors")}, pairs)
+    fit = evaluated(mi, {"type": "neural_brdf", "filename": str(run / "params.safetensors")}, pairs)
     assert difference(fit, glossy(angles_of(pairs))) < 0.05
     assert difference(evaluated(mi, rgb, pairs), fit) < 0.005
     with pytest.raises(RuntimeError, match="require the use of a spectral variant"):

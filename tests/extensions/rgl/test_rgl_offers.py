@@ -31,7 +31,7 @@ mitsuba.set_variant("llvm_ad_rgb")
 scenes = (mitsuba.load_file(name) for name in sys.argv[1:])
 print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for scene in scenes]))
 """
-    scenes = [run / "mitsuba" / "m0" / f"m0{suffix}.xml" for suffix in ("", "_builtin")]
+    scenes = [run / "m0" / "mitsuba" / "m0" / f"m0{suffix}.xml" for suffix in ("", "_builtin")]
     done = subprocess.run([sys.executable, "-c", lines, *scenes], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     fit, table = json.loads(done.stdout)

@@ -1,0 +1,211 @@
+"""Fits on disk: a folder each, with parameters, pictures and a record, so that any number of programs write at once.
+
+Nothing is locked or appended: a new fit is written under a temporary name and its folder renamed as a whole, one that
+was there before is replaced file by file, its record last.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+import unicodedata
+import warnings
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from safetensors import SafetensorError
+from safetensors.torch import save
+
+from metapp.learning.task import Params
+from metapp.storage import Document
+from metapp.storage.files import PARTIAL, naming, partial_path, read_bytes, write_atomically
+from metapp.storage.records import finite
+from metapp.storage.tensors import read_tensors
+from metapp.storage.text import as_text, file_name
+
+RECORD, PARAMS = "record.json", "params.safetensors"
+FIT = ("error", "seconds")  # entries of a fit's record, beside its name
+TEXTS = ("name", "source", "content")  # entries that are texts, where a record has them
+
+
+def write_fit(
+    run: Path, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
+) -> Document:
+    """Keep a finished task: its parameters, its pictures and its record, in this order, in a folder of its own.
+
+    The folder has the task's name, with a digest of the input where another input has taken that. A fit of the same
+    input that is there is replaced. Numbers that are not finite, which JSON lacks, become None.
+
+    Args:
+        run: the folder of the run, made if missing.
+        record: with `name`, and `source`, the input's path, unless it has the same name in a data set.
+        theta: the parameters, if there are any.
+        draw: writes pictures into the folder that it is given.
+
+    Returns:
+        The record as it is kept, with the task's `folder`; its name is the folder's where that has a digest.
+
+    Raises:
+        OSError: the disk is full; a record that was there stays.
+    """
+    record = {"source": record["name"], **record}
+    earlier = find_fit(run, record["name"], record["source"])
+    plain, marked = _folders(run, record["name"], record["source"])
+    folder = Path(earlier["folder"]) if earlier else partial_path(plain)
+    try:
+        with naming(plain):
+            folder.mkdir(parents=True, exist_ok=True)
+            if theta is not None:
+                content = save({key: value.detach().cpu().contiguous() for key, value in theta.items()})
+                write_atomically(folder / PARAMS, lambda target: target.write_bytes(content))
+            draw(folder)
+            for target in [folder] if earlier else [plain, marked]:
+                try:
+                    return _record_as(record, folder, target, marked)
+                except OSError:
+                    if earlier or not os.path.lexists(target):
+                        raise
+                    if find_fit(run, record["name"], record["source"]):  # of another program, since a moment ago
+                        return write_fit(run, record, theta, draw)
+        raise ValueError(f"{marked}: no fit of this input, expected one or a new folder; remove it.")
+    finally:
+        if not earlier:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Document:
+    """Write a record into a folder, which is then renamed; OSError where the target is another fit's."""
+    kept: Document = as_text(finite(record)) | ({"name": marked.name} if target == marked else {})
+    text = json.dumps(kept, allow_nan=False, indent=1)
+    write_atomically(folder / RECORD, lambda file: file.write_text(text, "utf-8"))
+    if folder != target:
+        os.rename(folder, target)
+    return kept | {"folder": str(target)}
+
+
+def find_fit(run: Path, name: str, source: str) -> Document | None:
+    """The record of the fit of an input, as `read_fit` gives it; None where there is none."""
+    for folder in _folders(run, name, source):
+        try:
+            record = None if folder.is_symlink() else read_fit(folder)
+        except ValueError:
+            continue
+        if record and record.get("source") == as_text(source):
+            return record
+    return None
+
+
+def _folders(run: Path, name: str, source: str) -> tuple[Path, Path]:
+    """The folders that a fit may be in: that of the task's name, and that with a digest of its input."""
+    return run / file_name(as_text(name)), run / marked_name(name, source)
+
+
+def marked_name(name: str, source: str) -> str:
+    """The name of a task, as a file name, with a digest of its input, where another input has the name alone."""
+    digest = hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
+    return file_name(f"{file_name(as_text(name))}-{digest}")
+
+
+def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:
+    """The record in a task's folder, with the `folder`; None where there is none.
+
+    Args:
+        folder: the task's.
+        entries: that the record must have, beside a name.
+
+    Raises:
+        ValueError: there is one, which anybody may have written, of another form.
+    """
+    file = folder / RECORD
+    try:
+        record = as_text(json.loads(read_bytes(file)))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (ValueError, RecursionError, OSError):
+        record = None
+    if not is_record(record, entries):
+        raise ValueError(f"{file}: no record, expected one of a task; passed over, as if not there.")
+    # as fits name tasks: in a run of somebody else a name could turn the order of the text beside it
+    name = "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])
+    return {**record, "name": name, "folder": str(folder)}
+
+
+def read_fits(run: Path, entries: Collection[str] = ()) -> list[Document]:
+    """The records in a run's folder, by name, as `read_fit` gives them; one warning names the first that is none."""
+    records, damaged = [], []
+    for folder in sorted(run.iterdir()) if run.is_dir() else ():
+        try:
+            record = None if folder.name.startswith(PARTIAL) else read_fit(folder, entries)
+        except ValueError as error:
+            damaged.append(str(error))
+        else:
+            records += [record] if record else []
+    if damaged:
+        more = f" {len(damaged) - 1} more in {run} alike." if len(damaged) > 1 else ""
+        warnings.warn(f"{damaged[0]}{more}", stacklevel=2)
+    return records
+
+
+def is_record(value: object, entries: Collection[str] = ()) -> bool:
+    """Test what a file holds, which anybody may have written: a task's record with these entries."""
+    if not isinstance(value, dict) or not value.keys() >= {"name", *entries}:
+        return False
+    numbers = [value[key] for key in FIT if key in value and (key, value[key]) != ("error", None)]
+    return (
+        all(isinstance(value.get(key, ""), str) for key in TEXTS)
+        and all(type(each) in (int, float) and abs(each) <= sys.float_info.max for each in numbers)
+        and isinstance(value.get("settings", {}), dict)
+    )
+
+
+def read_params(folder: str | Path) -> Params:
+    """The parameters in a task's folder.
+
+    Raises:
+        ValueError: their file is missing or damaged.
+    """
+    path = Path(folder) / PARAMS
+    try:
+        return read_tensors(path)
+    except (SafetensorError, OSError) as error:
+        raise ValueError(
+            f"{path}: fitted parameters not readable ({error}); remove the folder {folder} to fit anew."
+        ) from None
+
+
+class Fits(NamedTuple):
+    """The fits of some settings in a run's folder, which may hold those of others, too.
+
+    Attributes:
+        path: the run's folder.
+        settings: all that figures of the fits depend on.
+        entries: of their records, beside the name.
+        origin: what records say beside, such as where inputs were; no figure depends on it.
+    """
+
+    path: Path
+    settings: Document
+    entries: Collection[str] = ()
+    origin: Document | None = None
+
+    def write(
+        self, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
+    ) -> Document:
+        """Keep a finished task, as `write_fit` does, with the settings."""
+        origin = {"origin": self.origin} if self.origin else {}
+        return write_fit(self.path, {**record, "settings": self.settings, **origin}, theta, draw)
+
+    def hold(self, record: Document) -> bool:
+        """True if a record is of these settings."""
+        as_read: Any = json.loads(json.dumps(as_text(finite(self.settings))))
+        return bool(record.get("settings") == as_read)
+
+    def records(self) -> dict[str, Document]:
+        """The records of these settings, by the inputs' names; none of fits whose seconds are a batch's shares."""
+        records = read_fits(self.path, ("source", "settings", *self.entries))
+        alone = [record for record in records if record.get("batch", 1) == 1 and self.hold(record)]
+        return {record["source"]: record | {"name": record["source"]} for record in alone}
