@@ -134,9 +134,9 @@ def _show(run: Run, *, json: bool) -> None:
         for line in run.remarks:
             say(line)
         if run.skipped:
-            say(f"{run.skipped} of {len(run.records)} fits are of before, and stay")
+            say(f"{run.skipped} of {len(run.records)} inputs have such a fit already, and are skipped")
         if run.replaced:
-            say(f"{run.replaced} of {len(run.records)} fits replace fits of before; --resume keeps those")
+            say(f"{run.replaced} of {len(run.records)} fits replace earlier ones; --resume keeps these")
         say(f"fits: {run.folder}")
         if "view" in registry().commands:
             say(f"to look at: metapp view {shlex.quote(str(run.folder))}")

@@ -37,7 +37,7 @@ class FitOptions:
     observe: Annotated[
         str,
         Option(
-            "What fits see: reference (default) or photo (for INPUT photos).",
+            "What fits see: reference, or photo for INPUT photos.",
             "NAME",
             panel=INPUT,
         ),
@@ -64,11 +64,11 @@ class FitOptions:
     ] = "auto"
     batch: Annotated[
         int | None,
-        Option("Fit N inputs in parallel; default: 1.", "N", low=1, panel=FIT),
+        Option("Fit N inputs in parallel.", "N", low=1, panel=FIT),
     ] = None
     resume: Annotated[
         bool,
-        Option("Skip inputs whose fit is there, of the same settings and content; default: replace.", panel=FIT),
+        Option("Skip inputs that have a fit of the same settings.", panel=FIT),
     ] = False
     export: Annotated[
         str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)

@@ -210,14 +210,14 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     assert "the same command goes on with training where it was, with --resume with fits" in result.err
     (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
     (kept,) = read_fits(run)
-    assert "1 of 2 fits are of before, and stay" in fit("overfit", "--resume").err
+    assert "1 of 2 inputs have such a fit already, and are skipped" in fit("overfit", "--resume").err
     first, second = read_fits(run)
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
     assert read_fits(run) == [first, second]
-    assert "2 of 2 fits replace fits of before; --resume keeps those" in fit("overfit").err
+    assert "2 of 2 fits replace earlier ones; --resume keeps these" in fit("overfit").err
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:

@@ -68,7 +68,7 @@ def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[st
     again = fit("--batch", "4", "--resume")  # another number is the same run
     assert fitted == []
     assert (again.document["tasks_per_second"], again.document["tasks"]) == (None, first["tasks"])
-    assert "5 of 5 fits are of before, and stay" in again.err
+    assert "5 of 5 inputs have such a fit already, and are skipped" in again.err
     for file in (materials / "m3").iterdir():
         file.touch()  # which does not change its content
     shutil.rmtree(materials / "m1")
@@ -141,7 +141,7 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     names = ["one", *(marked_name("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").document)
     assert list(first) == names
-    assert "5 of 5 fits replace fits of before" in (again := fit()).err
+    assert "5 of 5 fits replace earlier ones" in (again := fit()).err
     assert list(errors(again.document)) == names
 
 
