@@ -24,7 +24,7 @@ COMMAND = typer.main.get_command(cli)  # it takes 40 ms to make
 METAPP = re.compile(r"metapp [a-z]")
 ANY_COMMAND = re.compile(r"metapp (?:data )?<")
 PATH = re.compile(r"(?:metapp|data_tools|tests|benchmarks|tools|examples)/[\w./-]+$")
-STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reader puts in
+STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reader puts in, such as brdf
 
 
 def code_of(page: Path) -> list[str]:
