@@ -48,10 +48,10 @@ def read_input(app: str, folder: Path, file: Path) -> None:
     if file.suffix == ".binary" and file.stat().st_size > 64:  # a whole one takes 35 MB
         os.truncate(file, FILE_BYTES)
     place = folder if file.suffix == ".npy" else file
-    for form in (form for form in inputs_of(app) if form.recognises(place)):
-        read = form.files().read_task
+    for reader in (form.load() for form in inputs_of(app).values()):
+        read = reader.read_task
         few = {"samples": 64, "size": 32}
-        for source in form.find([place])[0]:
+        for source in reader.find([place])[0] if reader.recognises(place) else ():
             finite(read(source, **{key: few[key] for key in few & inspect.signature(read).parameters.keys()}))
 
 
