@@ -22,8 +22,8 @@ class Label(NamedTuple):
 
 
 def label_of_stem(source: Path) -> Label:
-    """A task that is named by its file's stem."""
-    return Label(source.stem)
+    """A task that is named by its file's stem, or by its place where that is no file."""
+    return Label(source.stem if source.is_file() else source.resolve().name)
 
 
 class Conversion(NamedTuple):

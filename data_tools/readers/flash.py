@@ -36,7 +36,7 @@ UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the
 _SPLITS = ("train", "test")
 _NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 
-find = partial(find_photos, expected=("metadata.json",))  # the names that every reader has
+find = find_photos  # the names that every reader has
 recognises = holds_photos
 
 

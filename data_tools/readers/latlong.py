@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,10 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
-from data_tools.readers.conversion import Conversion
-from data_tools.readers.image_files import opened, opens, turn_upright
-from data_tools.readers.listing import files_below
-from data_tools.readers.photos import find_photos
+from data_tools.readers.image_files import check_exists, opened, opens, turn_upright
+from data_tools.readers.listing import files_of, find_files
+from data_tools.readers.photos import fault_of
 from metapp.appearance.colorimetry import colour_science
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
@@ -104,12 +102,6 @@ def _draws(name: str) -> Rng:
     return stream(*hashlib.sha256(name.encode()).digest())
 
 
-def conversion(paths: Iterable[Path], split: str, *, rows: int) -> Conversion:
-    """Conversion of maps to tasks."""
-    read, notes = partial(read_task, rows=rows), {"made_by": "metapp data laval", "rows": rows}
-    return Conversion("illumination", "map", UNITS, find, read, notes)
-
-
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
     """A map as a task.
 
@@ -137,29 +129,19 @@ def is_map(path: Path) -> bool:
 
 
 def recognises(path: Path) -> bool:
-    """True if a path is an HDR image, or a folder with one below it."""
-    return any(map(is_map, files_below(path) if path.is_dir() else [path]))
+    """True for an HDR image, and for a folder with one below it."""
+    return any(map(is_map, files_of(path)))
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find HDR maps: in folders at any depth; named files as they are.
+    """Find HDR maps, as `find_files`; reading a named file says what is wrong with it."""
 
-    Returns:
-        The files, each once, those of a folder sorted; and a line for each other file of a folder.
+    def fault(file: Path) -> str | None:
+        if line := fault_of(file):
+            return line
+        return "" if is_map(file) else f"{file}: not an HDR map, {_EXPECTED}."
 
-    Raises:
-        ValueError: a path that does not exist, a folder without any map.
-    """
-    maps: list[Path] = []
-    skipped: list[str] = []
-    for path in map(Path, paths):
-        photos, lines = find_photos([path])
-        others = [file for file in photos if path.is_dir() and not is_map(file)]
-        if len(others) == len(photos):
-            raise ValueError(f"{path}: no map in this folder, {_EXPECTED}; name the folder of the maps.")
-        maps += [file for file in photos if file not in others]
-        skipped += lines + [f"{file}: not an HDR map, {_EXPECTED}." for file in others]
-    return list({file.resolve(): file for file in maps}.values()), skipped
+    return find_files(paths, check_exists, fault, f"no map in this folder, {_EXPECTED}; name the folder of the maps.")
 
 
 def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:

@@ -1,55 +1,83 @@
-"""Files of one suffix, and folders of them."""
+"""Files in folders: which of them a reader takes."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 
 
-def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple[list[Path], list[str]]:
-    """Find files by their suffix; they are not opened.
+def find_files(
+    paths: Iterable[str | Path],
+    check: Callable[[Path], None],
+    fault: Callable[[Path], str | None],
+    nothing: str,
+    likely: Collection[str] = (),
+) -> tuple[list[Path], list[str]]:
+    """Find files of a format: named ones, and those in folders at any depth (hidden ones left out).
 
     Args:
-        paths: files, and folders that are searched with all below them (hidden ones left out).
-        suffix: with its dot.
-        what: they are, for errors.
+        paths: files and folders.
+        check: raises ValueError for a named path that cannot be a file of the format.
+        fault: of a file in a folder, the line why it is skipped; "" for a file of the format, None to say nothing.
+        nothing: said of a folder without such a file.
+        likely: suffixes of the format; where a folder has only bad files of these, the fault of the first is said.
 
     Returns:
-        The files, each once, those of a folder sorted; and no lines, as nothing else is looked at.
+        The files, each once, those of a folder sorted; and the line of each skipped file.
 
     Raises:
-        ValueError: a path that does not exist or has another suffix, a folder without any such file.
+        ValueError: as `check`; a folder without such a file.
     """
     files: dict[Path, Path] = {}
+    skipped: list[str] = []
     for path in map(Path, paths):
         if not path.is_dir():
-            if not path.is_file() or path.suffix != suffix:
-                found = f"a file {path.suffix}" if path.is_file() else "no such file"
-                raise ValueError(f"{path}: {found}, expected {what}; check the path.")
+            check(path)
             files.setdefault(path.resolve(), path)
             continue
-        below = files_below(path, suffix)
-        if not below:
-            raise ValueError(f"{path}: no {suffix} file, expected {what}; name its folder.")
-        for file in below:
-            files.setdefault(file.resolve(), file)
-    return list(files.values()), []
+        faults = {file: fault(file) for file in files_below(path)}
+        if "" not in faults.values():
+            bad = [line for file, line in faults.items() if line and file.suffix.lower() in likely]
+            raise ValueError(bad[0] if bad else f"{path}: {nothing}")
+        for file, line in faults.items():
+            if line == "":
+                files.setdefault(file.resolve(), file)
+            elif line:
+                skipped.append(line)
+    return list(files.values()), skipped
+
+
+def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple[list[Path], list[str]]:
+    """As `find_files`, by suffix (with its dot) alone; `what` such files are, for errors."""
+
+    def check(path: Path) -> None:
+        if not path.is_file() or path.suffix != suffix:
+            found = f"a file {path.suffix}" if path.is_file() else "no such file"
+            raise ValueError(f"{path}: {found}, expected {what}; check the path.")
+
+    nothing = f"no {suffix} file, expected {what}; name its folder."
+    return find_files(paths, check, lambda file: "" if file.suffix == suffix else None, nothing)
 
 
 def has_suffix(path: str | Path, suffix: str) -> bool:
-    """Test whether a path has a suffix, with its dot, or is a folder with a file of it below."""
-    path = Path(path)
-    return path.suffix == suffix or (path.is_dir() and any(path.rglob(f"*{suffix}")))
+    """True for a file of a suffix, with its dot, and for a folder with one below it."""
+    return any(file.suffix == suffix for file in files_of(path))
 
 
 def any_passes(path: Path, suffix: str, test: Callable[[Path], bool]) -> bool:
-    """Test whether a file, or one in a folder at any depth, passes a test; one that cannot be read does not."""
-    for file in files_below(path, suffix) if path.is_dir() else [path]:
+    """True if a file, or one in a folder at any depth, passes a test; one that cannot be read does not."""
+    for file in files_of(path, suffix):
         with contextlib.suppress(ValueError, OSError):
             if test(file):
                 return True
     return False
+
+
+def files_of(path: str | Path, suffix: str = "") -> list[Path]:
+    """A file itself; the `files_below` a folder; [] where there is nothing."""
+    path = Path(path)
+    return files_below(path, suffix) if path.is_dir() else [path] if path.is_file() else []
 
 
 def files_below(folder: Path, suffix: str = "") -> list[Path]:

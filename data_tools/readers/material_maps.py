@@ -32,7 +32,7 @@ from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, is_heif, op
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
-from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
+from metapp.appearance.surface import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
 from metapp.storage.shards import split_auto
@@ -124,7 +124,7 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
     by_source: dict[Path, Material] = {}
     skipped: list[str] = []
     for path in map(Path, paths):
-        files, lines = find_photos([path], expected=(DESCRIPTION,))
+        files, lines = find_photos([path])
         if not path.is_dir():
             material = material_of(path)
             if material is None:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_tools.readers import brdf_task
-from data_tools.readers.listing import files_below
+from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_valid, tabulate
 from metapp.learning.task import Params, Task
 from metapp.storage.files import open_regular, suffixed, write_atomically
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
 UNITS = brdf_task.UNITS
+SUFFIX = ".binary"
 FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)
 
 _HEADER = np.array(SHAPE, dtype="<i4")
@@ -38,49 +39,20 @@ _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find MERL files by size and header; values are not looked at.
-
-    Args:
-        paths: files, and folders that are searched with all below them (hidden ones left out).
-
-    Returns:
-        The files, each once, those of a folder sorted; and a line for each other file of a folder, saying why it was
-        skipped.
-
-    Raises:
-        ValueError: a path that does not exist, a named file that is not a MERL table, a folder without any.
-    """
-    files: dict[Path, Path] = {}
-    skipped: list[str] = []
-    for path in map(Path, paths):
-        if not path.is_dir():
-            _check_file(path)
-            files.setdefault(path.resolve(), path)
-            continue
-        problems = {file: _problem(file) for file in files_below(path)}
-        lines = [line for line in problems.values() if line]
-        if len(lines) == len(problems):
-            # The one thing a folder holds is likely what was meant: say what is wrong with it.
-            nothing = f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder."
-            raise ValueError(lines[0] if len(lines) == 1 else nothing)
-        for file in (file for file, line in problems.items() if not line):
-            files.setdefault(file.resolve(), file)
-        skipped += lines
-    return list(files.values()), skipped
+    """Find MERL files by size and header, as `find_files`; values are not looked at."""
+    nothing = f"no MERL file, expected *.binary files of {_ABOUT}; name their folder."
+    return find_files(paths, _check_file, _problem, nothing, (SUFFIX,))
 
 
 def recognises(path: str | Path) -> bool:
-    """True if a path is this reader's: a file named .binary or of a MERL file's size, or a folder with one below it."""
-    path = Path(path)
-    if path.is_dir():
-        return any(recognises(file) for file in path.rglob("*") if file.is_file())
-    return path.suffix == ".binary" or (path.is_file() and path.stat().st_size == FILE_BYTES)
+    """True for a file named .binary or of a MERL file's size, and for a folder with one below it."""
+    return any(file.suffix == SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a MERL file; `path` without .binary gets it."""
     app.require_isotropic(path.name, "a MERL table")
-    write_merl(suffixed(path, ".binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
+    write_merl(suffixed(path, SUFFIX), tabulate(lambda angles: app.reflectance(theta, angles)))
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:

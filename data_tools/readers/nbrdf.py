@@ -9,7 +9,7 @@ hidden layers are ReLU; reflectance = max(exp(out) - 1, 0), linear RGB in 1/sr. 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.listing import files_below
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
@@ -30,6 +29,7 @@ from metapp.storage.files import write_atomically
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
+UNITS = brdf_task.UNITS
 SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
 
 _FILE = re.compile(r"(?:(?P<name>.*)_)?(?P<part>fc[123]|b[123])\.npy")
@@ -37,50 +37,36 @@ _EXPECTED = "expected fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy"
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find networks by the names of their files; the files are not opened.
-
-    Args:
-        paths: folders of a network, folders with such folders at any depth (hidden ones left out), or names as this
-            function returns them.
+    """Find networks by the names of their files, in folders at any depth (hidden ones left out).
 
     Returns:
-        What `read_nbrdf` takes, each network once, those of a folder sorted: its folder, or folder/name where the
-        files have a name in front; the last part of either is the network's name. And a line for each network below
-        a folder that was skipped since files of it are missing.
+        The places of networks, each once, those of a folder sorted: a network's folder, or folder/name where its files
+        have a name in front. And a line for each network of a folder that lacks files.
 
     Raises:
-        ValueError: a path that is neither, a folder without any whole network.
+        ValueError: a path that is neither folder nor network, a folder without a whole network.
     """
     networks: dict[Path, Path] = {}
     skipped: list[str] = []
     for path in map(Path, paths):
         if not path.is_dir():
-            networks.setdefault(path.resolve(), _locate(path)[0])
+            _files_of(path)
+            networks.setdefault(path.resolve(), path)
             continue
-        groups: dict[Path, set[str]] = {}
-        for file in files_below(path, ".npy"):
-            if match := _FILE.fullmatch(file.name):
-                groups.setdefault(file.parent / (match["name"] or ""), set()).add(match["part"])
-        whole = sorted(network for network, parts in groups.items() if len(parts) == len(SHAPES))
-        broken = [_missing(network, groups[network]) for network in sorted(set(groups) - set(whole))]
+        groups = _networks(files_below(path, ".npy"))
+        whole = sorted(network for network, files in groups.items() if len(files) == len(SHAPES))
+        broken = [_missing(network, groups[network]) for network in sorted(groups.keys() - set(whole))]
         if not whole:
             raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
-        networks.update((network.resolve(), network) for network in whole if network.resolve() not in networks)
+        for network in whole:
+            networks.setdefault(network.resolve(), network)
         skipped += broken
     return list(networks.values()), skipped
 
 
 def recognises(path: str | Path) -> bool:
-    """True if a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
-    path = Path(path)
-    return path.is_dir() and any(_FILE.fullmatch(file.name) for file in path.rglob("*.npy"))
-
-
-def conversion(paths: Sequence[Path], split: str, *, samples: int) -> Conversion:
-    """Conversion of networks to tasks, each named by its folder or by the name in front of its files."""
-    read, notes = partial(read_task, samples=samples), {"made_by": "metapp data nbrdf", "samples": samples}
-    label = lambda source: Label(source.resolve().name)  # noqa: E731
-    return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, read, notes, label)
+    """True for a folder with files named as an NBRDF network's, at any depth."""
+    return Path(path).is_dir() and bool(_networks(files_below(Path(path), ".npy")))
 
 
 def export(app: Brdf, theta: Params, folder: Path) -> None:
@@ -113,7 +99,7 @@ def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
     Raises:
         ValueError: no such folder, missing files, several networks, another shape or type, values that are not finite.
     """
-    _, files = _locate(Path(folder))
+    files = _files_of(Path(folder))
     return {part: _read_part(files[part], shape) for part, shape in SHAPES.items()}
 
 
@@ -164,38 +150,38 @@ def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles:
     return torch.expm1(hidden @ w["fc3"] + w["b3"]).clamp_min(0)
 
 
-def _locate(path: Path) -> tuple[Path, dict[str, Path]]:
-    """The place of one network, as `find` names it, and its files."""
-    folder, only = (path, None) if path.is_dir() else (path.parent, path.name)
-    if path.is_file() or not folder.is_dir():
-        found = "a file" if path.is_file() else "no such folder"
-        raise ValueError(f"{path}: {found}, {_EXPECTED} in a folder; check the path.")
-    if only is not None:  # without a look at all files, of which a folder of many networks has six for each
-        own = {part: file for part in SHAPES if (file := folder / f"{only}_{part}.npy").is_file()}
-        if not own:
-            raise ValueError(f"{path}: no such folder, {_EXPECTED} in it, or {only}_fc1.npy, ...; check the path.")
-        return _whole(path, own)
-    groups: dict[str, dict[str, Path]] = {}
-    for file in sorted(folder.iterdir()):
-        match = _FILE.fullmatch(file.name)
-        if match and file.is_file():  # a pipe would be waited for
-            groups.setdefault(match["name"] or "", {})[match["part"]] = file
-    if "" not in groups and len(groups) > 1:
-        names = ", ".join(sorted(groups))
-        raise ValueError(f"{folder}: {len(groups)} networks ({names}), expected one; name it: {folder / min(groups)}.")
-    name = "" if "" in groups or not groups else next(iter(groups))
-    return _whole(folder / name, groups.get(name, {}))
+def _networks(files: Iterable[Path]) -> dict[Path, dict[str, Path]]:
+    """Files of networks, by place and part."""
+    networks: dict[Path, dict[str, Path]] = {}
+    for file in files:
+        if match := _FILE.fullmatch(file.name):
+            networks.setdefault(file.parent / (match["name"] or ""), {})[match["part"]] = file
+    return networks
 
 
-def _whole(network: Path, files: dict[str, Path]) -> tuple[Path, dict[str, Path]]:
-    """A network and its files, of which none may be missing."""
+def _files_of(network: Path) -> dict[str, Path]:
+    """The files of one network by part; ValueError where some are missing, or a folder has several networks."""
+    if network.is_dir():
+        # a pipe would be waited for
+        networks = _networks(sorted(file for file in network.iterdir() if file.is_file()))
+        if network not in networks and len(networks) > 1:
+            names = ", ".join(place.name for place in sorted(networks))
+            found = f"{len(networks)} networks ({names})"
+            raise ValueError(f"{network}: {found}, expected one; name it: {min(networks)}.")
+        network = network if network in networks or not networks else next(iter(networks))
+        files = networks.get(network, {})
+    else:  # without a look at a folder of many networks
+        files = {part: file for part in SHAPES if (file := network.parent / f"{network.name}_{part}.npy").is_file()}
+        if not files:
+            found = "a file" if network.is_file() else "no such folder"
+            raise ValueError(f"{network}: {found}, {_EXPECTED} in it, or {network.name}_fc1.npy, ...; check the path.")
     if len(files) < len(SHAPES):
-        raise ValueError(_missing(network, set(files)))
-    return network, files
+        raise ValueError(_missing(network, files))
+    return files
 
 
-def _missing(network: Path, parts: set[str]) -> str:
-    missing = ", ".join(part for part in SHAPES if part not in parts)
+def _missing(network: Path, files: Mapping[str, Path]) -> str:
+    missing = ", ".join(part for part in SHAPES if part not in files)
     return f"{network}: no file for {missing}, {_EXPECTED}; the network is incomplete."
 
 

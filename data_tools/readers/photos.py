@@ -8,7 +8,7 @@ view is.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from data_tools.readers.flash_places import TEXTS
 from data_tools.readers.image_files import (
     CONFIG,
     EXPECTED,
@@ -31,8 +32,9 @@ from data_tools.readers.image_files import (
     read_pixels,
     to_export,
 )
-from data_tools.readers.listing import files_below
+from data_tools.readers.listing import files_below, find_files
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
 
 SIZE = 256  # px, of a task's picture unless another one is asked for
@@ -42,45 +44,24 @@ FRAME_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film"
 _MIN_DEVIATION = 1 / 255
 _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
 
+BESIDE = ("metadata.json", DESCRIPTION, *TEXTS)  # texts that belong in folders of images
+
 Floats = NDArray[np.floating]
 
 
-def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> tuple[list[Path], list[str]]:
-    """Find image files by their suffix, others by what OpenImageIO says of them; pixels are not looked at.
+def find_photos(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find image files, as `find_files`; reading a named file says what is wrong with it."""
+    nothing = f"no image in this folder, {EXPECTED}; name the folder of the photographs."
+    return find_files(paths, check_exists, fault_of, nothing, NAMED)
 
-    Args:
-        paths: files, and folders that are searched with all below them (hidden ones left out).
-        expected: names of files that are no images but belong in such a folder.
 
-    Returns:
-        The files, each once, those of a folder sorted; and a line for each other file of a folder. A named file is
-        returned as it is, if it exists: reading it says what is wrong with it.
-
-    Raises:
-        ValueError: a path that does not exist, a folder without any image that can be read.
-    """
-    files: dict[Path, Path] = {}
-    skipped: list[str] = []
-    for path in map(Path, paths):
-        if not path.is_dir():
-            check_exists(path)
-            files.setdefault(path.resolve(), path)
-            continue
-        found = 0
-        unread = []
-        for file in files_below(path):
-            if file.suffix.lower() in SUFFIXES or opens(file):
-                files.setdefault(file.resolve(), file)
-                found += 1
-            elif file.suffix.lower() in NAMED:
-                unread.append(to_export(file))
-            elif file.name not in expected:
-                skipped.append(f"{file}: not an image that can be read, {EXPECTED}.")
-        if not found:
-            nothing = f"{path}: no image in this folder, {EXPECTED}; name the folder of the photographs."
-            raise ValueError(unread[0] if unread else nothing)
-        skipped += unread
-    return list(files.values()), skipped
+def fault_of(file: Path) -> str | None:
+    """The line why a file is no image, by its suffix, else by OpenImageIO; "" for an image, None for BESIDE."""
+    if file.suffix.lower() in SUFFIXES or opens(file):
+        return ""
+    if file.suffix.lower() in NAMED:
+        return to_export(file)
+    return None if file.name in BESIDE else f"{file}: not an image that can be read, {EXPECTED}."
 
 
 def is_photo(path: str | Path) -> bool:

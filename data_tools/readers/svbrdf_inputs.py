@@ -6,12 +6,11 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from data_tools.readers import material_maps, strips
-from data_tools.readers.flash_places import TEXTS, placed_in
+from data_tools.readers.flash_places import placed_in
 from data_tools.readers.image_files import Pixels, check_exists
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of, read_photo
 from data_tools.readers.svbrdf_task import UNITS, rightly_exposed, task_name
 from metapp.appearance.flash import FOV_RAD
-from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
 
 __all__ = ["UNITS", "find", "read_task", "recognises"]
@@ -37,7 +36,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
         ValueError: as `data_tools.readers.photos.find_photos`.
     """
     named = list(map(Path, paths))
-    files, skipped = find_photos(named, expected=(DESCRIPTION, *TEXTS))
+    files, skipped = find_photos(named)
     placed = [folder for path in named if path.is_dir() for folder in placed_in(path)]
     files = [file for file in files if file in named or _elsewhere([file], placed)]
     stands_for: dict[Path, Path | None] = {}

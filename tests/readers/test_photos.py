@@ -277,11 +277,10 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     write(tmp_path / "deep" / "picture.png", noise(32, 32)).rename(tmp_path / "deep" / "picture")
     text(tmp_path / "notes.txt")
-    text(tmp_path / "list.json")
+    text(tmp_path / "metadata.json")
     files, skipped = find_photos([tmp_path, tmp_path / "deep"])
     assert [str(file.relative_to(tmp_path)) for file in files] == ["a.png", "b.JPG", "deep/er/c.tiff", "deep/picture"]
-    assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["list.json", "notes.txt"]
-    assert find_photos([tmp_path], expected=["list.json"])[1] == skipped[1:]
+    assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["notes.txt"]
     assert find_photos([tmp_path / "notes.txt"]) == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
     for name, holds in {"": True, "deep/picture": True, "notes.txt": False, "nothing": False}.items():
         assert holds_photos(tmp_path / name) == holds, name

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_tools.readers import latlong
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.listing import files_below
+from data_tools.readers.listing import files_of
 from data_tools.readers.photos import find_photos, is_photo, photo_of
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
@@ -20,7 +20,7 @@ _BETTER = 1.2  # of its score, that another ball must have
 
 def recognises(path: Path) -> bool:
     """True if a path is an LDR image, or a folder with one below it."""
-    return any(is_photo(file) and not latlong.is_map(file) for file in (files_below(path) if path.is_dir() else [path]))
+    return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path))
 
 
 def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
