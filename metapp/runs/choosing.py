@@ -66,10 +66,12 @@ def _lacking(recipe: Recipe) -> str:
 
 def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]]) -> str:
     """The kind of all inputs, "" for none; BadOption where they are of several and a recipe is for one of them."""
+    # of what is neither a file nor a folder, whatever reads it says so
+    paths = [path for path in options.paths if path.is_file() or path.is_dir()]
     kinds = [
         (_kind_of_path(form, path), form, path)
         for form in inputs_of(options.app).values()
-        for path in options.paths
+        for path in paths
         if form.load().recognises(path)
     ]
     chosen = next((each for kind in by_kind for each in kinds if each[0] == kind), None)
