@@ -81,7 +81,7 @@ def _check_settings(record: Document) -> None:
 
 def holds_runs(path: Path) -> bool:
     """True of what `read_run` may take for the folder of a task, of a run or of runs."""
-    return (path / RECORD).is_file() or bool(_records_below(path, "*/", "*/*/", "*/*/*/"))
+    return (path / RECORD).exists() or bool(_records_below(path, "*/", "*/*/", "*/*/*/"))
 
 
 def _records_below(folder: Path, *places: str) -> list[Path]:
