@@ -128,7 +128,7 @@ def test_measured_samples_keep_phi_h_where_it_counts(count: int) -> None:
 def test_forms_without_phi_h_are_refused_in_one_line(metapp: Callable, tmp_path: Path) -> None:
     metapp("data", "synth", "brdf", "--anisotropic", "--count", 5, "--out", tmp_path / "set")
     metapp("meta", "brdf", "--data", tmp_path / "set", "--out", tmp_path / "runs", "--quiet")
-    (run,) = (tmp_path / "runs" / "brdf" / "meta").iterdir()
+    (run,) = (tmp_path / "runs" / "brdf").iterdir()
     for form, words in (("merl", "a MERL table has no phi_h"), ("nbrdf", "the NBRDF network has no phi_h")):
         refused = metapp("export", run, form)
         assert words in refused.error

@@ -20,7 +20,7 @@ def runs(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFa
     folder = tmp_path_factory.mktemp("overwrite")
     network = shutil.copytree(neural_fits(1) / "m0", folder / "m0")
     run_small("meta", "brdf", network, "--rule", "meta-curvature", "--steps", "1", "--out", folder / "runs", "--quiet")
-    (run,) = (folder / "runs" / "brdf" / "meta").iterdir()
+    (run,) = (folder / "runs" / "brdf").iterdir()
     run.rename(folder / "run")
     return folder
 

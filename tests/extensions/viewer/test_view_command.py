@@ -101,10 +101,10 @@ def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Call
     for file in Path("mine/m1").iterdir():
         file.touch()
     assert referenced() == ["m0", "m1"]
+    shutil.copytree("mine", "copies", copy_function=shutil.copyfile)
     shutil.rmtree("mine/m1")
     shutil.copytree("mine/m0", "mine/m1", copy_function=shutil.copyfile)
     assert referenced() == ["m0"]
-    shutil.copytree("mine", "copies", copy_function=shutil.copyfile)
     shutil.rmtree("mine")
     assert referenced() == []
     assert referenced("--input", "copies") == ["m0", "m1"]
