@@ -24,7 +24,12 @@ from metapp.runs.api import fit_all
 
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 APPS = ("brdf", "texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination", "transport")
-SIZES = {"texture": "128", "svbrdf_stationary": "128", "svbrdf_nonstationary": "64", "illumination": "32"}
+SIZES = {
+    "texture": ("--size", "128"),
+    "svbrdf_stationary": ("--size", "128"),
+    "svbrdf_nonstationary": ("--size", "64"),
+    "illumination": ("--rows", "32"),
+}
 STEPS = {"overfit": 4, "finetune": 4}  # of Adam; the others take those of their checkpoints
 Values = dict[str, list[float]]
 
@@ -47,8 +52,7 @@ def summary(tensor: Tensor) -> list[float]:
 def fits(app: str, folder: Path) -> Values:
     """Errors of two test tasks by all paradigms, and summaries of their parameters."""
     data = folder / app
-    size = ("--size", SIZES[app]) if app in SIZES else ()
-    run("data", "synth", app, "--count", 10, *size, "--out", data, "--quiet")
+    run("data", "synth", app, "--count", 10, *SIZES.get(app, ()), "--out", data, "--quiet")
     values: Values = {}
     protocols = ("reference", "photo") if app in ("svbrdf_nonstationary", "illumination") else ("",)
     for observe in protocols:
