@@ -264,8 +264,8 @@ meta --rule adam+magic                 | rule 'adam+magic': 'magic' is unknown, 
 meta --rule adam+tied                  | rates and shared for rates, expected one of
 meta --rule meta-lgd                   | rule 'meta-lgd': its part network does not apply to brdf: no parameter
 meta --rule adam+curvatur              | Did you mean 'curvature'?
-overfit --steps 99999999999999999999   | steps: 99999999999999999999, expected 0 to 1,000,000,000
-general --train --train-steps 99999999999999999999 | train_steps: 99999999999999999999, expected 0 to 1,000,000,000
+overfit --steps 99999999999999999999   | --steps 99999999999999999999: expected 0 to 1,000,000,000
+general --train --train-steps 99999999999999999999 | --train-steps 99999999999999999999: expected 1 to 1,000,000,000
 """
 MISUSED_ELSEWHERE = """
 meta brdfs                             | brdfs ; expected one of brdf ; Did you mean 'brdf'?
@@ -273,7 +273,7 @@ mta                                    | Did you mean 'meta'?
 meta texture --export png61            | Did you mean 'png16'?
 meta illumination --rule meta-basis    | its part average does not apply to illumination
 data synth brdf --seed 99999999999999999999        | '--seed': Input should be less than or equal to 92233720368547758
-data nbrdf m --out set --samples 99999999999999999 | '--samples': Input should be less than or equal to 10000000
+data nbrdf m --out set --samples 99999999999999999 | --samples 99999999999999999: expected 2 to 10,000,000
 """
 
 
