@@ -28,12 +28,9 @@ def from_object(source: object, name: str, **_: object) -> Task:
     """Make the task of a BRDF in memory, with phi_h where it is anisotropic.
 
     Args:
-        source: one of
-            f(wi, wo) -> reflectance in 1/sr without the cosine, linear RGB [N, 3] or gray [N], a numpy array or a
-            tensor, of unit vectors [N, 3] in the surface's frame (z its normal), float32 arrays, to light and viewer;
-            (wi, wo, reflectance), arrays [N, 3] of measured samples, 4 or more; each counts as it is; of more than
-            1,000 half are held out;
-            a BSDF of Mitsuba in an RGB variant that is not scalar, such as `mi.load_dict({"type": "roughconductor"})`.
+        source: f(wi, wo) -> reflectance in 1/sr without the cosine, linear RGB [N, 3] or gray [N], of float32 unit
+            vectors [N, 3] to light and viewer (z the normal); or (wi, wo, reflectance), arrays [N, 3] of measured
+            samples, as `task_of_pairs`; or a BSDF of Mitsuba in an RGB variant that is not scalar.
         name: of the task.
 
     Raises:
@@ -103,11 +100,7 @@ def _array(name: str, values: object, what: str) -> Tensor:
 
 
 def unit_vectors(name: str, values: object, what: str) -> Tensor:
-    """Directions, an array or a tensor, as unit vectors [N, 3], float64.
-
-    Raises:
-        ValueError: another shape, type or length.
-    """
+    """Directions as unit vectors [N, 3], float64; ValueError for another shape, type or length."""
     array = _array(name, values, what)
     lengths = array.norm(dim=1, keepdim=True)
     if not ((lengths - 1).abs() < 1e-3).all():

@@ -47,16 +47,13 @@ def brdf_task(
 ) -> Task:
     """Make the task of one material.
 
-    Samples are draws uniform in theta_h, theta_d in [0, pi/2] and phi_d in [0, 2 pi] (as Sztrajman et al. 2021 sample:
-    what evaluates a network does not fold phi_d by reciprocity), kept where light and view are above the horizon,
-    stratified (scrambled Sobol). The first half is what a fit may see, the second half is held out; each half is
-    stratified by itself and in random order, so any prefix is well spread. Without a table the angles are the same for
-    all materials of the same `samples` and `seed`.
+    Samples are draws uniform in theta_h, theta_d in [0, pi/2] and phi_d in [0, 2 pi] (as Sztrajman et al. 2021 sample),
+    kept where light and view are above the horizon, stratified (scrambled Sobol). The first half is for fits to see,
+    the second half held out; each half is stratified and in random order, so any prefix is well spread.
 
-    With a table, each draw moves to the centre of its bin, where its value was measured: nothing is interpolated. A
-    bin stands for phi_d and, by reciprocity, phi_d + pi: the sample is on the draw's side. Invalid bins are left out,
-    and so are bins that an earlier draw has, on either side, since a held-out sample must not have been seen; further
-    draws replace them. Only the picture interpolates.
+    Of a table, each draw moves to the centre of its bin, on its side of phi_d and phi_d + pi: nothing is interpolated
+    but the picture. Invalid bins are left out, and so are bins that an earlier draw has, on either side, since a
+    held-out sample must not have been seen; further draws replace them.
 
     Args:
         name: of the material.
@@ -64,7 +61,7 @@ def brdf_task(
         samples: N, 2 or more.
         seed: of the draws.
         source: the file that errors name; the material's name where there is none.
-        azimuths: whether the material is anisotropic: it is evaluated at four angles, of which phi_h is uniform.
+        azimuths: whether the material is anisotropic and takes phi_h, too, which is uniform.
 
     Returns:
         A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
@@ -186,13 +183,7 @@ def measured_task(
 
 
 def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor], Tensor]) -> None:
-    """One warning where no material reflects so: nothing, far too bright, or more than comes in.
-
-    Args:
-        source: named in the warning.
-        task: of a BRDF, with its samples.
-        evaluate: reflectance [..., 3] in 1/sr of angles [..., 3] rad.
-    """
+    """Warn of a task, and of the BRDF that evaluates it, that reflects nothing, far too much, or more than comes in."""
     reflectance = task.data["reflectance"]
     high = float(reflectance.max())
     albedo = float(normal_albedo(evaluate, azimuths="phi_h" in task.data).max())
@@ -208,11 +199,8 @@ def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor]
 
 
 def normal_albedo(evaluate: Callable[[Tensor], Tensor], *, azimuths: bool = False) -> Tensor:
-    """The share of light from straight above that is reflected, linear RGB [3].
-
-    The half vector is in the middle, so theta_h = theta_d = theta_o / 2. With `azimuths`, of an anisotropic
-    material, the mean over phi_h.
-    """
+    """The share of light from straight above that is reflected, linear RGB [3]; with azimuths, the mean over phi_h."""
+    # the half vector is in the middle: theta_h = theta_d = theta_o / 2
     theta = (torch.arange(_RINGS) + 0.5) / _RINGS * (math.pi / 2)
     phi = (torch.arange(_TURNS) + 0.5) / _TURNS * math.pi
     half = (theta / 2)[:, None].expand(-1, _TURNS)

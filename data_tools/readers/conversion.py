@@ -11,10 +11,7 @@ if TYPE_CHECKING:
 
 
 class Label(NamedTuple):
-    """A task's name, its group (of tasks that show the same), and its split where auto is asked for.
-
-    "" for no group; a split of "" is that of the rule of `metapp.storage.shards.split_auto`.
-    """
+    """A task's name, its group (of tasks that show the same; "" for none), and its split ("" for that of the rule)."""
 
     name: str
     group: str = ""
@@ -26,16 +23,23 @@ def label_of_stem(source: Path) -> Label:
     return Label(source.stem if source.is_file() else source.resolve().name)
 
 
+def split_groups(labels: Mapping[Path, Label]) -> dict[Path, Label]:
+    """Labels with a split each, that of their group: of the sorted groups, every fifth is for tests."""
+    from metapp.storage.shards import split_auto  # here: it imports torch, and --help imports this module
+
+    split = split_auto(label.group for label in labels.values())
+    return {source: label._replace(split=split[label.group]) for source, label in labels.items()}
+
+
 class Conversion(NamedTuple):
     """The way from the files of one conversion to tasks.
 
     Attributes:
         app: the application of the tasks.
-        noun: what one source is called, such as "MERL file".
+        noun: the name of one source, such as "MERL file".
         units: of the tasks' tensors, by name.
-        find: paths -> sources, and a line for each file of a folder that is none; ValueError for a bad named path.
-        read: source -> the task; ValueError where it is damaged.
-        notes: what the manifest should say about the conversion.
+        find, read: as of a format's module, `find` and `read_task`.
+        notes: what the manifest says about the conversion.
         label: source -> the task's name, group and split.
         remarks: what a person should know about the split.
     """

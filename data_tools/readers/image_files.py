@@ -1,7 +1,6 @@
 """Image files: open, check and decode them, upright and as they are encoded.
 
-OpenImageIO reads the files, pillow-heif those in HEIF (.heic), as phones write them: `pip install "metapp[heic]"`.
-libheif turns the picture as the file says and decodes it to 8 bits; AVIF, and files of other encoders, are left out.
+OpenImageIO reads the files, pillow-heif those in HEIF (.heic), as phones write them, decoded to 8 bits; not AVIF.
 """
 
 from __future__ import annotations
@@ -48,12 +47,12 @@ Array = NDArray[Any]
 
 
 class Pixels(NamedTuple):
-    """A file's values.
+    """A picture's values.
 
     Attributes:
         values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
-        space: the name OpenColorIO has for the encoding of the first three channels.
-        is_premultiplied: these are multiplied by alpha.
+        space: encoding of the colours, by OpenColorIO's name.
+        is_premultiplied: whether colours are multiplied by alpha.
         focal_mm: focal length as of 35 mm film; 0 where the file does not say.
     """
 
@@ -64,11 +63,7 @@ class Pixels(NamedTuple):
 
 
 def check_exists(path: Path) -> None:
-    """Refuse a path that is no file.
-
-    Raises:
-        ValueError: it is a folder, or nothing.
-    """
+    """Refuse a folder, and a path of nothing."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise ValueError(f"{path}: {found}, {EXPECTED}; check the path.")
@@ -109,11 +104,7 @@ def open_image(path: Path) -> oiio.ImageInput:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[oiio.ImageInput]:
-    """An image file as `open_image` gives it, closed at the end; libraries say nothing meanwhile.
-
-    Raises:
-        ValueError: no such file, no image, one whose text is not UTF-8.
-    """
+    """An open image file; libraries say nothing meanwhile. ValueError: no such file, no image, text not UTF-8."""
     check_exists(path)
     with silent(), contextlib.closing(open_image(path)) as source:
         try:
@@ -133,7 +124,8 @@ def read_pixels(path: Path) -> Pixels:
     """A whole file, upright, as it is encoded.
 
     Raises:
-        ValueError: as `read_photo`, but for NaN and a picture of one colour.
+        ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than 2^28
+            px; channels other than gray or RGB.
     """
     check_exists(path)
     if is_heif(path):
@@ -182,11 +174,7 @@ def _read_heif(path: Path) -> Pixels:
 
 
 def pixels_of_pil(image: PilImage, name: str) -> Pixels:
-    """A picture of PIL, upright, with the encoding and the focal length that it states.
-
-    Raises:
-        ValueError: one that cannot be decoded.
-    """
+    """A picture of PIL, upright, with the encoding and focal length that it states; ValueError for a damaged one."""
     from PIL import ImageOps
 
     try:
@@ -199,11 +187,7 @@ def pixels_of_pil(image: PilImage, name: str) -> Pixels:
 
 
 def check_size(width: int, height: int, path: Path | str) -> None:
-    """Refuse a picture that is too small or too large; `path` names it.
-
-    Raises:
-        ValueError: a side below 32 px, more than 2^28 px.
-    """
+    """Refuse a picture of a side below 32 px or of more than 2^28 px; `path` names it."""
     found = f"{width}x{height} px"
     check_pixels(width, height, path)
     if min(width, height) < _MIN_SIDE:
@@ -281,14 +265,12 @@ def _description(profile: bytes | None) -> str:
 
 
 def focal_length_of(exif: bytes | None) -> float:
-    """The same of an EXIF block, as HEIF files hold it."""
+    """The focal length in mm as of 35 mm film of an EXIF block; 0 where it does not say or is damaged."""
     from PIL import Image
 
     parsed = Image.Exif()
-    with (
-        contextlib.suppress(Exception),
-        warnings.catch_warnings(action="ignore"),
-    ):  # Pillow's reader of TIFF raises whatever a damaged block makes of it
+    # Pillow's reader of TIFF raises whatever a damaged block makes of it
+    with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
         parsed.load(exif or b"")
         return float(max(0, int(parsed.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
     return 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -39,6 +39,7 @@ UNITS = {
 }
 
 _SUFFIXES = (".exr", ".hdr", ".rgbe")
+_FLOATS = ("half", "float", "double")
 _MIN_HEIGHT = 32
 _MAX_PIXELS = 2**27  # 16,384 x 8,192 px are 1.6 GB
 _NEGATIVE = 1e-3  # of all light: far more than compression and conversions leave around 0
@@ -61,59 +62,29 @@ def is_latlong(height: int, width: int) -> bool:
     return abs(width - 2 * height) <= 2
 
 
-class Header(NamedTuple):
-    """Type and size of a file's pixels."""
-
-    kind: str
-    width: int
-    height: int
-
-    @property
-    def is_hdr(self) -> bool:
-        """True if they are floating-point values."""
-        return self.kind in ("half", "float", "double")
-
-    def __str__(self) -> str:
-        return f"{self.width}x{self.height} px"
-
-
 def read_task(path: Path, rows: int = HEIGHT) -> Task:
-    """Turn an HDR map into a task named by the file's stem, as `map_task`; the photographs depend on the name alone.
-
-    Args:
-        path: the file.
-        rows: of the map.
-
-    Raises:
-        ValueError: as `read_map`.
-    """
-    light = read_map(path, rows)
-    return map_task(path.stem, light, _draws(path.stem), rows)
+    """An HDR map as a task of so many rows, as `map_task`, named by the file's stem; errors as of `read_map`."""
+    return map_task(path.stem, read_map(path, rows), _draws(path.stem), rows)
 
 
 def task_of_array(radiance: NDArray[np.float32], name: str, size: int = HEIGHT) -> Task:
-    """The same of linear Rec.709 radiance in memory, float32 [H, 2 H, 3]."""
+    """As `read_task`, of linear Rec.709 radiance float32 [H, 2 H, 3]."""
     _check_shape(name, *radiance.shape[:2])
     light = _light_of([radiance[..., channel] for channel in range(3)], torch.eye(3), name, size)
     return map_task(name, light, _draws(name), size)
 
 
 def _draws(name: str) -> Rng:
+    """The random numbers of a map's photographs, which depend on its name alone."""
     return stream(*hashlib.sha256(name.encode()).digest())
 
 
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
-    """A map as a task.
-
-    Args:
-        name: of the task.
-        light: [3, H, W] linear Rec.709 radiance, >= 0, not black.
-        rng: of the photographs' materials and cameras.
-        rows: of the task's map.
+    """A map, linear Rec.709 radiance [3, H, W] >= 0, not black, as a task.
 
     Returns:
         `map` [3, rows, 2 * rows] of mean luminance 1, `scale` [], the mean luminance before, and `photos` uint8
-        [4, 3, 64, 64] of spheres under the map.
+        [4, 3, 64, 64] of spheres under the map, of materials and cameras that `rng` draws.
     """
     light = resample(light.float(), rows, 2 * rows)
     scale = mean_luminance(light)
@@ -125,7 +96,12 @@ def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
 
 def is_map(path: Path) -> bool:
     """True if a file is an HDR image, which holds floating-point values."""
-    return path.suffix.lower() in _SUFFIXES or (opens(path) and header_of(path).is_hdr)
+    if path.suffix.lower() in _SUFFIXES:
+        return True
+    if not opens(path):
+        return False
+    with opened(path) as source:
+        return str(source.spec().format) in _FLOATS
 
 
 def recognises(path: Path) -> bool:
@@ -145,30 +121,24 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
-    """Read a lat-long map, averaged over equal parts of the sphere of directions.
+    """A lat-long map, averaged over solid angle: linear Rec.709 radiance, float32 [3, height, 2 * height], >= 0.
 
     A gray file (Y) gets three equal channels, of several layers the first one in RGB counts, alpha does not. Negative
     values become 0, if together they are less than 0.1 % of the light, and so do colours that Rec.709 cannot hold.
-
-    Args:
-        path: the file.
-        height: rows of the result.
-
-    Returns:
-        Linear Rec.709 radiance, float32 [3, height, 2 * height], >= 0, in the file's unit.
 
     Raises:
         ValueError: no such file, no image, an LDR one, a damaged one; not 2 : 1 (but for a row), below 32 or over 2^27
             px; channels other than RGB or Y; no linear space; NaN, infinite or negative values; a black map.
     """
     path = Path(path)
-    header = header_of(path)
-    if not header.is_hdr:
+    with opened(path) as source:
+        spec = source.spec()
+    if str(spec.format) not in _FLOATS:
         raise ValueError(
-            f"{path}: an LDR image ({header.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
+            f"{path}: an LDR image ({spec.format}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
             "photo."
         )
-    _check_shape(path, header.height, header.width)
+    _check_shape(path, spec.height, spec.width)
     return _light_of(*_read(path), path, height)
 
 
@@ -190,13 +160,6 @@ def _light_of(planes: Sequence[NDArray[np.float32]], to_rec709: Tensor, subject:
     if not mean_luminance(light) > 0:
         raise ValueError(f"{subject}: black all over, expected a map with some light; leave it out.")
     return light
-
-
-def header_of(path: Path) -> Header:
-    """Type and size of an image; ValueError where it is none."""
-    with opened(path) as source:
-        spec = source.spec()
-        return Header(str(spec.format), spec.width, spec.height)
 
 
 def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:

@@ -1,16 +1,16 @@
 """Materials that are kept as separate maps in a folder, under the usual names, as tasks.
 
 A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
-a folder of the material's name: case does not count, a size at the end neither, and `_`, `-`, `.`, space or a capital
-part words. Colours of integer files are sRGB, all other maps are data.
+a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
+maps are data.
 
-Several roles say the same thing: roughness = 1 - gloss where there is no roughness, and with a metallic map m
-diffuse = base (1 - m) and specular = 0.04 (1 - m) + base m, a specular map being left aside, but for a diffuse map
-beside the base colour, as in metapp's asset folders. Without both, specular is 0.04.
+Roughness is 1 - gloss where there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
+base m, a specular map being left aside, but for a diffuse map beside the base colour, as in metapp's asset folders.
+Without both, specular is 0.04.
 
 Old games keep a colour without any role in its name, `rock.png`, beside `rock_norm.png` and `rock_gloss.png`. Their
-gloss is no smoothness but the strength g of a highlight, in display values. It is converted to the roughness at which a
-GGX lobe of specular 0.04 peaks as bright: pi D F / 4 = g, so alpha^2 = 0.01 / g, at most 1.
+gloss is the strength g of a highlight, in display values: the roughness is that of a GGX lobe of specular 0.04 whose
+peak is as bright, pi D F / 4 = g, so alpha^2 = 0.01 / g, at most 1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.conversion import Conversion, Label
+from data_tools.readers.conversion import Conversion, Label, split_groups
 from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
@@ -35,7 +35,6 @@ from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
-from metapp.storage.shards import split_auto
 
 __all__ = ["UNITS", "find", "read_task", "recognises", "task_name"]
 
@@ -66,13 +65,7 @@ _EXPECTED = "expected names such as rock_diffuse.png, rock_normal.png, rock_roug
 
 
 class Material(NamedTuple):
-    """The maps of a material.
-
-    Attributes:
-        folder: that holds them.
-        name: as the files say; "" where they state their role alone.
-        files: by role.
-    """
+    """The maps of a material: their folder, its name in files ("" for none), and the files by role."""
 
     folder: Path
     name: str
@@ -98,8 +91,7 @@ class Material(NamedTuple):
 
 
 def recognises(path: Path) -> bool:
-    """True if a path is a folder with a material below it, or one of the maps of a material."""
-    path = Path(path)
+    """True for one of the maps of a material, and for a folder with a material at any depth."""
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
     folders = (path, *(below for below in path.rglob("*") if below.is_dir()))
@@ -113,10 +105,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[str]]:
-    """Find materials in folders at any depth; a named file stands for its material.
-
-    Returns:
-        The materials, each once, and a line for each file that is no map of one, but for such as heights.
+    """All materials of folders at any depth and of named maps, and a line for each file that is no map of one.
 
     Raises:
         ValueError: a path that does not exist, a folder without a map.
@@ -174,7 +163,7 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
 
 
 def lies_aside(file: Path) -> bool:
-    """True if a file's name says that it belongs to a material but is no map of use here: heights, previews."""
+    """True for a file of a material that is of no use here, by its name, such as heights."""
     return _parts(file.stem)[1] == ""
 
 
@@ -197,14 +186,14 @@ def _parts(stem: str) -> tuple[str, str | None]:
 
 
 def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
-    """Turn the material that a map belongs to into a task, photographed by the renderer.
+    """The material that a map belongs to as a task, photographed by the renderer.
 
     Args:
         source: one of its maps.
         size: side in px; of each map the central square counts.
-        normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else what a height field
-            could have, up if that is not clear.
-        least: what maps that are all smaller than `size` are enlarged to, if at all; 0: to `size`.
+        normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else as a height field
+            could have it, up if that is not clear.
+        least: as of `photo_of`, where all maps are smaller.
 
     Raises:
         ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
@@ -217,7 +206,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
 
 
 def task_of_pixels(maps: Mapping[str, tuple[str, Pixels]], name: str, size: int = SIZE, least: int = 0) -> Task:
-    """The same of maps in memory, each with its role, by the words that are their names."""
+    """As `read_task`, of maps in memory by their names, each with its role."""
     files = {Path(f"{name}_{word}"): pixels for word, (_, pixels) in maps.items()}
     roles: dict[str, tuple[Path, ...]] = {}
     for file, (role, _) in zip(files, maps.values(), strict=True):
@@ -227,7 +216,7 @@ def task_of_pixels(maps: Mapping[str, tuple[str, Pixels]], name: str, size: int 
 
 
 def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
-    """The same of a material that was found."""
+    """As `read_task`, of a material that was found."""
     size = side_of(max(map(_side, _choose(material).values())), size, least) if least else size
     return _task(material, read_pixels, size, normals)
 
@@ -274,10 +263,9 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) ->
 
 
 def mixed_slopes(normal: Tensor) -> float:
-    """Likeness of the two mixed second derivatives of the height that normals [3, H, W] tell, in [-1, 1].
+    """Correlation 2 <u v> / <u^2 + v^2> of the mixed second derivatives of a height with normals [3, H, W].
 
-    2 <u v> / <u^2 + v^2> for u the slope along x derived along y (up), v the other: a height field has u = v, one whose
-    y is turned over u = -v. 0 for a plane.
+    A height field has u = v and 1, one whose y is turned over -1, a plane 0.
     """
     slopes = -normal[:2] / normal[2:].clamp_min(0.1)
     along_x = (slopes[1, :, 2:] - slopes[1, :, :-2])[1:-1]
@@ -287,11 +275,7 @@ def mixed_slopes(normal: Tensor) -> float:
 
 
 def split_materials(materials: Sequence[Material]) -> dict[Path, Label]:
-    """Name, group and split of each material, by its file that stands for all.
-
-    Materials with the very same file of normals are variants and belong together. Of the sorted groups, every fifth is
-    for tests.
-    """
+    """Labels of materials by their `source`; those with the very same file of normals are a group, as variants."""
     labels: dict[Path, Label] = {}
     groups: dict[str, str] = {}
     for material in materials:
@@ -299,8 +283,7 @@ def split_materials(materials: Sequence[Material]) -> dict[Path, Label]:
         digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
         labels[material.source.resolve()] = Label(task_name(material.title), group)
-    splits = split_auto(groups.values())
-    return {source: label._replace(split=splits[label.group]) for source, label in labels.items()}
+    return split_groups(labels)
 
 
 def _choose(material: Material) -> dict[str, Path]:

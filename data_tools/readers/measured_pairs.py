@@ -46,17 +46,11 @@ class Pairs(NamedTuple):
 
 
 def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
-    """Turn measurements into a BRDF task.
+    """Measurements above the surface as a BRDF task; `source` is the file that errors name.
 
-    Nothing is resampled: the samples are the measurements, in random order, half of them for fits to see; where there
-    are FEW at most, fits see all of them, and errors are of what fits saw. Those of the same half and difference
-    angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen. There is no picture of a sphere:
-    it would be interpolated, and no reference.
-
-    Args:
-        name: of the task.
-        pairs: above the surface.
-        source: the file that errors name; the task's name where there is none.
+    The samples are the measurements, in random order, half of them for fits to see; where there are FEW at most, fits
+    see all of them. Those of the same half and difference angles, to 1e-5 rad, are averaged, since a held-out sample
+    must not have been seen. There is no picture of a sphere: it would be interpolated, and no reference.
 
     Returns:
         angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, float32; phi_h [N] where that counts, as
@@ -81,14 +75,10 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
 
 
 def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
-    """True if reflectance depends on phi_h: if that explains how neighbours in the other angles differ.
+    """True if reflectance [N, 3] depends on phi_h of angles [N, 4] rad: if that explains how neighbours differ.
 
     By least squares of differences of log reflectance on differences of the first two harmonics of phi_h, which noise
-    does not follow. Of measurements at one azimuth nothing is told: they count as isotropic.
-
-    Args:
-        angles: [N, 4] in rad.
-        reflectance: [N, 3] in 1/sr.
+    does not follow. Measurements at one azimuth count as isotropic.
     """
     from scipy.spatial import KDTree  # here: every BRDF file is first shown to readers of such, whatever it is
 

@@ -56,20 +56,14 @@ def export(app: Brdf, theta: Params, path: Path) -> None:
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
-    """Turn a MERL file into a BRDF task of so many samples, named by the file's stem; warns of implausible values.
-
-    Raises:
-        ValueError: as `read_merl`.
-    """
+    """A MERL file as a BRDF task, named by its stem; errors as of `read_merl`, warnings of implausible values."""
     return brdf_task.measured_task(path.stem, read_merl(path), samples, path)
 
 
 def read_merl(path: str | Path) -> Array:
-    """Read a MERL file.
+    """The table of a MERL file [90, 90, 180, 3]: linear RGB reflectance in 1/sr, invalid entries negative.
 
-    Returns:
-        The table [90, 90, 180, 3]: linear RGB reflectance in 1/sr, >= 0; invalid entries negative in all channels. It
-        is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
+    It is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
 
     Raises:
         ValueError: not a MERL file, an incomplete one, values that are not finite, almost no valid entries.
@@ -83,11 +77,7 @@ def read_merl(path: str | Path) -> Array:
 
 
 def write_merl(path: str | Path, table: Array) -> None:
-    """Write a table in 1/sr as a MERL file; what was read is the same again up to the last bit of a double.
-
-    Args:
-        path: the file; replaced whole or not at all.
-        table: [90, 90, 180, 3], linear RGB reflectance in 1/sr; invalid entries negative in all channels.
+    """Write a table, as `read_merl` returns it, as a MERL file, whole or not at all; up to the last bit the same again.
 
     Raises:
         ValueError: another shape, values that are not finite, almost no valid entries.

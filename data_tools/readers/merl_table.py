@@ -24,23 +24,14 @@ def merl_valid(table: Array) -> NDArray[np.bool_]:
 
 
 def merl_centres() -> Tensor:
-    """Centres of all bins, where their values are taken to be measured.
-
-    Returns:
-        Angles (theta_h, theta_d, phi_d), float32 [90, 90, 180, 3] rad.
-    """
+    """Centres of all bins: angles (theta_h, theta_d, phi_d), float32 [90, 90, 180, 3] rad."""
     return torch.stack(torch.meshgrid(*(axis.float() for axis in _axes()), indexing="ij"), dim=-1)
 
 
 def merl_index(angles: Tensor) -> Tensor:
-    """The bin that angles fall into.
+    """Flat index phi_d + 180 * (theta_d + 90 * theta_h), int64 [...], of the bin of angles [..., 3] rad.
 
-    Args:
-        angles: (theta_h, theta_d, phi_d), [..., 3] rad; the thetas are clamped to 0..pi/2, and phi_d + pi is phi_d
-            (reciprocity).
-
-    Returns:
-        Flat index phi_d + 180 * (theta_d + 90 * theta_h), int64 [...].
+    The thetas are clamped to 0..pi/2, and phi_d + pi is phi_d (reciprocity).
     """
     bins = [position.floor().long().clamp(0, size - 1)
             for position, size in zip(_positions(angles), SHAPE, strict=True)]  # fmt: skip
@@ -48,17 +39,10 @@ def merl_index(angles: Tensor) -> Tensor:
 
 
 def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
-    """Interpolate a table between the centres of its bins, linearly in each angle.
+    """Reflectance [..., 3] of a table [90, 90, 180, 3], interpolated linearly in angles [..., 3] rad, of their type.
 
     Invalid entries are left out and the rest weighs more; where all eight are invalid the result is 0. phi_d is
-    periodic; beyond the outermost centres of theta_h and theta_d the outermost value holds.
-
-    Args:
-        table: [90, 90, 180, 3], linear RGB in 1/sr; invalid entries negative in all channels. float32 is fastest.
-        angles: (theta_h, theta_d, phi_d), [..., 3] rad.
-
-    Returns:
-        Reflectance [..., 3] in 1/sr, linear RGB, >= 0, of the type of the angles.
+    periodic; beyond the outermost centres of theta_h and theta_d the outermost value holds. A float32 table is fastest.
     """
     flat = torch.as_tensor(table, device=angles.device).reshape(-1, 3)
     lower, upper, weight = [], [], []
@@ -91,14 +75,9 @@ def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
 
 
 def tabulate(evaluate: Callable[[Tensor], Tensor]) -> Array:
-    """Evaluate a BRDF at the centres of all bins.
+    """The table [90, 90, 180, 3] of a BRDF at the centres of all bins; those below the horizon are invalid.
 
-    Args:
-        evaluate: takes angles (theta_h, theta_d, phi_d), float32 [N, 3] rad, all above the horizon; returns
-            reflectance [N, 3] in 1/sr, linear RGB. Negative values become 0.
-
-    Returns:
-        The table [90, 90, 180, 3]; entries below the horizon are invalid (-1 in file units).
+    `evaluate` takes angles float32 [N, 3] rad, all above the horizon, and returns reflectance [N, 3] in 1/sr.
 
     Raises:
         ValueError: a result of another shape, or one that is not finite.

@@ -76,25 +76,13 @@ def export(app: Brdf, theta: Params, folder: Path) -> None:
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
-    """Turn an NBRDF network, as `find` names it, into a BRDF task named by the last part of its path.
-
-    Warns of implausible values.
-
-    Raises:
-        ValueError: as `read_nbrdf`.
-    """
+    """A network as a BRDF task, named by its place; errors as of `read_nbrdf`, warnings of implausible values."""
     evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
     return brdf_task.measured_task(path.resolve().name, evaluate, samples, path)
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
-    """Read a network.
-
-    Args:
-        folder: with the six files; if they have a name in front, it must be the only one, or say folder/name.
-
-    Returns:
-        float32 arrays in C order by the names and of the shapes in `SHAPES`: fc* are [inputs, outputs].
+    """A network at a place as of `find`, or alone in a folder: float32 arrays in C order, as of `SHAPES`.
 
     Raises:
         ValueError: no such folder, missing files, several networks, another shape or type, values that are not finite.
@@ -104,14 +92,9 @@ def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
 
 
 def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] | Tensor]) -> None:
-    """Write a network as six C-ordered, little-endian float32 files, each whole or not at all.
+    """Write a network, arrays or tensors as of `SHAPES`, as six little-endian float32 files, each whole or not at all.
 
-    numpy stores a transposed view in Fortran order, which the Mitsuba plugin of the paper reads scrambled: arrays are
-    brought into C order first.
-
-    Args:
-        folder: made if missing.
-        weights: arrays or tensors by the names and of the shapes in `SHAPES`: fc* are [inputs, outputs].
+    In C order: numpy stores a transposed view in Fortran order, which the Mitsuba plugin of the paper reads scrambled.
 
     Raises:
         ValueError: missing or unknown names, another shape, values that are not finite; nothing is written then.
@@ -135,15 +118,7 @@ def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] |
 
 
 def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles: Tensor) -> Tensor:
-    """Evaluate a network.
-
-    Args:
-        weights: as `read_nbrdf` returns them.
-        angles: (theta_h, theta_d, phi_d), [..., 3] rad.
-
-    Returns:
-        Reflectance [..., 3] in 1/sr, linear RGB, >= 0.
-    """
+    """Reflectance [..., 3] in 1/sr, linear RGB, >= 0, of a network's weights at angles [..., 3] rad."""
     w = {part: torch.as_tensor(array).to(angles) for part, array in weights.items()}
     hidden = torch.relu(half_difference(angles) @ w["fc1"] + w["b1"])
     hidden = torch.relu(hidden @ w["fc2"] + w["b2"])

@@ -65,10 +65,7 @@ def fault_of(file: Path) -> str | None:
 
 
 def is_photo(path: str | Path) -> bool:
-    """True if a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it.
-
-    A camera's raw or a HEIF file is one too, though reading it may only say that it is to be exported.
-    """
+    """True if a file is an image: by a known suffix, of a camera's raw or a HEIF file too, else by OpenImageIO."""
     path = Path(path)
     return path.is_file() and (path.suffix.lower() in NAMED or opens(path))
 
@@ -84,37 +81,14 @@ recognises = holds_photos
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:
-    """Turn an image file into a texture task of so many px a side, named by the file's stem.
-
-    What smaller pictures are enlarged to is `least`, as of `read_photo`.
-
-    Raises:
-        ValueError: as `read_photo`.
-    """
+    """An image file as a texture task named by the file's stem; arguments and errors as of `photo_of`."""
     return Task(path.stem, {"image": read_photo(path, size, least=least)})
-
-
-def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, least: int = 0) -> Task:
-    """The same of a picture in memory."""
-    return Task(name, {"image": photo_of(pixels, name, size, least=least)})
 
 
 def read_photo(
     path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0, least: int = 0
 ) -> Tensor:
-    """Read the central square of an image file; of several pictures in it the first counts.
-
-    Args:
-        path: the file.
-        size, fov_rad, within_rad, least: as of `photo_of`.
-
-    Returns:
-        As `photo_of`.
-
-    Raises:
-        ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than
-            2^28 px; channels other than gray or RGB; as `photo_of`.
-    """
+    """The central square of an image file, as `photo_of`; ValueError as there and as of `read_pixels`."""
     return photo_of(read_pixels(Path(path)), str(path), size, fov_rad=fov_rad, within_rad=within_rad, least=least)
 
 
@@ -123,9 +97,8 @@ def photo_of(
 ) -> Tensor:
     """The central square of a picture.
 
-    The picture is turned as its EXIF orientation says. Averages are taken over exact areas and in linear light, so
-    that the mean radiance is kept; a smaller picture is interpolated. Values beyond [0, 1] are clamped before. Where
-    the picture is transparent it gets the mean colour of the rest. A gray one gets three equal channels.
+    Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.
+    Where it is transparent it gets the mean colour of the rest. A gray one gets three equal channels.
 
     Args:
         whole: the picture.
@@ -133,7 +106,7 @@ def photo_of(
         size: side of the result in px.
         fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
         within_rad: of a camera with a wider field, only what is within this one counts; 0: all of it.
-        least: what smaller pictures than `size` are enlarged to, if at all; 0: to `size`.
+        least: the side that smaller pictures than `size` are enlarged to, if at all; 0: `size`.
 
     Returns:
         sRGB, uint8 [3, size, size], rows from the top.
@@ -171,12 +144,7 @@ def side_of(own: int, size: int, least: int) -> int:
 
 
 def field_of_view(focal_mm: float, height: int, width: int) -> float:
-    """The field of view in rad along the shorter side of a picture that was not cropped.
-
-    Args:
-        focal_mm: as of 35 mm film, > 0: the diagonal of the picture is that of a film's frame.
-        height, width: of the picture.
-    """
+    """The field of view in rad along the shorter side of an uncropped picture, of a focal length as of 35 mm film."""
     shorter = FRAME_MM * min(height, width) / math.hypot(height, width)
     return 2 * math.atan(shorter / 2 / focal_mm)
 

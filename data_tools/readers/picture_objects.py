@@ -1,11 +1,11 @@
 """Pictures, maps of materials and light in memory as tasks, by what readers make of a file once it is decoded.
 
-So sizes, colours and checks are those of files. Pictures are of PIL, or arrays or tensors [H, W, 3] or gray [H, W],
-rows from the top. Integers of 8 or 16 bits are sRGB, floating-point values display values in [0, 1].
+Pictures are of PIL, or arrays or tensors [H, W, 3] or gray [H, W], rows from the top. Integers of 8 or 16 bits are
+sRGB, floating-point values display values in [0, 1].
 
-Maps of a material are a dictionary by their usual names, such as "diffuse", "normal", "roughness", "specular", each a
-picture. Integers are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values are linear, as
-`metapp.Fit.maps` has them: colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface.
+Maps of a material are a dictionary by their usual names, such as "diffuse", "normal", "roughness", "specular". Integers
+are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values are linear, as `metapp.Fit.maps`
+has them: colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ import torch
 from torch import Tensor
 
 from data_tools.formats import inputs_of
-from data_tools.readers import flash, latlong, material_maps, photos, svbrdf_inputs
+from data_tools.readers import latlong, material_maps, svbrdf_inputs
 from data_tools.readers.image_files import LINEAR, SRGB, Array, Pixels, check_size, pixels_of_pil
-from data_tools.readers.photos import SIZE
+from data_tools.readers.photos import SIZE, photo_of
+from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
 
 if TYPE_CHECKING:
@@ -36,73 +37,47 @@ _UNIT = 0.1  # by which the length of normals, which may be averages, differs fr
 
 
 def texture(source: object, name: str, *, size: int = SIZE, least: int = 0, **_: object) -> Task:
-    """Make the task of a texture.
-
-    Args:
-        source: a picture.
-        name: of the task.
-        size, least: as of the reader.
-
-    Raises:
-        ValueError: none; values of another shape or out of range; as the reader of such a file.
-    """
-    if not is_picture(source):
-        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}.")
-    return photos.task_of_pixels(pixels_of(name, source), name, size, least)
+    """The task of a texture, a picture; arguments and errors as of the reader."""
+    return Task(name, {"image": photo_of(_picture(name, source), name, size, least=least)})
 
 
 def flash_photo(
     source: object, name: str, *, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, **_: object
 ) -> Task:
-    """Make the task of a flash photograph, or of one that is rendered of a material, as `material` takes it.
-
-    Raises:
-        ValueError: as `material`.
-    """
+    """The task of a flash photograph, or of one that is rendered of a material, as `material` takes it."""
     found = _maps_or_photo(name, source)
     if not isinstance(found, Pixels):
         photo = material_maps.task_of_pixels(found, name, FLASH_PX, least=1).data["photo"]
         found = Pixels(photo.permute(1, 2, 0).numpy(), SRGB, False)
-    return flash.task_of_pixels(found, name, size, fov_rad, least)
+    return Task(name, {"image": photo_of(found, name, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)})
 
 
 def material(
     source: object, name: str, *, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, **_: object
 ) -> Task:
-    """Make the task of a material.
-
-    Args:
-        source: maps; or a picture, the flash photograph of a material.
-        name: of the task.
-        size, fov_rad, stops: as of the reader.
-
-    Raises:
-        ValueError: none of these; values of another shape or out of range, maps that are missing; as the reader.
-    """
+    """The task of a material, of its maps or of its flash photograph; arguments and errors as of the reader."""
     found = _maps_or_photo(name, source)
     if isinstance(found, Pixels):
-        return svbrdf_inputs.task_of_pixels(found, name, size, fov_rad, stops)
+        return svbrdf_inputs.photo_task(name, found, name, size, fov_rad, stops)
     return material_maps.task_of_pixels(found, name, size, min(size, SIZE))
 
 
 def light(
     source: object, name: str, *, rows: int = latlong.HEIGHT, fov_rad: float = 0.0, observe: str = "", **_: object
 ) -> Task:
-    """Make the task of an environment map or of the photograph of a ball.
+    """The task of an environment map or of the photograph of a ball.
 
     Args:
-        source: linear Rec.709 radiance, floating point, [H, 2 H, 3] or gray [H, 2 H], lat-long, rows from the top (+y),
+        source: linear Rec.709 radiance, floating point, lat-long [H, 2 H, 3] or gray [H, 2 H], rows from the top (+y),
             the middle looks to +z; or the photograph of a ball, a picture.
         name: of the task.
         rows, fov_rad: as of the reader.
-        observe: what fits see: "photo" takes floating-point values for a photograph where they are not twice as wide as
-            high.
+        observe: "photo" takes floating-point values of another shape for a photograph.
 
     Raises:
-        ValueError: none of these; values of another shape or out of range; as the reader.
+        ValueError: neither; as the reader.
     """
-    if not is_picture(source):
-        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}.")
+    _check_picture(name, source)
     if isinstance(source, np.ndarray | Tensor):
         values = planes_of(name, source)
         if values.dtype.kind == "f" and latlong.is_latlong(*values.shape[:2]):
@@ -121,6 +96,16 @@ def light(
     return task
 
 
+def _check_picture(name: str, source: object, others: str = "") -> None:
+    if not is_picture(source):
+        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}{others}.")
+
+
+def _picture(name: str, source: object, others: str = "") -> Pixels:
+    _check_picture(name, source, others)
+    return pixels_of(name, source)
+
+
 def _maps_or_photo(name: str, source: object) -> Pixels | dict[str, tuple[str, Pixels]]:
     """A photograph, or maps by their names, each with its role."""
     if isinstance(source, Mapping):
@@ -130,9 +115,7 @@ def _maps_or_photo(name: str, source: object) -> Pixels | dict[str, tuple[str, P
             found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, source)) or 'none'}"
             raise ValueError(f"{name}: {found}, expected diffuse, normal, roughness, and, if there is one, specular.")
         return {str(key): _map(f"{name}: {key}", source[key], role) for key, role in roles.items() if role}
-    if is_picture(source):
-        return pixels_of(name, source)
-    raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED} or maps (a dictionary of such).")
+    return _picture(name, source, " or maps (a dictionary of such)")
 
 
 def _map(subject: str, source: object, role: str) -> tuple[str, Pixels]:
@@ -154,11 +137,7 @@ def _map(subject: str, source: object, role: str) -> tuple[str, Pixels]:
 
 
 def pixels_of(name: str, source: object) -> Pixels:
-    """A picture as readers have that of a file; PIL's with EXIF and colour profile.
-
-    Raises:
-        ValueError: no picture: another shape or type, too small or large, values out of range.
-    """
+    """A picture as readers have that of a file; ValueError for another shape or type, size or range."""
     if _is_pil(source):
         return _checked(name, pixels_of_pil(source, name))
     values = planes_of(name, source)
@@ -193,11 +172,7 @@ def is_picture(source: object) -> bool:
 
 
 def planes_of(name: str, source: object) -> Array:
-    """The values of a picture, [H, W, 1 or 3]: uint8, uint16, or float.
-
-    Raises:
-        ValueError: another shape or type.
-    """
+    """The values of a picture, [H, W, 1 or 3]: uint8, uint16, or float; ValueError for another shape or type."""
     values = array_of(name, source)
     shape = tuple(values.shape)
     if values.ndim == 2:
@@ -217,11 +192,7 @@ def planes_of(name: str, source: object) -> Array:
 
 
 def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0.0) -> None:
-    """Refuse values that are not finite or outside [low, 1].
-
-    Raises:
-        ValueError: some are.
-    """
+    """Refuse values that are not finite or outside [low, 1]."""
     if not np.isfinite(values).all():
         count = np.count_nonzero(~np.isfinite(values))
         raise ValueError(f"{name}: {count:,} values are NaN or infinite, expected finite {what}; replace them.")

@@ -1,12 +1,12 @@
 """Strips of Deschaintre et al. 2018, "Single-Image SVBRDF Capture with a Rendering-Aware Deep Network", as tasks.
 
 A strip is an image of five equal squares side by side: flash photograph, normal, diffuse, roughness, specular. Normals
-are 0..1 for -1..1, x right, y up; all else is linear, as is. Names such as `0000001;marbleXbricks;1Xdefault.png` say
-which base materials a strip blends, `marble` and `bricks`, and which preset of each, `1` and `default`.
+are 0..1 for -1..1, x right, y up; all else is linear. Names such as `0000001;marbleXbricks;1Xdefault.png` say which
+base materials a strip blends, `marble` and `bricks`, and which preset of each, `1` and `default`. Measured on 32
+strips, white would have radiance 1.35 right below their flash.
 
-Their photographs are rendered from as far as 50 degrees take, where the flash is, too, within a quarter of half a side;
-white would have radiance 1.35 right below it. That is measured: under such flashes the maps of 32 strips look like
-their photographs best, 5 % brighter or darker.
+Another method's maps of a strip are `<name>_N.png`, `_D`, `_R`, `_S`, as Nie et al. 2024 publish theirs: D and S are
+encoded with gamma 2.2, all else is as in strips.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from data_tools.formats import AUTO
 from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, is_photo, resample, side_of
-from data_tools.readers.predicted_maps import read_predicted
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -42,19 +41,13 @@ UNITS = {
 }
 PREDICTED = {"predicted": "as maps: those that another method predicts of the photograph"}
 
+_GAMMA = 2.2  # of predicted colours
 _CLIPPED = 0.995
 _DARKEST = 1 / 255  # neither diffuse nor specular above it anywhere: nothing to see
 _FEW = 5  # components; fewer have no fifth to leave for tests
 _CANDIDATES, _WALKS = 256, 4096  # blends that a step chooses from; walks times blends
 
 find = find_photos  # the names that every reader has
-
-
-class Blend(NamedTuple):
-    """The parts of a strip: base materials, and presets of them, `marble;1`."""
-
-    materials: frozenset[str]
-    presets: frozenset[str]
 
 
 class Split(NamedTuple):
@@ -97,25 +90,24 @@ def is_strip(path: Path) -> bool:
 def read_task(
     path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE, predicted: str = "", least: int = 0
 ) -> Task:
-    """Turn a strip into a task with the maps and the photograph that it holds.
+    """A strip as a task with the maps and the photograph that it holds, and `predicted` maps where there is a folder.
 
-    With maps that another method predicts it has `predicted`, too. Where these have fewer px than the strip's tiles
-    they show the middle of them, texel by texel, and so do then the task's maps and photograph.
+    Where these have fewer px than the strip's tiles they show the middle of them, and so does then the task.
 
     Args:
         path: the file.
         size: side of maps and photograph in px; means over areas, smaller tiles are interpolated.
-        gamma: all tiles but the normals are encoded so; 1 is linear, other than files say.
+        gamma: all tiles but the normals are encoded so; 1 is linear.
         white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
             where it is clipped.
         predicted: a folder of predicted maps, of the strip's stem or what is before its first `;`; "" for none.
-        least: what smaller tiles than `size` are enlarged to, if at all; 0: to `size`.
+        least: as of `photo_of`.
 
     Raises:
         ValueError: as `read_pixels` and `read_predicted`; not five squares, NaN, black, normals that are none.
     """
     tiles = _read_tiles(path, gamma, white)
-    of_others = read_predicted(Path(predicted), (path.stem, path.stem.split(";")[0])) if predicted else ()
+    of_others = read_predicted(Path(predicted), (path.stem, path.stem.split(";")[0])) if predicted else []
     share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
     size = side_of(round(share * len(tiles[0])), size, least)
     photo, *true = (_resampled(tile, size, share) for tile in tiles)
@@ -126,6 +118,39 @@ def read_task(
         return task
     maps = _packed(Path(predicted, path.name), *(_resampled(tile, size) for tile in of_others))
     return task._replace(data=task.data | {"predicted": maps.half()})
+
+
+def read_predicted(folder: Path, names: tuple[str, ...]) -> list[Floats]:
+    """The maps N, D, R, S, [S, S, 3] in [0, 1], that a folder has under the first of some names; colours linear.
+
+    Raises:
+        ValueError: one is missing, not square or of another size, or damaged.
+    """
+    name = next((name for name in names if (folder / f"{name}_N.png").is_file()), names[-1])
+    normal, diffuse, roughness, specular = tiles = [
+        _read_predicted(folder / f"{name}_{letter}.png") for letter in "NDRS"
+    ]
+    shapes = [tile.shape[:2] for tile in tiles]
+    if len(set(shapes)) > 1 or shapes[0][0] != shapes[0][1]:
+        found = ", ".join(f"{width} x {height}" for height, width in shapes)
+        raise ValueError(f"{folder / name}_N.png and so on: {found} px, expected squares of one size; export them.")
+    return [normal, diffuse**_GAMMA, roughness, specular**_GAMMA]
+
+
+def _read_predicted(file: Path) -> Floats:
+    if not file.is_file():
+        raise ValueError(
+            f"{file}: no such file, expected _N, _D, _R and _S of each material; add it, or leave its material out."
+        )
+    return _finite(file, read_pixels(file)).clip(0, 1)
+
+
+def _finite(file: Path, pixels: Pixels) -> Floats:
+    values = fraction(pixels.values[..., :3])
+    wrong = int((~np.isfinite(values)).sum())
+    if wrong:
+        raise ValueError(f"{file}: {wrong:,} values are NaN or infinite, expected finite ones; export it again.")
+    return values
 
 
 def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, specular: Tensor) -> Tensor:
@@ -188,10 +213,7 @@ def _read_tiles(path: Path, gamma: float, white: float) -> list[Floats]:
             f"{path}: {width}x{height} px, {found}, expected {TILES} squares: photo, normal, diffuse, roughness, "
             "specular; choose strips only."
         )
-    values = fraction(pixels.values[..., :3])
-    wrong = int((~np.isfinite(values)).sum())
-    if wrong:
-        raise ValueError(f"{path}: {wrong:,} values are NaN or infinite, expected finite ones; export it again.")
+    values = _finite(path, pixels)
     side = min(height, width // TILES)
     tiles = []
     for index in range(TILES):
@@ -210,49 +232,37 @@ def _resampled(tile: Floats, size: int, share: float = 1.0) -> Tensor:
     return torch.from_numpy(resample(shown, size)).permute(2, 0, 1).float()
 
 
-def blend(strip: Path) -> Blend:
-    """The parts of a strip by its name; one that says nothing is made of itself.
+def blend(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
+    """The base materials of a strip and their presets, `marble;1`, by its name; else the strip itself for both.
 
-    Every capital X parts: a material whose own name holds one is parted, too, always alike, so that no strip seems to
-    share less than it does.
+    Every capital X parts, of a material's own name, too, so that no strip seems to share less than it does.
     """
     parts = strip.stem.split(";")
     if len(parts) < 3:
-        return Blend(frozenset([strip.stem]), frozenset([strip.stem]))
+        return frozenset([strip.stem]), frozenset([strip.stem])
     materials = [material for material in parts[1].split("X") if material] or [strip.stem]
     presets = parts[2].split("X")
     if len(presets) != len(materials):  # which belongs to which is not known
-        return Blend(frozenset(materials), frozenset(materials))
-    return Blend(
-        frozenset(materials),
-        frozenset(f"{material};{preset}" for material, preset in zip(materials, presets, strict=True)),
-    )
+        return frozenset(materials), frozenset(materials)
+    return frozenset(materials), frozenset(f"{one};{preset}" for one, preset in zip(materials, presets, strict=True))
 
 
 def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
-    """The groups of strips, for `Task.group`.
-
-    Of five components of strips that share base materials, or more, a component is a group, called after its first base
-    material. Where there are fewer, validation would have nothing to part: the strips of one blend are a group.
-    """
-    blends = {strip: blend(strip) for strip in strips}
-    components = _components({strip: made_of.materials for strip, made_of in blends.items()})
+    """The groups of strips: components that share base materials, where these are _FEW or more, else single blends."""
+    components = _components({strip: blend(strip)[0] for strip in strips})
     if len(set(components.values())) >= _FEW:
         return components
-    return {strip: " + ".join(sorted(made_of.presets)) for strip, made_of in blends.items()}
+    return {strip: " + ".join(sorted(blend(strip)[1])) for strip in components}
 
 
 def split_strips(strips: Sequence[Path]) -> Split:
     """Split strips so that nothing they are made of is on both sides.
 
-    Of five components of strips that share base materials, or more, every fifth is for tests, the largest first in
-    line. Fewer are cut: test materials are chosen so that a fifth of the strips or more are made of them alone, no more
-    than are made of training materials alone, and that fewest are left out, made of both. Where no choice does that,
-    presets are parted so instead of base materials, and where none of these, either, all strips train.
+    Of _FEW components of strips that share base materials, or more, every fifth is for tests, the largest first in
+    line. Fewer are cut: test strips, of test materials alone, are a fifth or more and no more than training strips, and
+    fewest are left out, of both. Where no choice does that, presets are parted instead; else all train.
     """
-    blends = {strip: blend(strip) for strip in strips}
-    materials = {strip: made_of.materials for strip, made_of in blends.items()}
-    presets = {strip: made_of.presets for strip, made_of in blends.items()}
+    materials, presets = ({strip: blend(strip)[which] for strip in strips} for which in (0, 1))
     components = _components(materials)
     sizes = Counter(components.values())
     if len(sizes) >= _FEW:
@@ -271,7 +281,7 @@ def split_strips(strips: Sequence[Path]) -> Split:
 
 
 def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
-    """The first name, as sorted, of all that each strip is connected with by what they share."""
+    """The first name, as sorted, of all that each strip is connected with by shared parts."""
     above: dict[str, str] = {}
 
     def root(unit: str) -> str:
@@ -286,12 +296,9 @@ def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
 
 
 def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
-    """The parts of test strips alone, as `split_strips` says; empty where there is no such choice.
+    """The parts of test strips alone, as `split_strips` says, of numbers of strips by their parts; empty for none.
 
     The test side grows from one blend by the one after which most strips are left; the best state of several walks.
-
-    Args:
-        blends: how many strips are made of the same.
     """
     kinds = sorted(blends, key=sorted)
     units = sorted(frozenset().union(*kinds))

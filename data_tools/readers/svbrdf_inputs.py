@@ -7,8 +7,8 @@ from pathlib import Path
 
 from data_tools.readers import material_maps, strips
 from data_tools.readers.flash_places import placed_in
-from data_tools.readers.image_files import Pixels, check_exists
-from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of, read_photo
+from data_tools.readers.image_files import Pixels, check_exists, read_pixels
+from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of
 from data_tools.readers.svbrdf_task import UNITS, rightly_exposed, task_name
 from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
@@ -25,15 +25,9 @@ def recognises(path: Path) -> bool:
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """All strips and photographs, and one file of each material that is kept as maps.
+    """All strips and photographs, and one file of each material that is kept as maps, as `find_files`.
 
-    Of folders, those with the places of several photographs are left out, as of `data_tools.readers.flash_places`.
-
-    Returns:
-        The files, each once, and a line for each other file of a folder.
-
-    Raises:
-        ValueError: as `data_tools.readers.photos.find_photos`.
+    Folders with the places of several photographs, as of `placed_in`, are left out.
     """
     named = list(map(Path, paths))
     files, skipped = find_photos(named)
@@ -49,20 +43,16 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:
-    """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
+    """A strip, the material that a map belongs to, or else a photograph as a task named by the file.
 
     Args:
         path: the file.
         size: side in px; where it is more than 256, of files as fine as that alone.
-        fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
-        stops: by how many stops a photograph is too bright; of strips and materials that says nothing.
+        fov_rad: of a photograph's camera, as of `photo_of`.
+        stops: by which a photograph is too bright.
 
     Returns:
-        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
-
-    Raises:
-        ValueError: as the `read_task` of `data_tools.readers.strips` and `data_tools.readers.material_maps`, and as
-            `data_tools.readers.photos.read_photo`.
+        As `svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
     """
     check_exists(path)
     material, least = material_maps.material_of(path), min(size, SIZE)
@@ -70,13 +60,12 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
         return material_maps.read_task(path, size, least=least)
     if strips.is_strip(path):
         return strips.read_task(path, size, least=least)
-    photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)
-    return Task(task_name(path.stem), {"photo": rightly_exposed(photo, stops)})
+    return photo_task(path.stem, read_pixels(path), str(path), size, fov_rad, stops)
 
 
-def task_of_pixels(pixels: Pixels, name: str, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:
-    """The same of a photograph in memory."""
-    photo = photo_of(pixels, name, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
+def photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: float, stops: float) -> Task:
+    """A photograph as a task; `subject` begins errors."""
+    photo = photo_of(pixels, subject, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
     return Task(task_name(name), {"photo": rightly_exposed(photo, stops)})
 
 

@@ -25,30 +25,18 @@ _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 
 
 def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:
-    """A material as a task.
-
-    Args:
-        name: of the task.
-        maps: [10, S, S], as `metapp.appearance.flash.pack` gives them.
-        photo: uint8 [3, S, S]; rendered from the maps where there is none.
-
-    Returns:
-        `maps` float16 [10, S, S] and `photo` uint8 [3, S, S].
-    """
+    """A material of maps [10, S, S], as of `pack`: `maps` float16 and `photo` uint8 [3, S, S], rendered if None."""
     return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo})
 
 
 def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0, eye: Tensor | None = None) -> Tensor:
-    """A material [10, H, W] under a flash at a place [3], straight above and beside the lens unless told otherwise.
+    """A material [10, H, W] under a flash, uint8 sRGB [3, H, W].
 
     Args:
         maps: the material.
-        flash: where it is, as `metapp.appearance.flash.render` has it.
+        flash: its place [3] as of `render`; None for beside the lens, straight above.
         intensity: of the flash; with 1 and beside the lens white has radiance 1 in the centre.
-        eye: where the camera is, [3].
-
-    Returns:
-        uint8 sRGB [3, H, W].
+        eye: the camera's place [3]; None for straight above.
     """
     above = camera(dtype=torch.float32)
     place = positions(*maps.shape[-2:], dtype=torch.float32)
@@ -58,10 +46,7 @@ def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.
 
 
 def rightly_exposed(photo: Tensor, stops: float) -> Tensor:
-    """A photograph, uint8 sRGB of any shape with 3 channels third from last, that is too bright by so many stops.
-
-    Where it clips it stays white, since nobody knows how bright that was.
-    """
+    """A photograph, uint8 sRGB [..., 3, H, W], that is too bright by so many stops; where it clips it stays white."""
     if not stops:
         return photo
     radiance = srgb_to_linear(photo.float() / 255)
@@ -80,17 +65,10 @@ def task_name(stem: str) -> str:
 
 
 def unit_normals(stored: Tensor, source: Path) -> Tensor:
-    """Normals from how images keep them.
-
-    Args:
-        stored: [3, H, W] in [0, 1], where 0.5 is 0.
-        source: named in the error.
-
-    Returns:
-        [3, H, W], unit length, z > 0.
+    """Normals [3, H, W] of unit length, z > 0, of an image in [0, 1], where 0.5 is 0.
 
     Raises:
-        ValueError: not normals: they do not point out of the surface.
+        ValueError: they do not point out of the surface.
     """
     vectors = stored.float() * 2 - 1
     height = float(vectors[2].mean())
