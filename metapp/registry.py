@@ -152,10 +152,10 @@ class Converter:
 class Format(Entry):
     """A format of files that tasks come from: a module that finds and reads them.
 
-    The module has `recognises(path)`, True of a file of the format and of a folder with such files; `find(paths)`,
-    sources and a line for each file of a folder that is none, ValueError for a bad path; `read_task(source, ...)`,
-    ValueError where it is damaged. Where it converts files it has UNITS, of the tasks' tensors by name, and where that
-    takes more than these, `conversion(paths, split, **options)`.
+    The module has `find(paths)`, sources and a line for each file of a folder that is none, ValueError for a bad path;
+    `read_task(source, ...)`, ValueError where it is damaged; of inputs of fits `recognises(path)`, True of a file of
+    the format and of a folder with such files. Where it converts files it has UNITS, of the tasks' tensors by name, and
+    where that takes more than these, `conversion(paths, split, **options)`.
 
     Attributes:
         app: the application whose tasks its files hold.

@@ -113,6 +113,15 @@ def opened(path: Path) -> Iterator[oiio.ImageInput]:
             raise ValueError(f"{path}: holds text that is not UTF-8, {EXPECTED}; export it again.") from None
 
 
+def shape_of(path: Path) -> tuple[int, int]:
+    """Height and width of an image in px; ValueError for no such file, and for no image."""
+    if is_heif(path):
+        height, width, _ = read_pixels(path).values.shape
+        return height, width
+    with opened(path) as source:
+        return source.spec().height, source.spec().width
+
+
 def to_export(path: Path) -> str:
     """The line about a camera's or phone's own form of pictures."""
     kind = "raw values of a camera" if path.suffix.lower() in _RAW else "a picture in HEIF or AVIF"

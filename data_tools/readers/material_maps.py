@@ -28,15 +28,13 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.conversion import Conversion, Label, split_groups
-from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, is_heif, opened, read_pixels
+from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
-
-__all__ = ["UNITS", "find", "read_task", "recognises", "task_name"]
 
 _ROLES = {
     "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
@@ -217,7 +215,8 @@ def task_of_pixels(maps: Mapping[str, tuple[str, Pixels]], name: str, size: int 
 
 def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
     """As `read_task`, of a material that was found."""
-    size = side_of(max(map(_side, _choose(material).values())), size, least) if least else size
+    side = max(min(shape_of(file)) for file in _choose(material).values())
+    size = side_of(side, size, least)
     return _task(material, read_pixels, size, normals)
 
 
@@ -322,14 +321,6 @@ def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple
     if not ("specular" in roles and len(diffuse) == 1 and len(colours) == 2):
         return dict(roles)
     return {role: files for role, files in roles.items() if role != "metallic"} | {"base colour": diffuse}
-
-
-def _side(file: Path) -> int:
-    """The shorter side of an image in px."""
-    if is_heif(file):
-        return int(min(read_pixels(file).values.shape[:2]))
-    with opened(file) as source:
-        return min(source.spec().height, source.spec().width)
 
 
 def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:

@@ -119,9 +119,7 @@ def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _points(angles: Tensor) -> Array:
-    """Angles [N, 3 or 4] as points [N, 4 or 5] whose distances say how alike they are: highlights are narrow."""
-    theta_h, theta_d, phi_d = angles[:, :3].double().unbind(-1)
+    """Angles [N, 3] as points [N, 4] whose distances say how alike they are: highlights are narrow."""
+    theta_h, theta_d, phi_d = angles.double().unbind(-1)
     turn = 2 * phi_d  # by reciprocity phi_d + pi is phi_d
-    radius = 2 * theta_h.sqrt()
-    half = [radius] if angles.shape[1] == 3 else [radius * angles[:, 3].cos(), radius * angles[:, 3].sin()]
-    return torch.stack([*half, theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
+    return torch.stack([2 * theta_h.sqrt(), theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()

@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,14 +22,12 @@ from torch import Tensor
 
 from data_tools.formats import AUTO
 from data_tools.readers.conversion import Conversion, Label
-from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
-from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, is_photo, resample, side_of
+from data_tools.readers.image_files import LINEAR, Pixels, is_heif, read_pixels, shape_of
+from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.learning.task import Task
-
-__all__ = ["UNITS", "find", "group_strips", "is_strip", "read_task", "recognises", "split_strips", "task_name"]
 
 TILES = 5
 WHITE = 1.35  # radiance of white right below the flash
@@ -50,41 +47,9 @@ _CANDIDATES, _WALKS = 256, 4096  # blends that a step chooses from; walks times 
 find = find_photos  # the names that every reader has
 
 
-class Split(NamedTuple):
-    """A split of strips.
-
-    Attributes:
-        sides: "train" or "test" of each that is kept.
-        left_out: those made of both sides.
-        by: "material" if no base material is on both sides, "preset" if only no preset is.
-    """
-
-    sides: dict[Path, str]
-    left_out: list[Path]
-    by: str
-
-
-def recognises(path: Path) -> bool:
-    """True if a path is an image file that is five times as wide as high."""
-    if not is_photo(path):
-        return False
-    try:
-        return is_strip(path)
-    except ValueError:
-        return False
-
-
 def is_strip(path: Path) -> bool:
-    """True if an image is five times as wide as high, within a texel of a tile.
-
-    Raises:
-        ValueError: no such file, no image.
-    """
-    if is_heif(path):
-        return False  # phones write these
-    with opened(path) as source:
-        spec = source.spec()
-        return _has_tiles(spec.height, spec.width)
+    """True if an image is five times as wide as high, within a texel of a tile; phones' HEIF files are none."""
+    return not is_heif(path) and _has_tiles(*shape_of(path))
 
 
 def read_task(
@@ -166,36 +131,32 @@ def conversion(
         raise ValueError(f"{predicted}: no such folder, expected one of predicted maps; check --predicted.")
     sources = [source.resolve() for source in find(paths)[0]]
     groups = group_strips(sources)
-    parted = split_strips(sources) if split == AUTO else Split({}, [], "")
-    left_out = set(parted.left_out)
+    sides, by = split_strips(sources) if split == AUTO else (dict.fromkeys(sources, ""), "")
+    left_out = len(sources) - len(sides)
 
     def find_kept(named: Iterable[Path]) -> tuple[list[Path], list[str]]:
         strips, skipped = find(named)
-        return [source for source in strips if source.resolve() not in left_out], skipped
+        return [source for source in strips if source.resolve() in sides], skipped
 
     def label(source: Path) -> Label:
         place = source.resolve()
-        return Label(task_name(source.stem), groups[place], parted.sides.get(place, ""))
+        return Label(task_name(source.stem), groups[place], sides[place])
 
+    remarks = []
+    if by == "preset":
+        remarks.append(
+            "base materials are blended with all others: training and test strips show other presets of them."
+        )
+    if left_out:
+        between = f"{by}s of training with {by}s of tests"
+        remarks.append(f"{left_out} of {len(sources)} strips left out: they blend {between}.")
     read = partial(read_task, size=size, gamma=gamma, white=white, predicted=predicted)
     notes: dict[str, object] = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
     if split == AUTO:
-        notes |= {"split_by": parted.by, "left_out": len(parted.left_out)}
+        notes |= {"split_by": by, "left_out": left_out}
     notes |= {"predicted": Path(predicted).resolve().name} if predicted else {}
     units = UNITS | (PREDICTED if predicted else {})
-    remarks = _remarks(parted, len(sources))
-    return Conversion("svbrdf_nonstationary", "strip", units, find_kept, read, notes, label, remarks)
-
-
-def _remarks(parted: Split, count: int) -> tuple[str, ...]:
-    """Remarks on the split, for a person."""
-    lines = []
-    if parted.by == "preset":
-        lines.append("base materials are blended with all others: training and test strips show other presets of them.")
-    if parted.left_out:
-        between = f"{parted.by}s of training with {parted.by}s of tests"
-        lines.append(f"{len(parted.left_out)} of {count} strips left out: they blend {between}.")
-    return tuple(lines)
+    return Conversion("svbrdf_nonstationary", "strip", units, find_kept, read, notes, label, tuple(remarks))
 
 
 def _has_tiles(height: int, width: int) -> bool:
@@ -255,12 +216,13 @@ def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
     return {strip: " + ".join(sorted(blend(strip)[1])) for strip in components}
 
 
-def split_strips(strips: Sequence[Path]) -> Split:
-    """Split strips so that nothing they are made of is on both sides.
+def split_strips(strips: Sequence[Path]) -> tuple[dict[Path, str], str]:
+    """The sides, "train" or "test", of strips, so that nothing they are made of is on both; and what is parted.
 
-    Of _FEW components of strips that share base materials, or more, every fifth is for tests, the largest first in
-    line. Fewer are cut: test strips, of test materials alone, are a fifth or more and no more than training strips, and
-    fewest are left out, of both. Where no choice does that, presets are parted instead; else all train.
+    That is "material", or "preset" where base materials cannot be parted. Of _FEW components of strips that share base
+    materials, or more, every fifth is for tests, the largest first in line. Fewer are cut: test strips, of test
+    materials alone, are a fifth or more and no more than training strips, and fewest are left out, of both. Where no
+    choice does that, presets are parted; where none of these, all train.
     """
     materials, presets = ({strip: blend(strip)[which] for strip in strips} for which in (0, 1))
     components = _components(materials)
@@ -268,16 +230,12 @@ def split_strips(strips: Sequence[Path]) -> Split:
     if len(sizes) >= _FEW:
         in_line = sorted(sizes, key=lambda component: (-sizes[component], component))
         test_ones = frozenset(in_line[_FEW - 1 :: _FEW])
-        return Split({strip: "test" if components[strip] in test_ones else "train" for strip in strips}, [], "material")
+        return {strip: "test" if components[strip] in test_ones else "train" for strip in strips}, "material"
     for by, made_of in (("material", materials), ("preset", presets)):
-        test = _test_side(Counter(made_of.values()))
-        if test:
-            sides = {strip: "test" if units <= test else "train" for strip, units in made_of.items()}
-            left_out = [strip for strip, units in made_of.items() if units & test and not units <= test]
-            for strip in left_out:
-                del sides[strip]
-            return Split(sides, left_out, by)
-    return Split(dict.fromkeys(strips, "train"), [], "material")
+        if test := _test_side(Counter(made_of.values())):
+            kept = {strip: units <= test for strip, units in made_of.items() if units <= test or not units & test}
+            return {strip: "test" if is_test else "train" for strip, is_test in kept.items()}, by
+    return dict.fromkeys(strips, "train"), "material"
 
 
 def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:

@@ -7,13 +7,12 @@ from pathlib import Path
 
 from data_tools.readers import material_maps, strips
 from data_tools.readers.flash_places import placed_in
-from data_tools.readers.image_files import Pixels, check_exists, read_pixels
+from data_tools.readers.image_files import NAMED, Pixels, check_exists, read_pixels
+from data_tools.readers.listing import files_below
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of
-from data_tools.readers.svbrdf_task import UNITS, rightly_exposed, task_name
+from data_tools.readers.svbrdf_task import rightly_exposed, task_name
 from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
-
-__all__ = ["UNITS", "find", "read_task", "recognises"]
 
 
 def recognises(path: Path) -> bool:
@@ -21,7 +20,7 @@ def recognises(path: Path) -> bool:
     if not path.is_dir():
         return holds_photos(path)
     placed = placed_in(path)
-    return holds_photos(path) and (not placed or bool(_elsewhere(find_photos([path])[0], placed)))
+    return any(file.suffix.lower() in NAMED and _is_elsewhere(file, placed) for file in files_below(path))
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
@@ -32,7 +31,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     named = list(map(Path, paths))
     files, skipped = find_photos(named)
     placed = [folder for path in named if path.is_dir() for folder in placed_in(path)]
-    files = [file for file in files if file in named or _elsewhere([file], placed)]
+    files = [file for file in files if file in named or _is_elsewhere(file, placed)]
     stands_for: dict[Path, Path | None] = {}
     for folder in {file.parent for file in files}:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
@@ -69,9 +68,9 @@ def photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: floa
     return Task(task_name(name), {"photo": rightly_exposed(photo, stops)})
 
 
-def _elsewhere(files: Iterable[Path], folders: Collection[Path]) -> list[Path]:
-    """The files that are neither in these folders nor below them, where pictures of what was found may lie."""
-    return [file for file in files if not any(parent in folders for parent in file.parents)]
+def _is_elsewhere(file: Path, folders: Collection[Path]) -> bool:
+    """True for a file that is not below these folders, where pictures of what was found may lie."""
+    return not any(parent in folders for parent in file.parents)
 
 
 def _is_material(material: material_maps.Material) -> bool:

@@ -15,7 +15,7 @@ from metapp.registry import Export, Format, registry
 def test_modules_have_what_entries_say(form: Format) -> None:
     module = form.load()
     assert callable(module.find)
-    assert callable(module.recognises) or not form.inputs
+    assert not form.inputs or callable(module.recognises)
     assert set(form.takes) <= set(inspect.signature(module.read_task).parameters)
     if form.command:
         options = [field.name for field in fields(form.command.options)] if form.command.options else []

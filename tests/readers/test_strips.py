@@ -155,13 +155,12 @@ def named(*kinds: tuple[str, str], count: int = 1) -> list[Path]:
 
 def sides_of(paths: list[Path], by: str) -> dict[str, set[str]]:
     """What the strips of each side are made of."""
-    split = split_strips(paths)
-    assert split.by == by
-    assert set(split.sides) | set(split.left_out) == set(paths)
-    assert not set(split.sides) & set(split.left_out)
+    sides, parted = split_strips(paths)
+    assert parted == by
+    assert set(sides) <= set(paths)
     field = 0 if by == "material" else 1
     found: dict[str, set[str]] = {"train": set(), "test": set()}
-    for path, side in split.sides.items():
+    for path, side in sides.items():
         found[side] |= blend(path)[field]
     assert not found["train"] & found["test"]
     return found
@@ -171,7 +170,7 @@ def test_of_many_components_every_fifth_is_for_tests_whole() -> None:
     paths = named(*((f"a{i}Xb{i}", "0X0") for i in range(11)), ("a3Xb4", "0X1"), count=2)
     random.Random(0).shuffle(paths)
     found = sides_of(paths, "material")
-    assert split_strips(paths).left_out == []
+    assert len(split_strips(paths)[0]) == len(paths)
     # a3, b3, a4, b4 are one component, the largest and so the first in line
     assert found["test"] == {"a2", "b2", "a9", "b9"}
     assert set(group_strips(paths).values()) == {f"a{i}" for i in range(11)} - {"a4"}
@@ -180,26 +179,24 @@ def test_of_many_components_every_fifth_is_for_tests_whole() -> None:
 def test_components_that_are_few_are_cut_where_least_is_lost() -> None:
     # A chain; parting a4Xa5 leaves 6 and 3 of 10.
     paths = named(*((f"a{i}Xa{i + 1}", "0X0") for i in range(10)))
-    split = split_strips(paths)
+    sides, _ = split_strips(paths)
     found = sides_of(paths, "material")
-    assert len(split.left_out) == 1
+    assert len(sides) == len(paths) - 1
     assert 2 <= len(found["test"]) - 1 <= 4
-    assert Counter(split.sides.values())["test"] >= 2
+    assert Counter(sides.values())["test"] >= 2
 
 
 def test_presets_are_parted_where_all_materials_are_blended() -> None:
     paths = named(*((f"{a}X{b}", f"{i}X{i}") for a, b in ("ab", "bc", "ac") for i in range(5)), count=2)
     found = sides_of(paths, "preset")
-    assert len(split_strips(paths).left_out) == 0
+    assert len(split_strips(paths)[0]) == len(paths)
     assert found["test"] == {"a;0", "b;0", "c;0"}
     assert len(set(group_strips(paths).values())) == 15  # both strips of a blend are one group
 
 
 def test_what_cannot_be_parted_trains() -> None:
     for paths in (named(("aXb", "0X0"), count=9), [Path("a.png")], named(("aXb", "0X0"), ("bXa", "0X0"))):
-        split = split_strips(paths)
-        assert set(split.sides.values()) == {"train"}
-        assert split.left_out == []
+        assert split_strips(paths)[0] == dict.fromkeys(paths, "train")
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -208,7 +205,7 @@ def test_no_split_parts_a_material_whatever_the_blends(seed: int) -> None:
     kinds = [(f"m{rng.randrange(20):02d}Xm{rng.randrange(20):02d}", f"{rng.randrange(3)}X0") for _ in range(60)]
     paths = named(*kinds)
     split = split_strips(paths)
-    sides_of(paths, split.by)
+    sides_of(paths, split[1])
     assert split == split_strips(list(paths))
 
 
@@ -263,6 +260,6 @@ def test_fits_read_strips_maps_and_photographs(tmp_path: Path) -> None:
     assert tasks["phone.jpg"].data["photo"].shape == (3, 64, 64)
     assert tasks["phone.jpg"].data["photo"].dtype == torch.uint8
     torch.testing.assert_close(tasks["strip.png"].data["maps"].float(), maps, atol=0.006, rtol=0)
-    assert [strips.recognises(tmp_path / name) for name in ("strip.png", "phone.jpg", "")] == [True, False, False]
+    assert [strips.is_strip(tmp_path / name) for name in ("strip.png", "phone.jpg")] == [True, False]
     with pytest.raises(ValueError, match=r"none.png: no such file"):
         svbrdf_inputs.read_task(tmp_path / "none.png")

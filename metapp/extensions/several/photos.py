@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from data_tools.readers.flash_places import placed_in
-from data_tools.readers.image_files import opened
+from data_tools.readers.image_files import shape_of
 from data_tools.readers.photos import SIZE as PX
 from data_tools.readers.photos import is_photo, read_photo
 from data_tools.readers.svbrdf_task import rightly_exposed, task_name
@@ -49,9 +49,9 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
             "add some, or give one photo by its name."
         )
     places = read_places(folder, len(paths))
-    shapes = {path: _shape(path) for path in paths}
-    for path, (width, height) in shapes.items():
-        if width != height or (width, height) != shapes[paths[0]]:
+    shapes = {path: shape_of(path) for path in paths}
+    for path, (height, width) in shapes.items():
+        if width != height or (height, width) != shapes[paths[0]]:
             raise ValueError(
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
@@ -59,9 +59,3 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
     photo, *others = (rightly_exposed(read_photo(path, size, least=min(size, PX)), stops) for path in paths)
     given = torch.stack([places.camera, places.light], 1)
     return Task(task_name(folder.resolve().name), {"photo": photo, "others": torch.stack(others), "places": given})
-
-
-def _shape(path: Path) -> tuple[int, int]:
-    """Width and height of an image in px."""
-    with opened(path) as source:
-        return source.spec().width, source.spec().height
