@@ -178,8 +178,7 @@ def _read_heif(path: Path) -> Pixels:
             values = np.asarray(source)
     except Exception as error:
         raise ValueError(_damaged(path, error)) from None
-    space = _PROFILES.get(_description(source.info.get("icc_profile")), SRGB)
-    return Pixels(values, space, False, focal_length_of(source.info.get("exif")))
+    return _tagged(values, source.info.get("icc_profile"), source.info.get("exif"))
 
 
 def pixels_of_pil(image: PilImage, name: str) -> Pixels:
@@ -191,8 +190,11 @@ def pixels_of_pil(image: PilImage, name: str) -> Pixels:
         values = np.asarray(image.convert("RGBA" if image.has_transparency_data else "RGB"))
     except (OSError, ValueError) as error:  # PIL decodes when it must
         raise ValueError(f"{name}: a picture that PIL cannot decode ({error}), expected a whole one.") from None
-    space = _PROFILES.get(_description(image.info.get("icc_profile")), SRGB)
-    return Pixels(values, space, False, focal_length_of(image.getexif().tobytes()))
+    return _tagged(values, image.info.get("icc_profile"), image.getexif().tobytes())
+
+
+def _tagged(values: Array, profile: bytes | None, exif: bytes | None) -> Pixels:
+    return Pixels(values, _PROFILES.get(_description(profile), SRGB), False, focal_length_of(exif))
 
 
 def check_size(width: int, height: int, path: Path | str) -> None:

@@ -10,7 +10,6 @@ has them: colours and roughness in [0, 1], normals unit vectors, x right, y up, 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeGuard
 
@@ -203,39 +202,24 @@ def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0
 
 
 def array_of(name: str, source: object) -> Array:
-    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array.
-
-    Halves become float32, long doubles float64, and numbers in another byte order those of the machine.
+    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array; halves become float32.
 
     Raises:
         ValueError: no numbers, masked ones, too many, or a tensor that is not dense.
     """
     if isinstance(source, np.ma.MaskedArray) and (masked := np.count_nonzero(np.ma.getmaskarray(source))):
         raise ValueError(f"{name}: {masked:,} values are masked, expected all; fill them: a.filled(0).")
-    shape = source.shape if isinstance(source, np.ndarray | Tensor) and not getattr(source, "is_nested", False) else ()
-    if (count := math.prod(shape)) > LARGEST:
-        raise ValueError(f"{name}: {count:,} values, expected {LARGEST:,} or fewer; take a part of them.")
     try:
-        values = _of_tensor(source) if isinstance(source, Tensor) else np.asarray(source)
+        dense = source.detach().cpu().resolve_neg() if isinstance(source, Tensor) else source
+        values = np.asarray(dense.float() if isinstance(dense, Tensor) and dense.dtype == torch.bfloat16 else dense)
     except Exception:  # whatever an object of another library raises
         values = np.asarray(None)
     if values.dtype.kind not in "uif":
-        kind = f"an array of {values.dtype}" if values.ndim else _kind_of(source)
+        kind = f"an array of {values.dtype}" if values.ndim else type(source).__name__
+        if isinstance(source, Tensor):
+            kind = f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
         raise ValueError(f"{name}: {kind}, expected an array of numbers.")
+    if values.size > LARGEST:
+        raise ValueError(f"{name}: {values.size:,} values, expected {LARGEST:,} or fewer; take a part of them.")
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
-    if values.dtype == np.longdouble:
-        return values.astype(np.float64)
     return values.astype(np.float32) if values.dtype == np.float16 else values
-
-
-def _of_tensor(tensor: Tensor) -> Array:
-    """The numbers of a dense tensor."""
-    numbers = tensor.detach().cpu().resolve_neg()
-    return (numbers.float() if numbers.dtype == torch.bfloat16 else numbers).numpy()
-
-
-def _kind_of(source: object) -> str:
-    """A type in words; of a tensor what no array can be made of."""
-    if not isinstance(source, Tensor):
-        return type(source).__name__
-    return f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
