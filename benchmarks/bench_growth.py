@@ -23,7 +23,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.extensions.native.fastest import FASTEST
+from metapp.extensions.native.fastest import steps as fastest
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
 from metapp.learning.rules import rule_of
@@ -75,13 +75,13 @@ def loss_of(size: Size) -> Loss:
 def fit(size: Size, start: MetaParameters, loss: Loss) -> None:
     """Descend by the rule."""
     theta, rng = spread(start.theta, size.tasks, 0), Generator().manual_seed(0)
-    learn(theta, RULE.rule(spread(start.alpha, size.tasks, 1)), None, loss, steps=size.steps, rng=rng, engine=FASTEST)
+    learn(theta, RULE.rule(spread(start.alpha, size.tasks, 1)), None, loss, steps=size.steps, rng=rng, steps_of=fastest)
 
 
 def train(size: Size, start: MetaParameters, loss: Loss) -> None:
     """Take the second-order gradient of an outer step."""
     phi = {key: value.requires_grad_() for key, value in start.flat().items()}
-    outer = after_learning(loss, RULE.rule, steps=size.steps, order=2, clip=0.1, engine=FASTEST)
+    outer = after_learning(loss, RULE.rule, steps=size.steps, order=2, clip=0.1, steps_of=fastest)
     seen = outer.draw(None, Generator().manual_seed(0), 1.0)
     torch.autograd.grad(outer.value(phi, seen.batch, {}).sum(), list(phi.values()), allow_unused=True)
 

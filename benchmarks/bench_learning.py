@@ -48,8 +48,9 @@ from benchmarks.bench_growth import Size, draw
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load
-from metapp.extensions.native.fastest import FASTEST, Compiled
-from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
+from metapp.extensions.native.fastest import compiled_steps
+from metapp.extensions.native.fastest import steps as fastest
+from metapp.learning.adjoint import Drawn, Loss, StepsOf, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, rule_of, sgd
@@ -309,9 +310,9 @@ def bench_brdf() -> None:
             total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / TASKS
         return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
 
-    def ours(engine: Engine, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
+    def ours(steps_of: StepsOf, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
         make, alpha = rules[rule]
-        lifted = after_learning(loss, make, steps=STEPS, order=2, engine=engine)
+        lifted = after_learning(loss, make, steps=STEPS, order=2, steps_of=steps_of)
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
@@ -320,14 +321,14 @@ def bench_brdf() -> None:
 
         return step
 
-    def adapt(engine: Engine, rule: str = "sgd", tasks: int = TASKS) -> Callable[[], Params]:
+    def adapt(steps_of: StepsOf, rule: str = "sgd", tasks: int = TASKS) -> Callable[[], Params]:
         make, alpha = rules[rule]
         start, made = spread(theta, tasks, 0), make(spread(alpha, tasks, 1))
         some = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
             supply[0] = iter(some)
-            return learn(start, made, None, loss, steps=STEPS, rng=rng, engine=engine)
+            return learn(start, made, None, loss, steps=STEPS, rng=rng, steps_of=steps_of)
 
         return run
 
@@ -341,7 +342,7 @@ def bench_brdf() -> None:
 
         return run
 
-    (value_a, grads_a), (value, grads) = plain(), ours(FASTEST)()
+    (value_a, grads_a), (value, grads) = plain(), ours(fastest)()
     away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
     peak = limit()
     print(f"\nBRDF network, {TASKS} tasks, {STEPS} steps of {SAMPLES} samples; CPU seconds, one thread")
@@ -351,11 +352,11 @@ def bench_brdf() -> None:
     name, default = "metapp, SGD", f"metapp, {DEFAULT}"
     contestants: dict[str, Callable[[], Any]] = {
         "(a) plain loop, unrolled": plain,
-        "metapp by torch, eager": ours(TORCH),
-        "metapp by torch, compiled": ours(Compiled()),
-        f"metapp by torch, eager, {DEFAULT}": ours(TORCH, "default"),
-        name: ours(FASTEST),
-        default: ours(FASTEST, "default"),
+        "metapp by torch, eager": ours(torch_steps),
+        "metapp by torch, compiled": ours(compiled_steps),
+        f"metapp by torch, eager, {DEFAULT}": ours(torch_steps, "default"),
+        name: ours(fastest),
+        default: ours(fastest, "default"),
     }
     adapting: dict[str, Callable[[], Any]] = {}
     libraries: dict[str, Callable[..., Any]] = {
@@ -377,12 +378,12 @@ def bench_brdf() -> None:
     contestants = {
         "(a) plain loop, one by one": plain_one_by_one(False),
         "the same, with the graph that training needs": plain_one_by_one(True),
-        "metapp by torch, eager": adapt(TORCH),
-        "metapp by torch, compiled": adapt(Compiled()),
-        f"metapp by torch, eager, {DEFAULT}": adapt(TORCH, "default"),
-        name: adapt(FASTEST),
-        default: adapt(FASTEST, "default"),
-        f"one fit alone, {DEFAULT}": adapt(FASTEST, "default", tasks=1),
+        "metapp by torch, eager": adapt(torch_steps),
+        "metapp by torch, compiled": adapt(compiled_steps),
+        f"metapp by torch, eager, {DEFAULT}": adapt(torch_steps, "default"),
+        name: adapt(fastest),
+        default: adapt(fastest, "default"),
+        f"one fit alone, {DEFAULT}": adapt(fastest, "default", tasks=1),
         **adapting,
     }
     show("adapting, no meta-gradient", medians(contestants), {name: 11, default: 8})

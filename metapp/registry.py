@@ -329,8 +329,8 @@ class Registry:
         self.commands = Table[str, Entry](Entry)
         # of fits in the Python API, functions whose first argument is a `metapp.runs.api.Fit`
         self.methods = Table[str, Entry](Entry)
-        # takes steps of learning, `engine(compiles) -> metapp.learning.adjoint.Engine`; None: torch's does
-        self.engine: Entry | None = None
+        # `steps(rule, loss, theta, order, compiles=False) -> metapp.learning.adjoint.Steps`; None: torch's
+        self.steps: Entry | None = None
         # `check(scene) -> scene` of scenes of data sets that are XML or name files; None: these are refused
         self.scene_check: Entry | None = None
         # names that the command line has by itself, as of `names`

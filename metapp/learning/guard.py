@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.learning.adjoint import TORCH, AnyBatch, Engine, Loss, UpdateRule, same
+from metapp.learning.adjoint import AnyBatch, Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.learn import Step, checked, descend, last
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import fixed_adam, like
@@ -37,7 +37,7 @@ def descend_guarded(
     rng: Rng,
     guard: Guard,
     steps: int,
-    engine: Engine = TORCH,
+    steps_of: StepsOf = torch_steps,
 ) -> Iterator[Step]:
     """Descend by a learned rule; where that fails, go on by Adam, and keep what has the lowest visible loss.
 
@@ -52,7 +52,7 @@ def descend_guarded(
         rng: source of the rule's draws, one for all tasks or one for each; the guard draws from copies.
         guard: which fits are doubtful, and the Adam that these go on by.
         steps: number of the rule's steps, and of Adam's.
-        engine: what takes the steps.
+        steps_of: what takes the steps.
 
     Yields:
         The rule's steps, then one with the parameters that are kept.
@@ -65,7 +65,7 @@ def descend_guarded(
     losses: list[Tensor] = []
 
     def descent(theta: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Rng) -> Iterator[Step]:
-        return checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=engine), every=0)
+        return checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0)
 
     for after in descent(params, rule, tasks, loss, rng):
         before, now = now, after
@@ -83,7 +83,7 @@ def descend_guarded(
         plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule does
         further = last(descent(some, adam, tasks.select(rows), plain, picked(copied(rng), rows))).theta
         best = _lower(best, judge({k: value.index_put((doubtful,), further[k]) for k, value in best.theta.items()}))
-        now, doubtful = now._replace(packed=best.theta, unpack=same), best.loss < candidates[0].loss
+        now, doubtful = now._replace(theta=best.theta), best.loss < candidates[0].loss
     yield now._replace(guarded=doubtful)
 
 

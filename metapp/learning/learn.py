@@ -15,16 +15,15 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.adjoint import (
-    TORCH,
     AnyBatch,
     AnyData,
     Drawn,
-    Engine,
     Loss,
+    StepsOf,
     UpdateRule,
     at_step,
     learn_through,
-    same,
+    torch_steps,
 )
 from metapp.learning.app import App
 from metapp.learning.task import KIND, Params, Rng, Tasks, drawn
@@ -56,26 +55,19 @@ class Step(NamedTuple):
 
     Attributes:
         step: steps that were taken.
-        packed: the parameters, as the engine has them.
-        state: the rule's own, as the engine has it.
+        theta: the parameters, detached.
+        state: the rule's own, as the steps have it.
         loss: of each task before the last step, [T], detached; None before the first.
         names: of the tasks that the last step saw.
-        unpack: packed parameters -> parameters by name.
         guarded: bool [T]: where the guard replaced what the rule gave (`guard`); None where there is no guard.
     """
 
     step: int
-    packed: Params
+    theta: Params
     state: Params
     loss: Tensor | None = None
     names: tuple[str, ...] = ()
-    unpack: Callable[[Params], Params] = same
     guarded: Tensor | None = None
-
-    @property
-    def theta(self) -> Params:
-        """The parameters after so many steps, detached."""
-        return self.unpack(self.packed)
 
 
 def descend(
@@ -87,7 +79,7 @@ def descend(
     steps: int,
     rng: Rng,
     since: Step | None = None,
-    engine: Engine = TORCH,
+    steps_of: StepsOf = torch_steps,
 ) -> Iterator[Step]:
     """Descend a loss from an initialisation by a rule (alg. 1), one step at a time.
 
@@ -98,20 +90,21 @@ def descend(
         loss: what to descend.
         steps: number of steps.
         rng: source of all random draws; one for all tasks, or one for each.
-        since: where an earlier descent by the same engine was, to go on from; `rng` must be in its state of then.
-        engine: what takes the steps.
+        since: where an earlier descent by the same steps was, to go on from; `rng` must be in its state of then.
+        steps_of: what takes the steps.
 
     Yields:
         Where it is before the first step, and after each; nothing is drawn for a step before it is asked for.
     """
-    stepper = engine.stepper(rule, loss, {key: value.detach() for key, value in params.items()})
-    first = since or Step(0, stepper.theta, stepper.init(stepper.theta))
-    theta, state = first.packed, first.state
-    yield first._replace(unpack=stepper.unpack)
-    for i in range(first.step, steps):
+    theta = {key: value.detach() for key, value in params.items()}
+    by = steps_of(rule, loss, theta, 1)
+    now = since or Step(0, theta, by.init(theta))
+    yield now
+    for i in range(now.step, steps):
         names, batch = loss.draw(data, rng, i / steps)
-        theta, state, losses, _ = stepper.step(at_step(stepper.alpha, i), theta, state, batch)
-        yield Step(i + 1, theta, state, losses, names, stepper.unpack)
+        theta, state, losses, _ = by.step(at_step(by.alpha, i), now.theta, now.state, batch)
+        now = Step(i + 1, theta, state, losses, names)
+        yield now
 
 
 def checked(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
@@ -157,14 +150,21 @@ def last(items: Iterable[Item]) -> Item:
 
 
 def learn(
-    params: Params, rule: UpdateRule, data: AnyData, loss: Loss, *, steps: int, rng: Rng, engine: Engine = TORCH
+    params: Params,
+    rule: UpdateRule,
+    data: AnyData,
+    loss: Loss,
+    *,
+    steps: int,
+    rng: Rng,
+    steps_of: StepsOf = torch_steps,
 ) -> Params:
     """The parameters at the end of a descent (`descend`), detached.
 
     Raises:
         FloatingPointError: a loss is not finite; names the tasks and the step.
     """
-    return last(checked(descend(params, rule, data, loss, steps=steps, rng=rng, engine=engine))).theta
+    return last(checked(descend(params, rule, data, loss, steps=steps, rng=rng, steps_of=steps_of))).theta
 
 
 # Losses and the combinators that lift them
@@ -184,7 +184,7 @@ def task_outer_loss(app: App, batch: int) -> Loss:
 @functools.lru_cache(maxsize=32)
 def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
     sample = app.outer_sample if outer else app.sample
-    # one function for one loss: engines know by it what they have compiled
+    # one function for one loss: compiled steps are found by it
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
     def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
@@ -239,7 +239,7 @@ def after_learning(
     clip: float = float("inf"),
     encoding: Encoding | None = None,
     outer_loss: Loss | None = None,
-    engine: Engine = TORCH,
+    steps_of: StepsOf = torch_steps,
 ) -> Loss:
     """Lift a loss on theta to a loss on phi: what is left after learning from phi's theta by phi's rule (alg. 3).
 
@@ -251,7 +251,7 @@ def after_learning(
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         encoding: where phi holds an encoder, whose predictions are the initialisations.
         outer_loss: the loss of the final theta, where that is not `loss` itself.
-        engine: what takes the inner steps.
+        steps_of: what takes the inner steps.
 
     Returns:
         A loss on the flat tree of MetaParameters, on all of the data however far the outer loop is.
@@ -270,8 +270,8 @@ def after_learning(
         theta = encoding.encode(parts.encoder, condition) if encoding else spread(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_per_task(theta, spread(parts.alpha, count, 1), clip / count)
-        final = learn_through(theta, rule(alpha), inner, loss, order=order, engine=engine)
-        return engine.value(last_loss, final, outer)
+        final = learn_through(theta, rule(alpha), inner, loss, order=order, steps_of=steps_of)
+        return last_loss.value(final, outer, {})
 
     return Loss(draw, value)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import torch
 from torch import Generator
 
-from metapp.learning.adjoint import Loss, RuleStep, UpdateRule, fastest
+from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_outer_loss
 from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam, Guard, MetaTraining
@@ -17,7 +17,7 @@ from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Rng, Tasks
 from metapp.paradigms.general import encoding, predicted
 from metapp.paradigms.outer_loop import train
-from metapp.paradigms.paradigm import AT_ONCE, Paradigm, TrainingData
+from metapp.paradigms.paradigm import AT_ONCE, Paradigm, TrainingData, fastest
 from metapp.paradigms.tuning import search
 
 GATHERED = 32  # tasks whose gradients settle parts of a rule
@@ -92,7 +92,7 @@ class Meta(Paradigm):
             clip=training.clip,
             encoding=encoding(app) if prepared.encoder else None,
             outer_loss=task_outer_loss(app, self.recipe.batch),
-            engine=fastest(compiles=app.compiles),
+            steps_of=fastest(compiles=app.compiles),
         )
         phi = MetaParameters(theta, self.learned.alpha(app, random, steps, training.first), prepared.encoder)
         return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from typing import ClassVar, NamedTuple, Self
 
 from torch import Generator
 
-from metapp.learning.adjoint import Loss, UpdateRule, fastest
+from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
@@ -17,8 +18,19 @@ from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Rng, Tasks
+from metapp.registry import registry
 
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
+
+
+def fastest(*, compiles: bool = False) -> StepsOf:
+    """The steps of an extension; torch's where there is none.
+
+    Args:
+        compiles: whether the steps are so many that compiling them pays.
+    """
+    entry = registry().steps
+    return functools.partial(entry.load(), compiles=compiles) if entry else torch_steps
 
 
 class TrainingData(NamedTuple):
@@ -148,9 +160,9 @@ class Paradigm(ABC):
             return
         rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if self.guarding else None
         if guard:
-            yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, engine=fastest())
+            yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, steps_of=fastest())
         else:
-            yield from checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=fastest()))
+            yield from checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest()))
 
     def unguarded(self, steps: int | None = None) -> Self:
         """The same without a guard, for so many steps."""

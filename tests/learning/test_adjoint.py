@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, at_step, learn_through
+from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_through, torch_steps
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
@@ -60,15 +60,15 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
     phi, last = brdf_phi(rule, randn), brdf_batch(randn)
     batches = [brdf_batch(randn) for _ in range(STEPS)]
 
-    def mean(order: int, engine: Engine | None = TORCH) -> Callable[[Params], Tensor]:
+    def mean(order: int, steps_of: StepsOf | None = torch_steps) -> Callable[[Params], Tensor]:
         def unrolled_mean(phi: Params) -> Tensor:
             start = MetaParameters.unflat(phi)
             learned = rule_of(rule).rule(spread(start.alpha, TASKS, 1))
             return APP.loss(unrolled(spread(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}).mean()
 
-        if engine is None:  # one unrolled graph
+        if steps_of is None:  # one unrolled graph
             return unrolled_mean
-        lifted = after_learning(BRDF, rule_of(rule).rule, steps=STEPS, order=order, engine=engine)
+        lifted = after_learning(BRDF, rule_of(rule).rule, steps=STEPS, order=order, steps_of=steps_of)
         return lambda phi: lifted.value(phi, (batches, last, None), {}).mean()
 
     return phi, mean
@@ -136,8 +136,8 @@ def test_one_dimension_in_closed_form(order: int, steps: int) -> None:
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
     phi, mean = brdf_case(rule, randn)
-    expected = value_and_grads(mean(order, engine=None), phi)
-    value, grads = value_and_grads(mean(order, Engine()), phi)
+    expected = value_and_grads(mean(order, steps_of=None), phi)
+    value, grads = value_and_grads(mean(order), phi)
     assert_alike((value, grads), expected)
     for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
         assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key

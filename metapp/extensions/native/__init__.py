@@ -7,4 +7,4 @@ from metapp.registry import Entry, Registry
 
 def register(registry: Registry) -> None:
     """Take the steps."""
-    registry.engine = Entry("metapp.extensions.native.fastest:Fastest")
+    registry.steps = Entry("metapp.extensions.native.fastest:steps")

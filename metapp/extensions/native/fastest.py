@@ -1,4 +1,4 @@
-"""The fastest engine there is for a loss and a rule: in C, else by torch, compiled where that pays."""
+"""The fastest steps there are for a loss and a rule: in C, else by torch, compiled where that pays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import functools
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,56 +14,29 @@ from torch import Tensor
 from torch.utils._pytree import TreeSpec, tree_flatten, tree_unflatten
 
 from metapp.extensions.native import in_c
-from metapp.learning.adjoint import (
-    BackwardStep,
-    Engine,
-    ForwardStep,
-    Loss,
-    RuleStep,
-    Stepper,
-    UpdateRule,
-    steps_by_torch,
-)
-from metapp.learning.task import Batch, Params
+from metapp.learning.adjoint import Loss, RuleStep, Steps, UpdateRule, step_and_vjp, torch_steps
+from metapp.learning.task import Params
 from metapp.storage.cache import cache_folder, code_folder
 
 COMPILED = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
 
 
-@dataclass(frozen=True)
-class Fastest(Engine):
+def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: bool = False) -> Steps:
     """Steps in C where the loss and the rule are to be had there, else by torch.
 
-    Attributes:
+    Args:
+        rule, loss, theta, order: as of `torch_steps`.
         compiles: whether steps by torch are so many that compiling them pays; without a tool chain they are not.
     """
-
-    compiles: bool = False
-
-    def stepper(self, rule: UpdateRule, loss: Loss, theta: Params, order: int = 1) -> Stepper:
-        """Steps in C, else by torch."""
-        return in_c.stepper(rule, loss, theta, order) or self.by_torch.stepper(rule, loss, theta, order)
-
-    def value(self, loss: Loss, theta: Params, batch: Batch) -> Tensor:
-        """A loss [T] in C, else by torch; differentiable once in theta."""
-        losses = in_c.value(loss, theta, batch)
-        return self.by_torch.value(loss, theta, batch) if losses is None else losses
-
-    @functools.cached_property
-    def by_torch(self) -> Engine:
-        """The engine of all other steps."""
-        return Compiled() if self.compiles and can_compile() else Engine()
+    found = in_c.steps(rule, loss, theta, order)
+    if found is None and compiles and can_compile():
+        found = compiled_steps(rule, loss, theta, order)
+    return found or torch_steps(rule, loss, theta, order)
 
 
-FASTEST = Fastest()
-
-
-class Compiled(Engine):
+def compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
     """Steps by torch.compile, for the shapes of their first call: about twice as fast, after seconds of compiling."""
-
-    def functions(self, step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
-        """The same as torch's; one object for the same rule, loss and order."""
-        return _compiled(step, loss, order)
+    return Steps(rule.alpha, rule.init, *_compiled(rule.step, loss, order))
 
 
 @functools.cache
@@ -84,8 +56,8 @@ def can_compile() -> bool:
 
 @functools.lru_cache(maxsize=32)  # compiling takes seconds
 def _compiled(rule_step: RuleStep, loss: Loss, order: int) -> tuple[_Program, _Program]:
-    step, step_vjp = steps_by_torch(rule_step, loss, order)
-    return _Program(step), _Program(step_vjp)
+    step, vjp = step_and_vjp(rule_step, loss, order)
+    return _Program(step), _Program(vjp)
 
 
 Compilation = tuple[Callable[..., Sequence[Tensor]], TreeSpec]  # flat tensors -> flat tensors, and their tree

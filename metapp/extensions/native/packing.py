@@ -5,9 +5,11 @@ All of it is differentiable, so that gradients of packed tensors go back to each
 
 from __future__ import annotations
 
+import functools
 import math
+from collections import UserDict
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -28,33 +30,53 @@ from metapp.learning.rules.parts import (
 from metapp.learning.task import Params
 
 
-class Layout(NamedTuple):
-    """The order and the shapes of one task's parameters in a flat theta."""
+class Flat(UserDict[str, Tensor]):
+    """Parameters by name, [T, ...], that lie side by side in one tensor; views of it are made where they are read.
 
-    shapes: tuple[tuple[str, tuple[int, ...]], ...]
+    Attributes:
+        flat: the tensor, [T, P], dense.
+    """
 
-    @classmethod
-    def of(cls, theta: Params) -> Layout:
+    def __init__(self, layout: Layout, flat: Tensor) -> None:
+        self.layout, self.flat = layout, flat
+
+    @functools.cached_property
+    def data(self) -> Params:  # type: ignore[override]
+        """The views."""
+        parts = self.flat.split(list(self.layout.sizes.values()), 1)
+        return {
+            key: part.view(-1, *shape) for (key, shape), part in zip(self.layout.shapes.items(), parts, strict=True)
+        }
+
+
+class Layout:
+    """The order and the shapes of one task's parameters in a flat theta.
+
+    Attributes:
+        shapes, sizes: of each parameter, and how many numbers it is.
+        size: P, the sum of these.
+    """
+
+    def __init__(self, theta: Params) -> None:
         """The layout of parameters [T, ...]."""
-        return cls(tuple((key, tuple(value.shape[1:])) for key, value in theta.items()))
-
-    @property
-    def sizes(self) -> list[int]:
-        """The count of numbers of each parameter."""
-        return [math.prod(shape) for _, shape in self.shapes]
+        self.shapes = {key: tuple(value.shape[1:]) for key, value in theta.items()}
+        self.sizes = {key: math.prod(shape) for key, shape in self.shapes.items()}
+        self.size = sum(self.sizes.values())
 
     def flat(self, theta: Params) -> Tensor:
-        """Parameters [T, ...] side by side, [T, P]."""
-        return torch.cat([theta[key].flatten(1) for key, _ in self.shapes], 1)
+        """Parameters [T, ...] side by side, [T, P], dense."""
+        flat: Tensor | None = getattr(theta, "flat", None)
+        return torch.cat([theta[key].flatten(1) for key in self.shapes], 1) if flat is None else flat
 
     def tree(self, flat: Tensor) -> Params:
-        """The inverse of `flat`; views."""
-        parts = flat.split(self.sizes, 1)
-        return {key: part.view(-1, *shape) for (key, shape), part in zip(self.shapes, parts, strict=True)}
+        """The inverse of `flat`."""
+        return cast("Params", Flat(self, flat))
 
     def weights(self, alpha: Params, prefix: str) -> Tensor:
         """One number for each weight, `<prefix><parameter>` [K, ...] or [K, T, ...]: [K, T or 1, P]."""
-        return torch.cat([_by_task(alpha[prefix + key], len(shape)).flatten(2) for key, shape in self.shapes], -1)
+        return torch.cat(
+            [_by_task(alpha[prefix + key], len(shape)).flatten(2) for key, shape in self.shapes.items()], -1
+        )
 
 
 def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
@@ -100,9 +122,9 @@ def _exp_rates(alpha: Params, layout: Layout) -> Params:
     """Rates of their logarithms and, where there are any, of those of paces, one for each parameter."""
     logarithms = layout.weights(alpha, "rate.")
     if any(key.startswith("pace.") for key in alpha):
-        paces = [_by_task(alpha[f"pace.{key}"], 0)[..., None] for key, _ in layout.shapes]
+        paces = [_by_task(alpha[f"pace.{key}"], 0)[..., None] for key in layout.shapes]
         logarithms = logarithms + torch.cat(
-            [pace.expand(-1, -1, size) for pace, size in zip(paces, layout.sizes, strict=True)], -1
+            [pace.expand(-1, -1, size) for pace, size in zip(paces, layout.sizes.values(), strict=True)], -1
         )
     return {"rate": torch.exp(logarithms)}
 
@@ -114,7 +136,7 @@ def _betas(alpha: Params, layout: Layout) -> Params:
 
 
 def _matrices(alpha: Params, layout: Layout) -> Params:
-    names = (f"{side}.{key}" for key, _ in layout.shapes for side in ("left", "right"))
+    names = (f"{side}.{key}" for key in layout.shapes for side in ("left", "right"))
     return {"matrices": torch.cat([_by_task(alpha[name], 2).flatten(2) for name in names if name in alpha], -1)}
 
 

@@ -15,9 +15,9 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native import in_c, nbrdf
 from metapp.extensions.native.compiler import compiler
-from metapp.extensions.native.fastest import FASTEST
+from metapp.extensions.native.fastest import steps as fastest
 from metapp.extensions.native.packing import Layout
-from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
+from metapp.learning.adjoint import Drawn, Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread, task_outer_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
@@ -91,7 +91,7 @@ def away(actual: Tensor, expected: Tensor) -> float:
 def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, form: int) -> None:
     rng = Generator().manual_seed(samples)
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
-    layout = Layout.of(theta)
+    layout = Layout(theta)
     flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
     own = nbrdf.loss(theta)
     assert own is not None
@@ -114,7 +114,7 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, f
 def test_tasks_do_not_see_each_other() -> None:
     rng = Generator().manual_seed(1)
     theta, batch = theta_of(rng), batch_of(rng, 200)
-    flat = Layout.of(theta).flat(theta)
+    flat = Layout(theta).flat(theta)
     together, _ = nbrdf.gradient(flat, batch, {})
     for task in range(TASKS):
         one, _ = nbrdf.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
@@ -127,11 +127,11 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
     rng = Generator().manual_seed(2)
     theta = theta_of(rng)
     theta["b3"][1] = bad
-    flat = Layout.of(theta).flat(theta)
+    flat = Layout(theta).flat(theta)
     assert torch.isfinite(nbrdf.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
     loss = replace(loss_of([]), draw=lambda data, rng, done: Drawn(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
-        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, engine=FASTEST)
+        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, steps_of=fastest)
 
 
 def moved(rule: str, rng: Generator) -> Params:
@@ -149,19 +149,19 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: p
     rng = Generator().manual_seed(3)
     phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flat()
     batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
-    steps, made = list[int](), in_c._Step.__init__
-    monkeypatch.setattr(in_c._Step, "__init__", lambda *words: steps.append(1) or made(*words))
+    steps, made = list[int](), in_c._Steps.__init__
+    monkeypatch.setattr(in_c._Steps, "__init__", lambda *words, **more: steps.append(1) or made(*words, **more))
 
-    def grads(kind: Callable[[Params], Params], engine: Engine) -> Params:
-        lifted = after_learning(loss_of([]), rule_of(rule).rule, steps=STEPS, order=order, clip=0.05, engine=engine)
+    def grads(kind: Callable[[Params], Params], steps_of: StepsOf) -> Params:
+        lifted = after_learning(loss_of([]), rule_of(rule).rule, steps=STEPS, order=order, clip=0.05, steps_of=steps_of)
         leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
         value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
         pulls = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
         return dict(zip(leaves, pulls, strict=True)) | {"": value.detach()}
 
-    exact = grads(double, FASTEST)
+    exact = grads(double, fastest)
     assert not steps
-    found = grads(dict, FASTEST)
+    found = grads(dict, fastest)
     assert len(steps) == 1
     assert list(found) == list(exact)
     for key, value in exact.items():
@@ -186,9 +186,10 @@ def test_fits_are_those_of_torch(name: str, tasks: int, form: int) -> None:
     theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
     theta = {key: theta[key] for key in sorted(theta)}  # as files have them
     rule = rules_of(theta, rng)[name]
-    assert in_c.stepper(rule, loss_of([]), theta, 1) is not None
+    assert in_c.steps(rule, loss_of([]), theta, 1) is not None
     paths = [
-        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=engine) for engine in (FASTEST, TORCH)
+        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=each)
+        for each in (fastest, torch_steps)
     ]
     for here, there in zip(*paths, strict=True):
         assert here.theta.keys() == theta.keys()
@@ -217,10 +218,10 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "another loss": (rule, loss_of([], registered=False), theta),
         "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
-    assert in_c.stepper(rule, loss, theta, 1) is not None
+    assert in_c.steps(rule, loss, theta, 1) is not None
     assert in_c.loss_in_c(task_outer_loss(APP, 8), theta) is not None  # the same loss of other samples
     for name, case in cases.items():
-        assert in_c.stepper(*case, 1) is None, name
+        assert in_c.steps(*case, 1) is None, name
 
 
 def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,9 +229,9 @@ def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = Generator().manual_seed(6)
     theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
-    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
+    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     monkeypatch.setattr(nbrdf, "compiled", lambda: None)
     monkeypatch.setattr(in_c, "compiled", lambda: None)
-    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
+    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     for key, value in there.items():
         assert away(here[key], value.double()) < 100 * EPS
