@@ -175,18 +175,11 @@ def _bins_above_horizon() -> Tensor:
 def measured_task(
     name: str, material: Evaluate | Array, samples: int, source: str | Path, *, azimuths: bool = False
 ) -> Task:
-    """As `brdf_task`, of a file; warns of values that no material has."""
+    """As `brdf_task`, of a file; warns where nothing is reflected, far too much, or more than comes in."""
     task = brdf_task(name, material, samples, source=source, azimuths=azimuths)
     evaluate = functools.partial(merl_evaluate, material) if isinstance(material, np.ndarray) else material
-    warn_implausible(source, task, evaluate)
-    return task
-
-
-def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor], Tensor]) -> None:
-    """Warn of a task, and of the BRDF that evaluates it, that reflects nothing, far too much, or more than comes in."""
-    reflectance = task.data["reflectance"]
-    high = float(reflectance.max())
-    albedo = float(normal_albedo(evaluate, azimuths="phi_h" in task.data).max())
+    high = float(task.data["reflectance"].max())
+    albedo = float(normal_albedo(evaluate, azimuths=azimuths).max())
     if high == 0:
         found, expected = "reflectance 0 everywhere", "some light reflected"
     elif high > HIGHEST:
@@ -194,8 +187,9 @@ def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor]
     elif albedo > REFLECTED:
         found, expected = f"{albedo:.3g} times the light that comes in from above is reflected", "at most all of it"
     else:
-        return
+        return task
     warnings.warn(f"{source}: {found}, expected {expected}; is it damaged, or in another unit?", stacklevel=2)
+    return task
 
 
 def normal_albedo(evaluate: Callable[[Tensor], Tensor], *, azimuths: bool = False) -> Tensor:

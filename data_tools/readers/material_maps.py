@@ -29,6 +29,7 @@ from torch import Tensor
 
 from data_tools.readers.conversion import Conversion, Label, split_groups
 from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, read_pixels, shape_of
+from data_tools.readers.listing import files_below
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -92,8 +93,7 @@ def recognises(path: Path) -> bool:
     """True for one of the maps of a material, and for a folder with a material at any depth."""
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
-    folders = (path, *(below for below in path.rglob("*") if below.is_dir()))
-    return any(materials_in(folder)[0] for folder in folders)
+    return any(materials_in(folder)[0] for folder in {file.parent for file in files_below(path)})
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:

@@ -18,7 +18,7 @@ from data_tools.formats import inputs_of
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp import door
+from metapp import registry
 from metapp.apps import recipes_of
 from metapp.extensions.several import checkpoints, photos
 from metapp.learning.app import stack
@@ -220,6 +220,6 @@ def test_five_photos_say_more_than_one_by_default() -> None:
 def test_without_the_extension_its_folders_are_refused_by_its_name(
     folder: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(door.WITHOUT, "several")
+    monkeypatch.setenv(registry.WITHOUT, "several")
     assert "the extension several reads it" in metapp("meta", APP, folder, "--observe", "photo").refusal
     assert plan(fit_options(APP, "meta", (folder / "a.png",), observe="photo")).options.recipe == "full"
