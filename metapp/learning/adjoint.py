@@ -82,17 +82,19 @@ def loss_parameters(alpha: Params) -> Params:
 
 
 class Steps(NamedTuple):
-    """Steps of a rule down a loss, and their vector-Jacobian product.
+    """Steps of a rule down a loss, their vector-Jacobian product, and the loss itself.
 
     Attributes:
         alpha: the rule's hyperparameters as the steps read them, [K, ...]; differentiable in the rule's own.
         init: theta -> state.
+        value: (theta, batch) -> the plain loss of each task, [T], differentiable once in theta.
         step: (alpha of this step, theta, state, batch) -> (theta, state, losses [T], gradient).
         vjp: (alpha, theta, state, batch, gradient, pull of theta, pull of state) -> pulls of (theta, state, alpha).
     """
 
     alpha: Params
     init: Callable[[Params], Params]
+    value: Callable[[Params, AnyBatch], Tensor]
     step: Callable[[Params, Params, Params, AnyBatch], tuple[Params, Params, Tensor, Params]]
     vjp: Callable[[Params, Params, Params, AnyBatch, Params, Params, Params], tuple[Params, Params, Params]]
 
@@ -103,7 +105,9 @@ StepsOf = Callable[[UpdateRule, Loss, Params, int], Steps]
 
 def torch_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
     """Steps by automatic differentiation; the reference of all others."""
-    return Steps(rule.alpha, rule.init, *step_and_vjp(rule.step, loss, order))
+    return Steps(
+        rule.alpha, rule.init, lambda theta, batch: loss.value(theta, batch, {}), *step_and_vjp(rule.step, loss, order)
+    )
 
 
 def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[..., Any], Callable[..., Any]]:

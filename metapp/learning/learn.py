@@ -251,7 +251,7 @@ def after_learning(
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         encoding: where phi holds an encoder, whose predictions are the initialisations.
         outer_loss: the loss of the final theta, where that is not `loss` itself.
-        steps_of: what takes the inner steps.
+        steps_of: what takes the inner steps, and evaluates the loss of the final theta.
 
     Returns:
         A loss on the flat tree of MetaParameters, on all of the data however far the outer loop is.
@@ -270,8 +270,9 @@ def after_learning(
         theta = encoding.encode(parts.encoder, condition) if encoding else spread(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_per_task(theta, spread(parts.alpha, count, 1), clip / count)
-        final = learn_through(theta, rule(alpha), inner, loss, order=order, steps_of=steps_of)
-        return last_loss.value(final, outer, {})
+        by = rule(alpha)
+        final = learn_through(theta, by, inner, loss, order=order, steps_of=steps_of)
+        return steps_of(by, last_loss, final, 1).value(final, outer)
 
     return Loss(draw, value)
 

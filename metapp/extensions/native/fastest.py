@@ -36,7 +36,8 @@ def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: 
 
 def compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
     """Steps by torch.compile, for the shapes of their first call: about twice as fast, after seconds of compiling."""
-    return Steps(rule.alpha, rule.init, *_compiled(rule.step, loss, order))
+    step, vjp = _compiled(rule.step, loss, order)
+    return torch_steps(rule, loss, theta, order)._replace(step=step, vjp=vjp)
 
 
 @functools.cache

@@ -10,18 +10,17 @@ import ctypes
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from metapp import registry
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.packing import Layout, packed
 from metapp.learning.adjoint import Loss, Steps, UpdateRule, loss_parameters
 from metapp.learning.task import Batch, Params
-
-WIDEST, MOST = 64, 4096  # as in step.c: rows and columns of a parameter, weights of a task
 
 
 class _Shape(ctypes.Structure):
@@ -80,20 +79,25 @@ def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps | No
     if in_c is None:
         return None
     layout = Layout({name: theta[name] for name in in_c.names})
-    alpha = packed(rule.step, rule.alpha, layout) if _fits(layout) else None
+    alpha = packed(rule.step, rule.alpha, layout)
     if alpha is None:
         return None
     by = _Steps(layout, in_c, order, moments="adam" in alpha)
-    return Steps(alpha, by.init, by.step, by.vjp)
+    return Steps(alpha, by.init, by.value, by.step, by.vjp)
 
 
-def _fits(layout: Layout) -> bool:
-    return layout.size <= MOST and all(max(_matrix(shape)) <= WIDEST for shape in layout.shapes.values())
+class _Value(torch.autograd.Function):
+    """A loss in C, whose gradient comes with it."""
 
+    @staticmethod
+    def forward(ctx: Any, loss: LossInC, theta: Tensor, batch: Batch) -> Tensor:
+        ctx.gradient, losses = loss.gradient(theta.detach(), batch, {})
+        return losses
 
-def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Rows and columns of a parameter; what has not two axes has no matrices at its sides, and may be long."""
-    return (shape[0], shape[1]) if len(shape) == 2 else (1, 1)
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, pull: Tensor) -> tuple[None, Tensor, None]:
+        return None, pull[:, None] * ctx.gradient, None
 
 
 @functools.cache
@@ -129,6 +133,11 @@ class _Steps:
         tasks = len(next(iter(theta.values())))
         state = {"m": zeros(tasks, self.layout.size), "v": zeros(tasks, self.layout.size)}
         return state | {"products": zeros(tasks, 2) + 1}
+
+    def value(self, theta: Params, batch: Batch) -> Tensor:
+        """As of `Steps`."""
+        result: Tensor = _Value.apply(self.loss, self.layout.flat(theta), batch)  # type: ignore[no-untyped-call]
+        return result
 
     def step(self, alpha: Params, theta: Params, state: Params, batch: Batch) -> tuple[Params, Params, Tensor, Params]:
         """As of `Steps`."""

@@ -5,7 +5,7 @@
 
 #include "vectors.h"
 
-enum { AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two as in in_c.py
+enum { AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two above columns of a parameter and weights of a network
 
 typedef struct {
   int rows, columns, left, right;  // left, right: whether there is a matrix on that side
