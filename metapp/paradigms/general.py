@@ -9,7 +9,7 @@ from torch import Generator
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
-from metapp.learning.progress import Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Rng, Tasks, drawn
 from metapp.paradigms.outer_loop import train
@@ -48,7 +48,7 @@ class General(Paradigm):
         # staged before tasks are augmented: what is not seen need not be made
         return MetaParameters(encoder=app.init_encoder(rng)), staged(outer, app.stage)
 
-    def prepare(self, data: TrainingData) -> Iterator[Progress]:
+    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
         """Train the encoder."""
         phi, loss = self.outer_problem(data.rng)
         return train(self, data.first if data.first.encoder else phi, loss, self.recipe.general, data)

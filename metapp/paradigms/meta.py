@@ -10,7 +10,7 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_outer_loss
-from metapp.learning.progress import Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules import rule_of
 from metapp.learning.rules.rule import LearnedRule
@@ -97,7 +97,7 @@ class Meta(Paradigm):
         phi = MetaParameters(theta, self.learned.alpha(app, random, steps, training.first), prepared.encoder)
         return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
 
-    def prepare(self, data: TrainingData) -> Iterator[Progress]:
+    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
         """Learn initialisation and rule, after a search of the Adam that the rule begins as, if the recipe has one."""
         training = self.training
         first, loss = self.outer_problem(self._first(data), data.rng)
@@ -108,8 +108,7 @@ class Meta(Paradigm):
             tuned = yield from search(self, training.first, functools.partial(self._with_adam, first), searched)
             if not training.steps:
                 return
-            assert tuned.best is not None
-            first, data = tuned.best.phi, data._replace(since=data.since if data.since.outer else tuned)
+            first, data = tuned.phi, data._replace(since=data.since if data.since.outer else tuned)
         yield from train(self, first, loss, training, data)
 
     def _first(self, data: TrainingData) -> MetaParameters:

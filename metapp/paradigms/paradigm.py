@@ -14,7 +14,7 @@ from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
-from metapp.learning.progress import Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Rng, Tasks
@@ -50,7 +50,7 @@ class TrainingData(NamedTuple):
     rng: Generator
     encoder: MetaParameters | None = None
     steps: int | None = None
-    since: Progress = Progress()
+    since: TrainState = TrainState()
     first: MetaParameters = MetaParameters()
 
 
@@ -124,11 +124,11 @@ class Paradigm(ABC):
         """The outer loop of its preparation; None where there is none."""
         return None
 
-    def prepare(self, data: TrainingData) -> Iterator[Progress]:
+    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
         """Prepare the last of what it needs; the others are given.
 
         Yields:
-            How far it is, before each outer step and after each validation; at the end `best` is the result.
+            Its state, before each outer step and after each validation; the last holds the result.
 
         Raises:
             ValueError: there is nothing to prepare.

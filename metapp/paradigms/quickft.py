@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Params
 from metapp.paradigms.general import General
@@ -42,7 +42,7 @@ class QuickFT(General):
         tuned = {key: float(value) for key, value in phi.alpha.items()}
         return Adam(**tuned) if tuned else self.recipe.quickft
 
-    def prepare(self, data: TrainingData) -> Iterator[Progress]:
+    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
         """Search the Adam on validation tasks: a win over a badly tuned baseline is no win.
 
         The result has Adam's settings as alpha, scalars on the CPU, beside the encoder that they were tuned for.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from metapp.learning.progress import Prepared
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import OuterLoop
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.meta import Meta
@@ -29,12 +29,12 @@ def training_of(paradigm: Paradigm, steps: int | None) -> OuterLoop | None:
     return training
 
 
-def describe(paradigm: Paradigm, prepared: Prepared, steps: int | None = None) -> dict[str, object]:
+def describe(paradigm: Paradigm, state: TrainState, steps: int | None = None) -> dict[str, object]:
     """The description of a checkpoint in its file: JSON-ready.
 
     Args:
         paradigm: that prepared it.
-        prepared: the result.
+        state: at the end.
         steps: outer steps instead of the recipe's.
     """
     recipe, training = paradigm.recipe, training_of(paradigm, steps)
@@ -44,7 +44,7 @@ def describe(paradigm: Paradigm, prepared: Prepared, steps: int | None = None) -
         "inner_steps": recipe.steps,
         "batch": recipe.batch,
         "training": training and asdict(training),
-        "validation_error": prepared.validation,
-        "best_step": prepared.step,
-        "curve": prepared.curve,
+        "validation_error": state.validation,
+        "best_step": state.best_step,
+        "curve": state.curve,
     }

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import Prepared, Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
 from metapp.paradigms.paradigm import Paradigm, TrainingData
@@ -18,7 +18,7 @@ from metapp.paradigms.validation import validation_error
 
 def search(
     paradigm: Paradigm, first: Adam, phi_of: Callable[[Adam], MetaParameters], data: TrainingData
-) -> Generator[Progress, None, Progress]:
+) -> Generator[TrainState, None, TrainState]:
     """The best Adam on validation tasks: a coordinate search, one setting or two at a time.
 
     Args:
@@ -35,7 +35,7 @@ def search(
     """
     tasks, earlier = to_tune_on(paradigm.app, data.to_validate), data.since.errors
     total = min(1 + sum(len(choices) for choices in SEARCHED), data.steps or sys.maxsize)
-    best, best_adam = Prepared(phi_of(first)), first
+    state, best_adam = TrainState(phi=phi_of(first)), first
     errors: list[float] = []
 
     def candidates() -> Iterator[Adam]:
@@ -49,12 +49,14 @@ def search(
         phi, tried = phi_of(adam), len(errors)
         errors.append(earlier[tried] if tried < len(earlier) else validation_error(paradigm, phi, tasks))
         error, done = errors[-1], len(errors)
-        if error < best.validation:
-            best, best_adam = Prepared(phi, error, done, (*best.curve, (done, None, error))), adam
+        state = state._replace(errors=tuple(errors), done=done, total=total)
+        if error < state.validation:
+            curve, best_adam = (*state.curve, (done, None, error)), adam
+            state = state._replace(phi=phi, validation=error, best_step=done, curve=curve)
         if done >= len(earlier) and not data.since.outer:
-            note = f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}"
-            yield Progress(tuple(errors), best=best, done=done, total=total, note=note)
-    return Progress(tuple(errors), best=best)
+            note = f"rate {adam.rate:.1e}, validation {error:.3f}, best {state.validation:.3f}"
+            yield state._replace(note=note)
+    return state
 
 
 def to_tune_on(app: App, tasks: Tasks) -> Tasks:

@@ -1,6 +1,6 @@
 """The training checkpoint: a file beside a checkpoint that is being trained, from which the same command goes on.
 
-Safetensors alone: trees of tensors under `theta.`, `state.` and `best.`, and a JSON document for the rest. On the CPU a
+Safetensors alone: trees of tensors under `theta.`, `state.` and `phi.`, and a JSON document for the rest. On the CPU a
 training that goes on from it ends bit for bit as one that was never cut off.
 """
 
@@ -18,7 +18,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.learning.learn import MetaParameters, Step
-from metapp.learning.progress import Prepared, Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import remove_partial, write_atomically
@@ -26,7 +26,8 @@ from metapp.storage.records import digest, tensor_digest
 from metapp.storage.tensors import opened_tensors
 
 SECONDS = 60.0  # between two writes; METAPP_CHECKPOINT_SECONDS is another number, for tests
-SCHEMA = 1
+SCHEMA = 2
+BEST = ("validation", "best_step", "curve")  # fields of a state, about its phi
 
 
 class TrainingCheckpoint:
@@ -44,7 +45,7 @@ class TrainingCheckpoint:
         self.settings = json.loads(json.dumps(settings))
         self.device = device
         self.seconds = _seconds()
-        self.progress = Progress()
+        self.state = TrainState()
         self.written, self.begin, self.before = time.monotonic(), time.process_time(), 0.0
 
     @property
@@ -52,15 +53,15 @@ class TrainingCheckpoint:
         """Processor seconds of this training, with those of programs that were cut off, up to their last write."""
         return self.before + time.process_time() - self.begin
 
-    def load(self) -> Progress:
-        """Load the progress of an earlier training of the same settings; empty where there is none.
+    def load(self) -> TrainState:
+        """Load the state of an earlier training of the same settings; empty where there is none.
 
         Raises:
             ValueError: the file is damaged, or of other settings, and was put aside.
         """
         remove_partial(self.path)
         if not self.path.is_file():
-            return Progress()
+            return TrainState()
         aside = self.path.with_suffix(".aside.safetensors")
         try:
             document, tensors = _read(self.path)
@@ -74,20 +75,20 @@ class TrainingCheckpoint:
             raise ValueError(
                 f"{self.path}: a training checkpoint of other settings ({', '.join(unlike)}), put aside as {aside.name}"
             )
-        self.progress, self.before = _progress(document, tensors, self.device), document.get("spent", 0.0)
-        return self.progress
+        self.state, self.before = _state(document, tensors, self.device), document.get("spent", 0.0)
+        return self.state
 
-    def keep(self, progress: Progress) -> None:
+    def keep(self, state: TrainState) -> None:
         """Remember how far it is, and write it where the last write is `seconds` ago."""
-        self.progress = progress
+        self.state = state
         if time.monotonic() - self.written >= self.seconds:
             self.write()
 
     def write(self) -> None:
         """Write how far it is, if anything is done; after a failure, a warning, the last file stays."""
-        if not self.progress.errors and self.progress.outer is None:
+        if not self.state.errors and self.state.outer is None:
             return
-        document, tensors = _document(self.progress)
+        document, tensors = _document(self.state)
         text = json.dumps({"schema": SCHEMA, "settings": self.settings, "spent": self.spent, **document})
         metadata = {"training": text, "digest": _digest(text, tensors)}
         try:
@@ -125,38 +126,32 @@ def _read(path: Path) -> tuple[Document, Params]:
     return document, tensors
 
 
-def _document(progress: Progress) -> tuple[Document, Params]:
-    """Progress as a JSON document and tensors [...] on the CPU, no two of which share memory."""
-    document: Document = {"looks": progress.errors}
-    outer, best, losses = progress.outer, progress.best, progress.losses
-    if outer is None or best is None or progress.rng is None:
+def _document(state: TrainState) -> tuple[Document, Params]:
+    """A state as a JSON document and tensors [...] on the CPU, no two of which share memory."""
+    document: Document = {"errors": state.errors}
+    if state.outer is None or state.rng is None:
         return document, {}
-    trees = {"theta": outer.theta, "state": outer.state, "best": best.phi.flat()}
+    trees = {"theta": state.outer.theta, "state": state.outer.state, "phi": state.phi.flat()}
     named = {f"{part}.{key}": value for part, tree in trees.items() for key, value in tree.items()}
-    named |= {"rng": progress.rng} | ({"losses": torch.stack(losses)} if losses else {})
-    document |= {
-        "step": outer.step,
-        "best": {"validation": best.validation, "step": best.step, "curve": best.curve},
-        "strides": {name: value.stride() for name, value in named.items() if not value.is_contiguous()},
-        "order": {part: list(tree) for part, tree in trees.items()},
-    }
+    named |= {"rng": state.rng} | ({"losses": torch.stack(state.losses)} if state.losses else {})
+    document |= {"step": state.outer.step, **{name: getattr(state, name) for name in BEST}}
+    document["strides"] = {name: value.stride() for name, value in named.items() if not value.is_contiguous()}
+    document["order"] = {part: list(tree) for part, tree in trees.items()}
     return document, {name: value.detach().cpu().contiguous().clone() for name, value in named.items()}
 
 
-def _progress(document: Document, tensors: Params, device: torch.device | str) -> Progress:
+def _state(document: Document, tensors: Params, device: torch.device | str) -> TrainState:
     """The inverse of `_document`."""
-    errors = tuple(document["looks"])
+    errors = tuple(document["errors"])
     if "step" not in document:
-        return Progress(errors)
+        return TrainState(errors)
     strides = document["strides"]
     placed = {name: _laid_out(value, strides.get(name), device) for name, value in tensors.items() if name != "rng"}
     trees = {part: {key: placed[f"{part}.{key}"] for key in keys} for part, keys in document["order"].items()}
-    curve = tuple((step, loss, error) for step, loss, error in document["best"]["curve"])
-    phi = MetaParameters.unflat(trees["best"])
-    best = Prepared(phi, document["best"]["validation"], document["best"]["step"], curve)
+    best = {name: document[name] for name in BEST} | {"curve": tuple(map(tuple, document["curve"]))}
     losses = tuple(placed["losses"].unbind()) if "losses" in placed else ()
     outer = Step(document["step"], trees["theta"], trees["state"])
-    return Progress(errors, outer, tensors["rng"].clone(), losses, best)
+    return TrainState(errors, outer, tensors["rng"].clone(), losses, MetaParameters.unflat(trees["phi"]), **best)
 
 
 def _laid_out(value: Tensor, stride: list[int] | None, device: torch.device | str) -> Tensor:

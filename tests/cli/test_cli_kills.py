@@ -75,7 +75,7 @@ def _stops_once_kept(*words: str) -> None:
 
     def written(self: TrainingCheckpoint) -> None:
         write(self)
-        if self.path.is_file() and self.progress.best and self.progress.best.curve:
+        if self.path.is_file() and self.state.curve:
             TrainingCheckpoint.write = write
             os.kill(os.getpid(), signal.SIGSTOP)
 

@@ -10,7 +10,7 @@ from torch import Generator, get_num_threads
 
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import Prepared, Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Tasks
 from metapp.options import BadOption
@@ -37,13 +37,13 @@ class Trained(NamedTuple):
     Attributes:
         path: its file; the one it replaces is kept as `<name>.previous.safetensors`.
         general: the one that training went on from or tuned for, if it did.
-        prepared: what it holds.
+        state: at the end of the training, with what it holds.
         seconds: processor time of training, that before it was cut off included.
     """
 
     path: Path
     general: Checkpoint | None
-    prepared: Prepared
+    state: TrainState
     seconds: float
 
 
@@ -73,45 +73,43 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     settings = _settings(plan, name, steps, folder, encoder) | about
     info = about | {"training_digest": digest(settings)}
 
-    def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
+    def keep(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
-        kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
-        save_checkpoint(file, kept, describe(paradigm, prepared, steps) | info, previous)
+        kept = state.phi._replace(encoder={}) if name == "quickft" else state.phi
+        save_checkpoint(file, kept, describe(paradigm, state, steps) | info, previous)
 
     writes, phi = ranks.number() == 0, first.prepared
     checkpoint, since = _opened(path, settings, plan, training_of(paradigm, steps))
     with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
         rng = Generator(plan.device).manual_seed(options.seed)
-        prepared: Prepared | None = None
+        state = since
         try:
             data = TrainingData(*split_validation(tasks), rng, encoder, steps, since, phi)
-            for now in paradigm.prepare(data):
-                prepared = now.best
+            for state in paradigm.prepare(data):
                 if writes:
-                    checkpoint.keep(now)
-                if now.note:
-                    bar.at(now.done, now.total, now.note)
+                    checkpoint.keep(state)
+                if state.note:
+                    bar.at(state.done, state.total, state.note)
         except (KeyboardInterrupt, ConnectionError) as error:
             if writes:
                 checkpoint.write()
-            if writes and isinstance(error, KeyboardInterrupt) and prepared and prepared.curve:
+            if writes and isinstance(error, KeyboardInterrupt) and state.curve:
                 kept = path.with_suffix(".interrupted.safetensors")
-                keep(prepared, kept)
-                say(f"validation error {prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
+                keep(state, kept)
+                say(f"validation error {state.validation:.3f}; to use it as it is: --checkpoint {kept}")
             raise
-    assert prepared is not None
     if writes:
-        keep(prepared, path, _previous(path))
+        keep(state, path, _previous(path))
         checkpoint.remove()
     ranks.wait()  # until the file is there, from which all go on
-    at = f"validation error {prepared.validation:.3f} at step {prepared.step}"
+    at = f"validation error {state.validation:.3f} at step {state.best_step}"
     say(f"{name}: {at}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
-    return Trained(path, general, prepared, checkpoint.spent)
+    return Trained(path, general, state, checkpoint.spent)
 
 
 def _opened(
     path: Path, settings: Document, plan: Plan, training: OuterLoop | None
-) -> tuple[TrainingCheckpoint, Progress]:
+) -> tuple[TrainingCheckpoint, TrainState]:
     """The training checkpoint beside a file, and how far it was: read by all ranks."""
     writes = ranks.number() == 0
     if writes:
@@ -232,13 +230,13 @@ def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: M
     }
 
 
-def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Progress:
-    """Load the progress of the same training when it was cut off, and say one line about it."""
+def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> TrainState:
+    """Load the state of the same training when it was cut off, and say one line about it."""
     try:
         since = checkpoint.load()
     except ValueError as error:
         say(f"{error}; training from the beginning")
-        return Progress()
+        return TrainState()
     if since.outer and training:
         steps = f"step {since.outer.step:,} of {training.steps:,}"
         say(f"going on from {steps} (training checkpoint {checkpoint.path})")

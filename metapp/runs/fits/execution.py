@@ -129,7 +129,7 @@ def _with_checkpoint(plan: Plan) -> Plan:
             trained = train_checkpoint(plan, plan.options.train_steps)
         if plan.paradigm.name == "quickft" and trained.general:  # which may ship
             plan = replace(plan, options=replace(plan.options, checkpoint=trained.path))
-            return replace(plan, checkpoint=tuned_by(trained.general, trained.prepared.phi, trained.path))
+            return replace(plan, checkpoint=tuned_by(trained.general, trained.state.phi, trained.path))
         plan = replace(plan, options=replace(plan.options, checkpoint=trained.path))
     return find_checkpoint(plan) if ranks.number() == 0 else plan
 
