@@ -89,7 +89,8 @@ class Steps(NamedTuple):
         init: theta -> state.
         value: (theta, batch) -> the plain loss of each task, [T], differentiable once in theta.
         step: (alpha of this step, theta, state, batch) -> (theta, state, losses [T], gradient).
-        vjp: (alpha, theta, state, batch, gradient, pull of theta, pull of state) -> pulls of (theta, state, alpha).
+        vjp: (alpha, theta, state, batch, gradient, pull of theta, pull of state) -> pulls of (theta, state, alpha);
+            the batch is {} for order 1, which does not read it.
     """
 
     alpha: Params
@@ -156,7 +157,7 @@ class _LearnThrough(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: _LearnThrough, steps: Steps, names: Sequence[str], batches: Sequence[AnyBatch], *leaves: Tensor
+        ctx: _LearnThrough, steps: Steps, order: int, names: Sequence[str], batches: Sequence[AnyBatch], *leaves: Tensor
     ) -> tuple[Tensor, ...]:
         values = (leaf.detach() for leaf in leaves)
         theta, ctx.alpha = ({key: next(values) for key in keys} for keys in (names, steps.alpha))
@@ -165,7 +166,7 @@ class _LearnThrough(torch.autograd.Function):
         for i, batch in enumerate(batches):
             before = (theta, state)
             theta, state, _, grads = steps.step(at_step(ctx.alpha, i), theta, state, batch)
-            ctx.taken.append((*before, batch, grads))
+            ctx.taken.append((*before, batch if order == 2 else {}, grads))
         ctx.last_state = state
         return tuple(theta[key] for key in names)
 
@@ -181,7 +182,7 @@ class _LearnThrough(torch.autograd.Function):
             pull_theta, pull_state, pulled = ctx.steps.vjp(alpha, *ctx.taken.pop(), pull_theta, pull_state)
             for key, value in pulled.items():
                 pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)].add_(value)
-        return None, None, None, *(pull_theta[key] for key in names), *pull_alpha.values()
+        return None, None, None, None, *(pull_theta[key] for key in names), *pull_alpha.values()
 
 
 def learn_through(
@@ -201,5 +202,5 @@ def learn_through(
     """
     steps = steps_of(rule, loss, theta, order)
     apply: Callable[..., tuple[Tensor, ...]] = _LearnThrough.apply
-    final = apply(steps, list(theta), batches, *theta.values(), *steps.alpha.values())
+    final = apply(steps, order, list(theta), batches, *theta.values(), *steps.alpha.values())
     return dict(zip(theta, final, strict=True))
