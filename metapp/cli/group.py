@@ -10,6 +10,7 @@ import typer
 
 from metapp.cli import help
 from metapp.registry import TRUSTED, WITHOUT, left_out_with, reason_of, registry
+from metapp.storage.text import meant
 
 ORDER = (  # of commands in help: first what a user does first, commands of other packages last
     *("try", "examples", "general", "overfit", "finetune", "quickft", "meta", "evaluate"),
@@ -68,6 +69,9 @@ class Group(help.Group):
             raise typer.BadParameter(
                 f"'{name}' is a command of the extension {extension}, which {WITHOUT} leaves out; unset it."
             )
+        if name and not name.startswith("-") and name not in (names := self.list_commands(ctx)):
+            usage_error = typer.BadParameter.__mro__[1]  # which typer does not export
+            raise usage_error(f"No such command '{name}'.{meant(name, names)}", ctx)
         return super().resolve_command(ctx, args)
 
 

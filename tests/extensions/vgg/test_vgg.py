@@ -238,7 +238,7 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
     def refuse(*_: Any, **__: Any) -> None:
         raise OSError("no route")
 
-    monkeypatch.setattr(vgg.urllib.options, "urlopen", refuse)
+    monkeypatch.setattr(vgg.urllib.request, "urlopen", refuse)
     line = metapp("data", "vgg").refusal
     assert line.startswith("error: VGG-16: no weights found (")
     assert "397923af.pth: no such file" in line
