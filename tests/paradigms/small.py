@@ -30,7 +30,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, last
 from metapp.learning.names import rule_names
-from metapp.learning.progress import Prepared, Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
@@ -175,11 +175,9 @@ def untrained(paradigm: Paradigm) -> MetaParameters:
     return MetaParameters(theta, alpha, app.init_encoder(rng(2)))
 
 
-def result(preparation: Iterable[Progress]) -> Prepared:
+def result(preparation: Iterable[TrainState]) -> TrainState:
     """The best state at the end of a preparation."""
-    best = last(preparation).best
-    assert best is not None
-    return best
+    return last(preparation)
 
 
 def prepared_for(paradigm: Paradigm) -> MetaParameters:

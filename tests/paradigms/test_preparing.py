@@ -12,7 +12,7 @@ import torch
 
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import Prepared
+from metapp.learning.progress import TrainState
 from metapp.learning.task import Tasks
 from metapp.paradigms import Paradigm, outer_loop
 from metapp.paradigms.meta import Meta
@@ -72,7 +72,7 @@ def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
     return preparing(fits["meta"], name)
 
 
-def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> Prepared:
+def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
     return result(paradigm.prepare(TrainingData(*split_validation(tasks), rng(3), **options)))
 
 
@@ -82,7 +82,7 @@ def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
     steps, losses, errors = zip(*prepared.curve, strict=True)
     assert steps == (0, 2, 4, 6)
     assert prepared.validation == min(errors) <= errors[0]
-    assert steps[errors.index(min(errors))] == prepared.step
+    assert steps[errors.index(min(errors))] == prepared.best_step
     assert losses[0] is None
     assert all(loss is not None and math.isfinite(loss) for loss in losses[1:])
     validation = split_validation(tasks)[1]
@@ -99,7 +99,7 @@ def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks, m
     before, errors = look(trained, tasks, steps=0), itertools.count(1)
     monkeypatch.setattr(outer_loop, "validation_error", lambda *_: float(next(errors)))
     prepared = look(trained, tasks)
-    assert (prepared.step, prepared.validation) == (0, 1.0)
+    assert (prepared.best_step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
     assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
 
@@ -148,7 +148,7 @@ def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> N
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
     meta = meta_by(meta, steps=20, rates={"": 1e-3}, validate_every=5)
     prepared = look(meta, tasks, encoder=encoder)
-    assert prepared.step > 0
+    assert prepared.best_step > 0
     assert prepared.validation < prepared.curve[0][2]
     assert not prepared.phi.theta
     assert not all(torch.equal(prepared.phi.encoder[key], value) for key, value in encoder.encoder.items())

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import Prepared, Progress
+from metapp.learning.progress import TrainState
 from metapp.learning.task import Tasks
 from metapp.paradigms import Paradigm, tuning
 from metapp.paradigms.meta import Meta
@@ -41,7 +41,7 @@ class Cutting(TrainingCheckpoint):
         super().__init__(start, SETTINGS)
         self.seconds, self.after, self.steps = 0.0, after, []
 
-    def keep(self, progress: Progress) -> None:
+    def keep(self, progress: TrainState) -> None:
         super().keep(progress)
         self.steps.append(progress.outer.step if progress.outer else -len(progress.errors))
         if len(self.steps) >= self.after:
@@ -61,7 +61,7 @@ def trained(kind: str, fits: dict[str, Paradigm], monkeypatch: pytest.MonkeyPatc
     return Meta(fits["meta"].app, replace(recipe, meta={rule: training}), rule)
 
 
-def run(paradigm: Paradigm, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> Prepared:
+def run(paradigm: Paradigm, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> TrainState:
     encoder = MetaParameters(encoder=untrained(paradigm).encoder)
     options: dict[str, Any] = {"encoder": None if paradigm.name == "general" else encoder}
     if checkpoint is not None:
@@ -69,13 +69,14 @@ def run(paradigm: Paradigm, tasks: Tasks, checkpoint: TrainingCheckpoint | None 
     for progress in paradigm.prepare(TrainingData(*split_validation(tasks), rng(3), **options)):
         if checkpoint is not None:
             checkpoint.keep(progress)
-    assert progress.best is not None
-    return progress.best
+    return progress
 
 
-def as_file(prepared: Prepared, path: Path) -> bytes:
+def as_file(prepared: TrainState, path: Path) -> bytes:
     """All of a preparation's result, as its file holds it."""
-    save_checkpoint(path, prepared.phi, {"curve": prepared.curve, "at": prepared.step, "error": prepared.validation})
+    save_checkpoint(
+        path, prepared.phi, {"curve": prepared.curve, "at": prepared.best_step, "error": prepared.validation}
+    )
     return path.read_bytes()
 
 
@@ -138,7 +139,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
                 break
             except KeyboardInterrupt:
                 checkpoint.write()
-                now = checkpoint.progress
+                now = checkpoint.state
                 reached.append((len(now.errors), now.outer.step if now.outer else -1))
     assert as_file(made, path) == expected
     assert len(reached) > 1  # it was cut off
@@ -165,7 +166,7 @@ def test_layouts_and_types_are_kept(cut: Path) -> None:
     assert progress.outer is not None
     turned = torch.arange(6.0).reshape(2, 3).T
     theta = {"b": turned, "a": torch.ones(2, dtype=torch.float64)}
-    outer = progress.outer._replace(packed=theta)
+    outer = progress.outer._replace(theta=theta)
     checkpoint.keep(progress._replace(errors=(0.5, float("inf")), outer=outer))
     checkpoint.write()
     again = checkpoint.load()
@@ -185,7 +186,7 @@ def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
     with pytest.raises(ValueError, match=r"other settings \(more, seed\), put aside as general.training.aside"):
         other.load()
     assert cut.with_name("general.training.aside.safetensors").read_bytes() == before
-    assert other.load() == Progress()
+    assert other.load() == TrainState()
 
 
 def damaged(raw: bytes) -> list[bytes]:
@@ -236,7 +237,7 @@ def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytes
     first = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
     clock[0] += 7
     assert first.spent == 7
-    first.progress = first.progress._replace(errors=(1.0,))
+    first.state = first.state._replace(errors=(1.0,))
     first.write()
     clock[0] += 1000
     second = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})

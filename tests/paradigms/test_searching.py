@@ -85,7 +85,7 @@ def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPat
         assert (now.done, now.total, now.errors) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
         best, found = min(looked[:i], key=bowl), result([now])
-        assert search.quickft.adam(found.phi) == best == looked[found.step - 1]
+        assert search.quickft.adam(found.phi) == best == looked[found.best_step - 1]
         assert found.validation == found.curve[-1][2] == bowl(best)
     for each in looked[1 : 1 + lines[0]]:
         assert replace(each, rate=first.rate) == first
@@ -100,7 +100,7 @@ def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(monke
     for error in (lambda adam: 1.0, lambda adam: 0.5 if adam == first else math.inf):
         search = Search(monkeypatch, first, error)
         assert search.found == first
-        assert (search.tuned.step, len(search.tuned.curve)) == (1, 1)
+        assert (search.tuned.best_step, len(search.tuned.curve)) == (1, 1)
     search = Search(monkeypatch, Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf)
     assert math.isfinite(search.tuned.validation)
     assert search.found.rate < 3

@@ -9,7 +9,7 @@ import functools
 import math
 from collections import UserDict
 from collections.abc import Callable, Mapping
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -39,6 +39,14 @@ class Flat(UserDict[str, Tensor]):
 
     def __init__(self, layout: Layout, flat: Tensor) -> None:
         self.layout, self.flat = layout, flat
+
+    def __or__(self, other: Any) -> Any:
+        """A plain dictionary, as of two of these."""
+        return {**self.data, **other}
+
+    def __ror__(self, other: Any) -> Any:
+        """The same the other way round."""
+        return {**other, **self.data}
 
     @functools.cached_property
     def data(self) -> Params:  # type: ignore[override]
