@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import pickle
 import re
 import subprocess
 import sys
@@ -325,6 +326,15 @@ def test_sources_are_all_paths_or_none() -> None:
         api.fit_all("brdf", list(np.ones((3, 2))))
     with pytest.raises(ValueError, match="0 sources, expected a list of one or more"):
         api.fit_all("brdf", [])
+
+
+def test_a_fit_can_be_pickled(network: Path) -> None:
+    """As programs that fit in several processes send it back."""
+    fit = api.fit("brdf", network, recipe="quick")
+    again = pickle.loads(pickle.dumps(fit))
+    assert (again.name, again.error, again.seconds, again.settings) == (fit.name, fit.error, fit.seconds, fit.settings)
+    assert all(torch.equal(value, fit.parameters[key]) for key, value in again.parameters.items())
+    assert again.picture().tobytes() == fit.picture().tobytes()
 
 
 @pytest.mark.parametrize(
