@@ -76,7 +76,7 @@ def test_values_are_checked_and_parsed_at_the_edge() -> None:
 
 
 @pytest.mark.parametrize("name", app_names())
-def test_offers_of_an_application_are_what_it_has(name: str) -> None:
+def test_an_application_has_what_its_entry_says(name: str) -> None:
     protocols = protocols_of(name)
     assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
     app = app_of(name, recipes_of(name)["quick"], (protocols or ("",))[0])

@@ -1,4 +1,4 @@
-"""The steps that the extension offers, torch's without it, and those that torch compiles."""
+"""The steps of the extension, torch's without it, and those that torch compiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the extension offers: the integrator, its row in tables of pictures, `--render`; and all without it."""
+"""Entries of the extension: the integrator, its row in tables of pictures, `--render`; and all without it."""
 
 from __future__ import annotations
 
