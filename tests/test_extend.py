@@ -23,7 +23,7 @@ def test_a_rule_a_baseline_and_an_export_of_the_page_work(neural_fits: Callable[
     info = packages / "mine-0.1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 0.1\n")
-    names = ("damped", "mean_colour", "as_text")
+    names = ("damped", "mine")
     (info / "entry_points.txt").write_text("[metapp.extensions]\n" + "".join(f"{name} = {name}\n" for name in names))
     for name, text in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", PAGE.read_text(), re.DOTALL):
         (packages / name).write_text(text)
