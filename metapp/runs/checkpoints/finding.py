@@ -224,7 +224,7 @@ def require_tuned(path: Path, prepared: MetaParameters) -> None:
     if set(prepared.alpha) != set(TUNED) or any(value.numel() != 1 for value in prepared.alpha.values()):
         raise ValueError(
             f"{path}: holds {', '.join(sorted(prepared.alpha)) or 'no settings'}, expected one number each for "
-            f"{', '.join(TUNED)}; tune again with metapp quickft --train."
+            f"{', '.join(TUNED)}; tune again with metapp quickft APP --train."
         )
 
 
