@@ -143,9 +143,7 @@ class Brdf(App):
         if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
             notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
         if "phi_h" in task.data and not self.network.anisotropic:
-            notes.append(
-                "anisotropic, fitted as isotropic: phi_h is left out; take metapp meta brdf --recipe anisotropic"
-            )
+            notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
         remarks: dict[str, object] = {}
         if not self.network.anisotropic:
             here = {key: value.cpu() for key, value in theta.items()}

@@ -27,7 +27,7 @@ def bracket(tmp_path: Path) -> list[Path]:
 
 def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "garden"
-    options = ["--shutter", "1/40,1/20,1/10", "--ball", "80,75,60", "--size", "32"]
+    options = ["--shutter", "1/40,1/20,1/10", "--ball", "80,75,60", "--rows", "32"]
     done = metapp("data", "ball", *bracket, *options, "--out", out, "--json")
     said = done.done
     assert [photo["radius"] for photo in said["photos"]] == pytest.approx([60] * 3, abs=0.1)

@@ -38,7 +38,7 @@ class BallOptions:
     ball: Annotated[
         str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
     ] = ""
-    size: Annotated[int, typer.Option(min=32, max=1024, metavar="ROWS", help="Of the map.")] = 128
+    rows: Annotated[int, typer.Option(min=32, max=1024, metavar="N", help="Rows of the map.")] = 128
     overwrite: Overwrite = False
     quiet: Quiet = False
     as_json: Json = False
@@ -55,7 +55,7 @@ def ball(options: BallOptions) -> None:
 
     Examples:
       metapp data ball a.jpg b.jpg c.jpg --shutter 1/20,1/60,1/160 --out garden
-      metapp data ball IMG_1.jpg --fov 55 --size 256 --out garden
+      metapp data ball IMG_1.jpg --fov 55 --rows 256 --out garden
     """
     from metapp.extensions.capture.ball.capture import capture
     from metapp.extensions.capture.ball.files import FOUND, write_capture
@@ -66,7 +66,7 @@ def ball(options: BallOptions) -> None:
     check_new(folder / MANIFEST, options.overwrite)
     fov_rad = math.radians(options.fov)
     with progress("photos", len(options.paths), quiet=options.quiet) as bar:
-        captured = capture(options.paths, times, fov_rad=fov_rad, ball=place, rows=options.size, done=bar.advance)
+        captured = capture(options.paths, times, fov_rad=fov_rad, ball=place, rows=options.rows, done=bar.advance)
     write_capture(name, options.paths, captured, folder, overwrite=options.overwrite)
     document = _document(options, captured)
     if not options.quiet:
