@@ -23,6 +23,10 @@ OPTIONS = "Options"  # panel of options that name none
 class Command(TyperCommand):
     """A command with this help."""
 
+    def collect_usage_pieces(self, ctx: Context) -> list[str]:
+        """Words after the command's name in the line of usage."""
+        return [*_places(self), "[OPTIONS]"]
+
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Print usage, the text and the panels of options."""
         console = _begin(self, ctx)
@@ -33,6 +37,10 @@ class Command(TyperCommand):
 
 class Group(TyperGroup):
     """A group of commands with this help."""
+
+    def collect_usage_pieces(self, ctx: Context) -> list[str]:
+        """Words after the group's name in the line of usage."""
+        return ["COMMAND", "[ARGS]..."]
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Print usage, the text, options and commands."""
@@ -47,8 +55,7 @@ def _begin(command: Any, ctx: Context) -> Console:
     from rich.console import Console
 
     console = Console(highlight=False)
-    arguments = " ".join(_escaped(param.metavar or param.name.upper()) for param in command.params if _is_place(param))
-    words = f"{arguments} \\[OPTIONS]" if not isinstance(command, TyperGroup) else "COMMAND \\[ARGS]..."
+    words = _escaped(" ".join(command.collect_usage_pieces(ctx)))
     console.print(f"\n [yellow]Usage:[/] [bold]{ctx.command_path}[/] {words.strip()}")
     console.print(_padded(command.help or ""))
     return console
@@ -83,6 +90,10 @@ def _panel(console: Console, title: str, rows: list[tuple[Text, str]]) -> None:
     for label, text in rows:
         grid.add_row(label, Text(text))
     console.print(Panel(grid, title=title, title_align="left", border_style="dim"))
+
+
+def _places(command: Any) -> list[str]:
+    return [str(param.metavar or param.name.upper()) for param in command.params if _is_place(param)]
 
 
 def _is_place(param: Any) -> bool:
