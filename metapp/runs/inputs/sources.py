@@ -177,7 +177,7 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
 def _arguments(plan: Plan) -> dict[str, object]:
     """The arguments of readers, by keyword: the size that fits have, and the options about INPUT that were given."""
     reads = plan.app.read_size
-    return ({"size": reads, "least": min(reads, SIZE)} if reads else {}) | plan.options.own.reading()
+    return ({"size": reads, "rows": reads, "least": min(reads, SIZE)} if reads else {}) | plan.options.own.reading()
 
 
 def _merged(plan: Plan, option: str) -> Source:
