@@ -26,12 +26,12 @@ from metapp.extensions.baselines.baseline import Training
 from metapp.extensions.baselines.fits import allowed_for, training_of
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.fits.fitter import fit_tasks, rng_of
+from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.fitting import fit_tasks, rng_of
 from metapp.runs.inputs.sources import data_folder, tasks_of_data
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.statistics import paired
-from metapp.runs.plan import plan
+from metapp.runs.run import Run
 
 COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)
 FIGURE = Path("runs/bench/samples.png")
@@ -67,13 +67,13 @@ def errors_of(way: Way, tasks: list[Task], data: Path | None, count: int, traini
     """Errors x100 of fits of tasks that have so many samples."""
     if not way.recipe:
         return _errors_of_baselines(way, tasks, count, training)
-    planned = plan(fit_options("brdf", way.name, recipe=way.recipe, data=data, device="cpu", quiet=True))
-    return {record["name"]: record["error"] for record, _ in fit_tasks(find_checkpoint(planned), tasks)}
+    planned = Run.of(fit_options("brdf", way.name, recipe=way.recipe, data=data, device="cpu", quiet=True))
+    return {fit.name: fit.record["error"] for fit in fit_tasks(with_checkpoint(planned), tasks)}
 
 
 @torch.no_grad()
 def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Training) -> Errors:
-    planned = plan(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
+    planned = Run.of(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
     baseline = next(each for each in baselines_of(planned.app) if each.name == way.name)
     allowed = allowed_for(planned)
     prepared = baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
@@ -137,7 +137,7 @@ def main() -> None:
     """Print the table, draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    app = plan(fit_options("brdf", "general", recipe="quick")).app
+    app = Run.of(fit_options("brdf", "general", recipe="quick")).app
     tasks, label = tasks_of_data(app, data, quiet=True)
     training = training_of(app, data_folder(app, data, quiet=True))
     cut = [[as_measured(task, 0.0, samples=count) for task in tasks] for count in COUNTS]

@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from metapp.runs.api import Fit, fit, fit_all, load
+    from metapp.runs.api import fit, fit_all, load
+    from metapp.runs.fit import Fit
 
 __all__ = ["Fit", "__version__", "fit", "fit_all", "load"]
 __version__ = "0.1.0"

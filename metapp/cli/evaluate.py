@@ -146,7 +146,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
     from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.plan import plan
+    from metapp.runs.run import Run
 
     run = not options.no_run
     names = options.apps or app_names()
@@ -162,7 +162,7 @@ def subjects_of(options: Evaluation) -> list[Subject]:
         check_protocol(options.observe, name)
     first = None if options.whole else 1
     plans = [
-        plan(
+        Run.of(
             fit_options(
                 name,
                 "general",  # by the application's own network; rows make the plans of other paradigms of it
@@ -194,10 +194,10 @@ def has_general(subject: Subject, options: Evaluation) -> bool:
     Raises:
         ValueError: the same, of an application that was named.
     """
-    from metapp.runs.checkpoints.finding import find_checkpoint
+    from metapp.runs.checkpoints import with_checkpoint
 
     try:
-        return bool(find_checkpoint(subject.plan))
+        return bool(with_checkpoint(subject.plan))
     except ValueError as error:
         if options.apps:
             raise

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from metapp.learning.app import App
-    from metapp.runs.fits.execution import Run
-    from metapp.runs.plan import Plan
+    from metapp.runs.execution import Execution
+    from metapp.runs.run import Run
 
 SUMMARIES = {
     "general": "One forward pass of an encoder trained over all tasks.",
@@ -63,8 +63,8 @@ def command_of(paradigm: str, app: str) -> Callable[..., None]:
                 say(f"--{option.replace('_', '-')}: {remark}; the option is ignored.")
         options = fit_options(app, paradigm, inputs or (), export=",".join(export or ()), **values)
         with importing():
-            from metapp.runs.plan import plan
-        fit(plan(options), json=json)
+            from metapp.runs.run import Run
+        fit(Run.of(options), json=json)
 
     shown = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
@@ -101,50 +101,50 @@ def _inputs(app: str) -> str:
     return f"What to fit: {forms}; or folders of these; {TASKS}." if forms else f"No file; {TASKS}."
 
 
-def fit(plan: Plan, *, json: bool) -> None:
-    """Fit what a plan asks for; the exit code is 1 if something was not fitted.
+def fit(run: Run, *, json: bool) -> None:
+    """Fit the inputs of a run; the exit code is 1 if one was not fitted.
 
     Args:
-        plan: what to do.
+        run: without its checkpoint.
         json: print an object in place of tables.
     """
-    from metapp.runs.fits.execution import execute
+    from metapp.runs.execution import execute
 
-    run = execute(plan)
-    if run is None:
+    execution = execute(run)
+    if execution is None:
         return
-    _show(run, json=json)
-    counted = [failure for failure in run.failures if failure.counted]
+    _show(execution, json=json)
+    counted = [failure for failure in execution.failures if failure.counted]
     unwritten = sum(failure.kept for failure in counted)
     if failed := len(counted) - unwritten:
-        say(f"error: {failed} of {failed + len(run.records)} inputs were not fitted.")
+        say(f"error: {failed} of {failed + len(execution.records)} inputs were not fitted.")
     if unwritten:
         say(f"error: {unwritten} export{'s were' if unwritten > 1 else ' was'} not written; all fits are kept.")
     if counted:
         raise typer.Exit(Exit.FAILED)
 
 
-def _show(run: Run, *, json: bool) -> None:
-    """Print the table of a run, or its object, and say where everything is and what failed."""
-    plan, paradigm = run.plan, run.plan.paradigm.name
-    if not plan.options.quiet:
+def _show(execution: Execution, *, json: bool) -> None:
+    """Print the table of a run, or its object, its folder, and what failed."""
+    run, records = execution.run, execution.records
+    if not run.options.quiet:
         if not json:
-            rate = run.tasks_per_second if len(run.records) > 1 else None
-            out().print(table_of(plan.app, paradigm, run.records, rate=rate, most=LISTED))
-        for line in run.remarks:
+            rate = execution.tasks_per_second if len(records) > 1 else None
+            out().print(table_of(run.app, run.paradigm.name, records, rate=rate, most=LISTED))
+        for line in execution.remarks:
             say(line)
-        if run.skipped:
-            say(f"{run.skipped} of {len(run.records)} inputs have such a fit already, and are skipped")
-        if run.replaced:
-            say(f"{run.replaced} of {len(run.records)} fits replace earlier ones; --resume keeps these")
-        say(f"fits: {run.folder}")
+        if execution.skipped:
+            say(f"{execution.skipped} of {len(records)} inputs have such a fit already, and are skipped")
+        if execution.replaced:
+            say(f"{execution.replaced} of {len(records)} fits replace earlier ones; --resume keeps these")
+        say(f"fits: {execution.folder}")
         if "view" in registry().commands:
-            say(f"to look at: metapp view {shlex.quote(str(run.folder))}")
-    for failure in run.failures:
+            say(f"to look at: metapp view {shlex.quote(str(execution.folder))}")
+    for failure in execution.failures:
         what = "failed" if failure.counted else "warning: skipped"
         say(f"{what}: {one_line(failure.reason)}")
     if json:
-        print_json(run.document())
+        print_json(execution.document())
 
 
 def table_of(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from metapp.learning.task import Params, Task
 from metapp.runs.inputs.sources import content_of
 from metapp.runs.reporter import progress
-from metapp.runs.torch_state import threads
+from metapp.runs.surroundings import threads
 from metapp.storage.fits import Fits
 from metapp.storage.records import Record
 

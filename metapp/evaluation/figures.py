@@ -165,7 +165,7 @@ def _weight_rates(alpha: Params) -> list[Tensor]:
 def rates(subject: Subject) -> Drawn | None:
     """Magnitudes of learned step sizes, layer above layer."""
     fit = subject.fits["meta"]
-    alpha = fit.prepared.alpha if fit.checkpoint else {}
+    alpha = fit.phi.alpha if fit.checkpoint else {}
     sizes = step_sizes(fit.paradigm.rule_name, alpha)
     if not sizes:
         return None

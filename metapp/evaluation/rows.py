@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
-from metapp.runs.fits.fitter import ROSE
+from metapp.runs.fitting import ROSE
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.outputs.statistics import Errors, Paired, paired, statistics_of
 from metapp.runs.reporter import number

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import functools
 import shlex
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 
 from metapp.evaluation.cell import Cell, Measure
 from metapp.learning.app import App
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.fits.fitter import fit_tasks
+from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.fitting import fit_tasks
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import tasks_of_data
 from metapp.runs.naming import name_of, title_of
-from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
+from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.fits import FIT, Fits
 from metapp.storage.records import Record
@@ -35,7 +35,7 @@ class Subject:
         whole: whether all rows are of all test tasks; else those of more than LONG steps are of FEW of them.
     """
 
-    def __init__(self, plan: Plan, *, run: bool, strict: bool, whole: bool = True) -> None:
+    def __init__(self, plan: Run, *, run: bool, strict: bool, whole: bool = True) -> None:
         """Look up nothing yet.
 
         Args:
@@ -47,7 +47,7 @@ class Subject:
         self._cells: dict[str, Cell] = {}
 
     @functools.cached_property
-    def fits(self) -> dict[str, Plan]:
+    def fits(self) -> dict[str, Run]:
         """The plan of each row of the results: the paradigms, then meta:<rule> for further rules with a checkpoint.
 
         Raises:
@@ -59,14 +59,14 @@ class Subject:
         others = self.plan.recipe.meta if options.checkpoint or not options.data else ()
         for rule in (rule for rule in others if rule != self.plan.paradigm.rule_name):
             with suppress(ValueError):  # there is no checkpoint of this rule
-                fits[f"meta:{rule}"] = find_checkpoint(self.plan.by("meta", rule))
+                fits[f"meta:{rule}"] = with_checkpoint(self.plan.by("meta", rule))
         return fits
 
-    def _found(self, paradigm: str) -> Plan:
+    def _found(self, paradigm: str) -> Run:
         """The plan of a paradigm with its checkpoint; without one where it is missing, and that is no error."""
         plan = self.plan.by(paradigm)
         try:
-            return find_checkpoint(plan)
+            return with_checkpoint(plan)
         except ValueError as error:
             if self._strict:
                 raise
@@ -111,7 +111,7 @@ class Subject:
         """True if the fits behind a row of the results are of some of the tasks alone."""
         return len(self.cell(name).tasks) < len(self.tasks)
 
-    def fit_cell(self, title: str, plan: Plan, settings: Record | None = None, name: str = "") -> Cell:
+    def fit_cell(self, title: str, plan: Run, settings: Record | None = None, name: str = "") -> Cell:
         """Fits of all tasks as a cell, kept as the command of the paradigm keeps them.
 
         Args:
@@ -125,7 +125,11 @@ class Subject:
             path = plan.path(self.label)
             path = path.with_name(f"{path.name}-{name}") if name else path
             fits = Fits(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin(()))
-        return self.make_cell(title, fits, functools.partial(fit_tasks, plan), plan.steps)
+
+        def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
+            return ((fit.record, fit.parameters) for fit in fit_tasks(plan, tasks))
+
+        return self.make_cell(title, fits, measure, plan.steps)
 
     def make_cell(self, title: str, fits: Fits | None, measure: Measure, steps: int = 0) -> Cell:
         """A cell of the application's threads; other entries by `Cell._replace`."""
@@ -160,7 +164,7 @@ def evenly(tasks: list[Task], count: int) -> list[Task]:
     return [tasks[i * len(tasks) // size] for i in range(size)]
 
 
-def shared_words(plan: Plan) -> list[str]:
+def shared_words(plan: Run) -> list[str]:
     """The options that commands of one evaluation share."""
     options, protocol = plan.options, plan.app.protocol
     words = ["--out", str(options.out), "--recipe", options.recipe]

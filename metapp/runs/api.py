@@ -2,186 +2,28 @@
 
 from __future__ import annotations
 
-import functools
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import torch
-from safetensors.torch import save
 from torch import Tensor
 
-from data_tools.readers.brdf_objects import unit_vectors
-from metapp.appearance.geometry import directions_to_four_angles
-from metapp.learning.task import Params, Task
-from metapp.registry import WITHOUT, left_out_with, registry
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.choosing import recipe_of_tasks
-from metapp.runs.fits.fitter import fit_tasks
-from metapp.runs.inputs.memory import in_memory
-from metapp.runs.inputs.sources import tasks_to_fit
-from metapp.runs.naming import factor_of, title_of
-from metapp.runs.options import FitOptions, check_export, fit_options
-from metapp.runs.outputs.files import export_fit, outputs_of
-from metapp.runs.outputs.pictures import beside, image_of
-from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
-from metapp.runs.plan import Plan, plan
-from metapp.runs.surroundings import threads_of
-from metapp.runs.torch_state import threads
-from metapp.storage import Document
-from metapp.storage.files import write_atomically
+from metapp.learning.task import Task
+from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.fit import Fit
+from metapp.runs.fitting import BadInput, fit_sources
+from metapp.runs.inputs.sources import in_memory, sources_to_fit, told_apart
+from metapp.runs.options import FitOptions, fit_options
+from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.recipes import recipe_of_tasks
+from metapp.runs.reporter import say
+from metapp.runs.run import Run
+from metapp.runs.surroundings import threads, threads_of
 from metapp.storage.fits import read_params
-from metapp.storage.images import png_address, png_bytes
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-# entries of records that are no errors
-NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded"}
-NO_ERRORS |= {"source", "content", "origin", "settings", "folder", "batch"}
-
-
-class Fit:
-    """A task that was fitted.
-
-    Attributes:
-        app: the application, at its recipe and protocol.
-        task: what was fitted.
-        parameters: of the network, by name, without a task axis, on the CPU.
-        error: as tables print it; None where the task holds no reference.
-        errors: all measures, by name.
-        seconds: of inference.
-        warning: what is doubtful about the fit; "" for nothing.
-        steps: of gradient descent.
-        guarded: whether the guard acted, as the learned rule failed.
-        settings: what it was made by, as records have it.
-        plan: that it was made by.
-
-    Extensions add methods, such as `view` of the viewer.
-    """
-
-    def __init__(self, plan: Plan, task: Task, settings: Document, record: Document, parameters: Params) -> None:
-        self.app, self.task, self.settings, self.plan = plan.app, task, settings, plan
-        self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
-        self.error: float | None = record["error"]
-        self.seconds: float = record["seconds"]
-        self.warning: str = record.get("warning", "")
-        self.guarded: bool = record.get("guarded", False)
-        self.steps: int = settings["steps"]
-        self.errors = {key: value for key, value in record.items() if key not in NO_ERRORS and value is not None}
-
-    def __getattr__(self, name: str) -> Callable[..., object]:
-        """A method that an extension adds."""
-        if name in registry().methods:
-            return functools.partial(registry().methods[name].load(), self)
-        if extension := left_out_with("methods", name):
-            left_out = f"a method of the extension {extension}, which {WITHOUT} leaves out; unset it."
-            raise AttributeError(f"fit.{name}: {left_out}")
-        raise AttributeError(f"'Fit' object has no attribute '{name}'")
-
-    def __dir__(self) -> list[str]:
-        """Its attributes, with the methods that extensions add."""
-        return [*super().__dir__(), *registry().methods]
-
-    @property
-    def name(self) -> str:
-        """The task's name in tables and files."""
-        return self.task.name
-
-    def __repr__(self) -> str:
-        error = "no reference" if self.error is None else f"error {self.error:.3f}"
-        return f"<Fit of {self.app.name} {self.name}: {error}, {self.seconds:.4f} s>"
-
-    def _repr_html_(self) -> str:
-        """The view in notebooks: the picture and one line."""
-        error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
-        line = f"{self.name}: {title_of(self.app)}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
-        line += f", {self.steps} steps" + (f"; warning: {self.warning}" if self.warning else "")
-        return f'<img src="{png_address(png_bytes(self.picture()))}"><div>{escape(line)}</div>'
-
-    def __call__(self, wi: object, wo: object) -> Tensor | np.ndarray:
-        """Evaluate a fitted BRDF.
-
-        Args:
-            wi, wo: unit vectors [N, 3] to light and viewer in the surface's frame, z its normal, arrays or tensors.
-
-        Returns:
-            Reflectance in 1/sr without the cosine, linear RGB [N, 3], float32: a tensor where `wi` is one, else an
-            array; 0 where a direction is not above the surface.
-
-        Raises:
-            ValueError: a fit of another application; no unit vectors, another shape.
-        """
-        light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
-        if len(light) != len(viewer):
-            raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
-        with threads(threads_of(self.app)), torch.no_grad():
-            values = self.app.reflectance(self.parameters, directions_to_four_angles(light, viewer).float())
-        if values is None:
-            raise ValueError(
-                f"{self.name}: a fit of {self.app.name}, expected one of brdf; take fit.maps or fit.picture()."
-            )
-        values = values * ((light[:, 2:] > 0) & (viewer[:, 2:] > 0))
-        return values if isinstance(wi, Tensor) else values.numpy()
-
-    @functools.cached_property
-    def maps(self) -> dict[str, np.ndarray]:
-        """The maps of the fit, linear, float32, rows from the top; {} of brdf and transport.
-
-        Of svBRDFs `diffuse` and `specular` [H, W, 3], `roughness` [H, W], `normal` [H, W, 3] (unit vectors: x right, y
-        up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
-        of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
-        """
-        with threads(threads_of(self.app)):
-            maps = self.app.linear_maps(self.parameters, self.task)
-        return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
-
-    def pictures(self) -> dict[str, Tensor]:
-        """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        with threads(threads_of(self.app)):
-            return self.app.preview(self.parameters, self.task)
-
-    @functools.cached_property
-    def rendered(self) -> dict[str, np.ndarray]:
-        """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
-        made = outputs_of(self.plan.options)
-        with threads(threads_of(self.app)):
-            files = [output.load()(self.app, self.task, self.parameters, value).files for output, value in made]
-        return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
-
-    @functools.cached_property
-    def _images(self) -> dict[str, Image]:
-        """`pictures`, as screens show them."""
-        return {name: image_of(linear) for name, linear in self.pictures().items()}
-
-    def picture(self) -> Image:
-        """Return a picture of PIL, 8 bits of sRGB: the reference left, where there is one, and the fit right."""
-        return beside([image for name, image in self._images.items() if name in ("reference", "fit")])
-
-    def save(self, path: str | bytes | PathLike[str]) -> Path:
-        """Write the parameters as safetensors, whole or not at all.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        content = save({key: value.contiguous() for key, value in self.parameters.items()})
-        file = Path(os.fsdecode(path))
-        write_atomically(file, lambda partial: partial.write_bytes(content))
-        return file
-
-    def export(self, form: str, path: str | bytes | PathLike[str]) -> None:
-        """Write the fit in another form, such as "merl" of a BRDF or "gltf" of a material; `path` needs no suffix.
-
-        Raises:
-            BadOption: fits of this application cannot be written so, or a library for it is missing.
-        """
-        check_export(form, self.app.name)
-        export_fit(self.app, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
 
 
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
@@ -265,23 +107,34 @@ def load(folder: str | PathLike[str]) -> Fit:
     Raises:
         ValueError: no fit, or several; damaged files.
     """
-    run = read_run(Path(folder))
-    if len(run.records) != 1:
-        raise ValueError(f"{folder}: {len(run.records)} fits, expected the folder of one task; take one inside it.")
-    (record,) = run.records
-    planned, name = plan_as(record["settings"]), record["name"]
-    task = tasks_as(run.records, planned.app, [], None).get(name, Task(name, {}))
-    return Fit(planned, task, record["settings"], record, read_params(record["folder"]))
+    records = read_run(Path(folder)).records
+    if len(records) != 1:
+        raise ValueError(f"{folder}: {len(records)} fits, expected the folder of one task; take one inside it.")
+    (record,) = records
+    run, name = Run.of_settings(record["settings"]), record["name"]
+    task = tasks_as(records, run.app, [], None).get(name, Task(name, {}))
+    return Fit(run, task, record, read_params(record["folder"]))
 
 
 def _fitted(options: FitOptions) -> list[Fit]:
     """Fits of the inputs that options name."""
-    planned = plan(options)
-    with threads(threads_of(planned.app)):
-        tasks, label = tasks_to_fit(planned)
+    run = Run.of(options)
+    with threads(threads_of(run.app)):
+        sources, label = sources_to_fit(run)
         if options.objects and not options.recipe:
-            planned = plan(replace(options, recipe=recipe_of_tasks(options, tasks)))
-        planned = find_checkpoint(planned)
-        settings = planned.settings(label)
-        results = fit_tasks(planned, tasks, warns=True)
-        return [Fit(planned, task, settings, *result) for task, result in zip(tasks, results, strict=True)]
+            run = Run.of(replace(options, recipe=recipe_of_tasks(options, [source.task() for source in sources])))
+        run = with_checkpoint(run)
+        fits, places = [], []
+        for source, fit in fit_sources(run, sources, run.settings(label)):
+            if not isinstance(fit, Exception):
+                fits.append(fit)
+                places.append(source.place)
+            elif source.named or not isinstance(fit, BadInput):
+                raise fit
+            else:
+                say(f"warning: skipped {fit}")
+        if not fits:
+            raise ValueError(f"none of the {len(sources)} found could be read.")
+        for fit, task in zip(fits, told_apart(zip(places, [fit.task for fit in fits], strict=True)), strict=True):
+            fit.task = task
+        return fits

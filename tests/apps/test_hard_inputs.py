@@ -26,8 +26,8 @@ from metapp.learning.learn import MetaParameters, Step, last
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
-from metapp.runs.checkpoints.finding import checkpoint_name
-from metapp.runs.checkpoints.shipped import shipped_path
+from metapp.runs.checkpoints import checkpoint_name
+from metapp.runs.recipes import shipped_path
 from metapp.storage.records import load_checkpoint
 from tests.marked import long
 from tests.quick import app_by

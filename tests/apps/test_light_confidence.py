@@ -31,9 +31,9 @@ from metapp.apps.illumination.mirror import photographed
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
-from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan
+from metapp.runs.run import Run
 from tests.marked import long
 
 pytestmark = pytest.mark.usefixtures("scene")
@@ -148,10 +148,10 @@ def test_records_and_pictures_of_photographs_say_it() -> None:
 
 def fitted(paradigm: str, recipe: str, tasks: Callable[[Illumination], Tasks]) -> tuple[Illumination, Params, Tasks]:
     """Fits by what ships."""
-    found = find_checkpoint(plan(fit_options("illumination", paradigm, observe="photo", recipe=recipe, quiet=True)))
+    found = with_checkpoint(Run.of(fit_options("illumination", paradigm, observe="photo", recipe=recipe, quiet=True)))
     assert isinstance(found.app, Illumination)
     made = tasks(found.app)
-    theta = found.paradigm.fit(found.prepared, made, Generator().manual_seed(0))
+    theta = found.paradigm.fit(found.phi, made, Generator().manual_seed(0))
     return found.app, theta, made
 
 

@@ -18,7 +18,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.streams import LONGEST, one_line
 from metapp.learning.recipe import Adam
-from metapp.runs.fits import fitter
+from metapp.runs import fitting
 from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.conftest import Result
 
@@ -139,6 +139,6 @@ def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
     result, worse = record("--recipe", "quick")
     assert "warning: m0: the visible loss rose from" in result.err
     assert worse["warning"].startswith("the visible loss rose from ")
-    monkeypatch.setattr(fitter, "_rises", lambda *_: [["again"]])
+    monkeypatch.setattr(fitting, "_rises", lambda *_: [["again"]])
     assert fit("overfit", network, "--steps", "2", "--json").done["tasks"][0]["warning"] == "again"
     assert "warning" not in fit("meta", network, "--json").done["tasks"][0]  # its guard compared them

@@ -377,7 +377,7 @@ def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_qu
         "import gc, sys",
         "from metapp.cli.console import importing",
         "with importing():",
-        "    import metapp.runs.fits.execution",
+        "    import metapp.runs.execution",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",

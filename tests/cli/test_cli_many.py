@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from metapp.apps.brdf.app import Brdf
-from metapp.runs.fits.fitter import Fitter
+from metapp.runs import fitting
 from metapp.runs.inputs.sources import Source
 from metapp.storage.fits import marked_name, read_fits
 
@@ -34,13 +34,13 @@ def fit(metapp: Callable, materials: Path) -> Callable:
 @pytest.fixture
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """The names of the tasks in each batch."""
-    batches, original = [], Fitter.fit
+    batches, original = [], fitting.fit_side_by_side
 
-    def fit(self, tasks):
+    def fit(run, tasks, *more, **options):
         batches.append([task.name for task in tasks])
-        return original(self, tasks)
+        return original(run, tasks, *more, **options)
 
-    monkeypatch.setattr(Fitter, "fit", fit)
+    monkeypatch.setattr(fitting, "fit_side_by_side", fit)
     return batches
 
 
@@ -120,14 +120,14 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
 def test_tasks_of_batches_that_are_too_large_for_the_memory_are_fitted_one_by_one(
     fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = Fitter.fit
+    original = fitting.fit_side_by_side
 
-    def short(self, tasks):
+    def short(run, tasks, *more, **options):
         if len(tasks) > 2:
             raise MemoryError
-        return original(self, tasks)
+        return original(run, tasks, *more, **options)
 
-    monkeypatch.setattr(Fitter, "fit", short)
+    monkeypatch.setattr(fitting, "fit_side_by_side", short)
     assert fit("--batch", "4").code == 0
     assert fitted == [["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
 

@@ -26,7 +26,8 @@ from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.networks.field import LocalField
-from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
+from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.run import Run
 from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.marked import long
 from tests.pictures import write_planes
@@ -190,7 +191,7 @@ def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
     runs = [read_run(Path(fit["out"])).records for fit in fits.values()]
-    (one,), (other,) = (tasks_as(run, plan_as(run[0]["settings"]).app, [], None).values() for run in runs)
+    (one,), (other,) = (tasks_as(run, Run.of_settings(run[0]["settings"]).app, [], None).values() for run in runs)
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
     misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse
     assert "--stops: only with --observe photo; add that." in misuse

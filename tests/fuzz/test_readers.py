@@ -98,14 +98,14 @@ def small_tasks() -> Any:
 
 def read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, and one step of a fit."""
-    from metapp.runs.checkpoints.finding import find_checkpoint
+    from metapp.runs.checkpoints import with_checkpoint
     from metapp.runs.options import fit_options
-    from metapp.runs.plan import plan
+    from metapp.runs.run import Run
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
-    by = find_checkpoint(plan(fit_options("brdf", **options, device="cpu", quiet=True)))
+    by = with_checkpoint(Run.of(fit_options("brdf", **options, device="cpu", quiet=True)))
     try:
-        theta = by.paradigm.fit(by.prepared, small_tasks(), torch.Generator().manual_seed(0))
+        theta = by.paradigm.fit(by.phi, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged
         return
     assert all(bool(value.isfinite().all()) for value in theta.values())

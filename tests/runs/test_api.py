@@ -418,7 +418,7 @@ def test_a_fit_shows_itself(network: Path) -> None:
 
 def test_a_warning_is_shown_and_names_are_text(network: Path) -> None:
     fit = api.fit("brdf", network, paradigm="general")
-    fit.task, fit.warning = fit.task._replace(name="<b>"), "1 < 2"
+    fit.task, fit.record["warning"] = fit.task._replace(name="<b>"), "1 < 2"
     html = fit._repr_html_()
     assert "&lt;b&gt;" in html
     assert "warning: 1 &lt; 2" in html

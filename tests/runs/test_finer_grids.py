@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.checkpoints.shipped import shipped_path
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan
+from metapp.runs.recipes import shipped_path
+from metapp.runs.run import Run
 from metapp.storage.records import load_checkpoint, save_checkpoint
 
 APPS = [
@@ -24,8 +24,8 @@ APPS = [
 
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
-    planned = plan(fit_options(name, observe=observe, recipe="full", out=tmp_path))
-    prepared = find_checkpoint(planned).prepared
+    planned = Run.of(fit_options(name, observe=observe, recipe="full", out=tmp_path))
+    prepared = with_checkpoint(planned).phi
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
@@ -40,16 +40,16 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
     options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        find_checkpoint(plan(options))
+        with_checkpoint(Run.of(options))
 
 
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
-    planned = plan(fit_options(name, observe=observe, recipe="full"))
+    planned = Run.of(fit_options(name, observe=observe, recipe="full"))
     assert planned.app == replace(planned.recipe.app, protocol=observe)
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.checkpoints.finding._require_conditions", lambda *_: None)  # VGG may be missing
+    monkeypatch.setattr("metapp.runs.checkpoints._require_conditions", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
-        find_checkpoint(plan(fit_options("texture", rule="meta-basis", out=tmp_path)))
+        with_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))

@@ -16,9 +16,9 @@ from metapp.cli.fit import SUMMARIES
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.options import BadOption, declared
-from metapp.runs.checkpoints.shipped import ships
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.plan import plan
+from metapp.runs.recipes import ships
+from metapp.runs.run import Run
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -26,8 +26,8 @@ def test_files_data_sets_and_trainings_go_by_the_best_recipe_that_ships(name: st
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
     assert ships(name, "full")
     for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
-        assert plan(fit_options(name, **more)).options.recipe == "full", more
-    assert plan(fit_options(name, recipe="quick")).options.recipe == "quick"
+        assert Run.of(fit_options(name, **more)).options.recipe == "full", more
+    assert Run.of(fit_options(name, recipe="quick")).options.recipe == "quick"
 
 
 OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "stops", "shutter", "scene-root"}
@@ -94,12 +94,12 @@ def test_an_application_has_what_its_entry_says(name: str) -> None:
 )
 def test_a_detail_that_there_is_not_is_refused(app: str, recipe: str, detail: int, line: str) -> None:
     with pytest.raises(BadOption, match=line):
-        plan(fit_options(app, recipe=recipe, detail=detail))
+        Run.of(fit_options(app, recipe=recipe, detail=detail))
 
 
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
 def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) -> None:
-    usual, fine = (plan(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
+    usual, fine = (Run.of(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
     assert usual.options.own.given() == {}
     assert fine.options.own.given() == {"detail": 512}
     assert (usual.app.read_size, fine.app.read_size) == (0, 512)
@@ -112,7 +112,7 @@ def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) ->
 
 def test_training_has_no_detail() -> None:
     with pytest.raises(BadOption, match="leave --train out"):
-        plan(fit_options("texture", recipe="full", detail=512, train=True))
+        Run.of(fit_options("texture", recipe="full", detail=512, train=True))
 
 
 @pytest.mark.parametrize(
@@ -124,4 +124,4 @@ def test_training_has_no_detail() -> None:
 )
 def test_an_output_of_another_size_is_refused_with_its_range(app: str, options: dict[str, object], line: str) -> None:
     with pytest.raises(ValueError, match=line):
-        plan(fit_options(app, **options))
+        Run.of(fit_options(app, **options))

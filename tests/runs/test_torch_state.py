@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import metapp
-from metapp.runs.torch_state import threads
+from metapp.runs.surroundings import threads
 
 RNG = np.random.default_rng(1)
 PICTURE = RNG.random((96, 96, 3), dtype=np.float32)

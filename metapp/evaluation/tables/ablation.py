@@ -19,7 +19,7 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
 from metapp.runs.naming import caption_of
 from metapp.runs.outputs.statistics import apart
-from metapp.runs.plan import Checkpoint
+from metapp.runs.run import Checkpoint
 from metapp.storage.records import tensor_digest
 
 
@@ -62,7 +62,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
     meta, general, quickft = (subject.fits[row] for row in (name, "general", "quickft"))
     if meta.checkpoint is None or general.checkpoint is None or quickft.checkpoint is None:
         return []
-    rule, adam = meta.paradigm.rule_name, quickft.paradigm.adam(quickft.checkpoint.prepared)
+    rule, adam = meta.paradigm.rule_name, quickft.paradigm.adam(quickft.checkpoint.phi)
     if same_initialisation(subject, name):
         return [("general", rule, subject.cell(name)), (f"meta ({rule})", "adam", subject.cell("quickft"))]
     digest = "+".join(fit.checkpoint.digest for fit in (meta, general, quickft) if fit.checkpoint)
@@ -70,13 +70,13 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
         (
             RuleAlone,
             ("general", rule),
-            MetaParameters(alpha=meta.checkpoint.prepared.alpha, encoder=general.checkpoint.prepared.encoder),
+            MetaParameters(alpha=meta.checkpoint.phi.alpha, encoder=general.checkpoint.phi.encoder),
             None,
         ),
         (
             InitialisationAlone,
             (f"meta ({rule})", "adam"),
-            meta.checkpoint.prepared._replace(alpha=quickft.checkpoint.prepared.alpha),
+            meta.checkpoint.phi._replace(alpha=quickft.checkpoint.phi.alpha),
             adam and asdict(adam),
         ),
     )
@@ -93,9 +93,9 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
 def same_initialisation(subject: Subject, name: str) -> bool:
     """True if a learned rule begins at General's own prediction."""
     meta, general = (subject.fits[row].checkpoint for row in (name, "general"))
-    if meta is None or general is None or not meta.prepared.encoder:
+    if meta is None or general is None or not meta.phi.encoder:
         return False
-    return tensor_digest(meta.prepared.encoder) == tensor_digest(general.prepared.encoder)
+    return tensor_digest(meta.phi.encoder) == tensor_digest(general.phi.encoder)
 
 
 def cells(subject: Subject) -> list[Cell]:

@@ -18,9 +18,9 @@ from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs.fits.fitter import rng_of
+from metapp.runs.fitting import rng_of
 from metapp.runs.naming import observe_of
-from metapp.runs.plan import Plan
+from metapp.runs.run import Run
 from metapp.storage.fits import read_params
 from metapp.storage.records import Record, digest
 
@@ -50,7 +50,7 @@ def trace_cell(subject: Subject) -> Cell:
     return cell._replace(tasks=evenly(list(cell.tasks), TRACED))
 
 
-def trace(subject: Subject, fits: Mapping[str, Plan], task: Task) -> tuple[Record, Params]:
+def trace(subject: Subject, fits: Mapping[str, Run], task: Task) -> tuple[Record, Params]:
     """One task: errors of each paradigm along its steps, paths, and what further steps bring Meta.
 
     Returns:
@@ -107,9 +107,9 @@ def path_steps(steps: int) -> set[int]:
     return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
 
 
-def states_of(plan: Plan, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
+def states_of(plan: Run, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
-    descent = plan.paradigm.descend(plan.prepared, stacked, rng_of(plan, task))
+    descent = plan.paradigm.descend(plan.phi, stacked, rng_of(plan, task))
     return {now.step: now.theta for now in descent if now.step in wanted}
 
 

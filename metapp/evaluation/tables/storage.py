@@ -8,7 +8,7 @@ from metapp.evaluation.rows import Row, Table, blank, bytes_column, columns, num
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
 from metapp.runs.naming import observe_of
-from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.run import Checkpoint, Run
 
 COUNTS = (1, 10, 100, 1000)
 
@@ -20,7 +20,7 @@ def size(params: Params) -> int:
 
 def stored(checkpoint: Checkpoint | None) -> int | None:
     """Bytes of a checkpoint, from which any fit is made; None where there is none."""
-    return None if checkpoint is None else sum(size(part) for part in checkpoint.prepared)
+    return None if checkpoint is None else sum(size(part) for part in checkpoint.phi)
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -64,7 +64,7 @@ def sample_rows(subject: Subject) -> list[Row]:
     return all_rows
 
 
-def _sample_row(subject: Subject, name: str, fit: Plan) -> Row:
+def _sample_row(subject: Subject, name: str, fit: Run) -> Row:
     batch = fit.recipe.batch
     row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
     row |= {"steps": fit.steps, "batch": batch if fit.steps else None}
@@ -72,7 +72,7 @@ def _sample_row(subject: Subject, name: str, fit: Plan) -> Row:
     visible = subject.app.visible(subject.tasks[0]) if subject.tasks else None
     if visible is None:
         return row
-    encodes = "general" in fit.paradigm.needs or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
+    encodes = "general" in fit.paradigm.needs or bool(fit.checkpoint and fit.checkpoint.phi.encoder)
     count = min(fit.steps * batch + (visible.encoder if encodes else 0), visible.samples)
     return row | {
         "tasks": len(subject.tasks),

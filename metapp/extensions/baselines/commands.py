@@ -65,18 +65,19 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     from metapp.cli.fit import table_of
     from metapp.extensions.baselines import baselines_of
     from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder
-    from metapp.runs.inputs.sources import content_of, tasks_to_fit
+    from metapp.runs.inputs.sources import content_of, read_tasks, sources_to_fit
     from metapp.runs.outputs.files import write_pictures
-    from metapp.runs.plan import plan
+    from metapp.runs.run import Run
     from metapp.storage.fits import Fits
 
-    planned = plan(options)
+    planned = Run.of(options)
     app, options = planned.app, planned.options
     methods = {baseline.name: baseline for baseline in baselines_of(app)}
     if method not in methods:
         names = ", ".join(methods) or f"another application: {app.name} has no method"
         raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{meant(method, methods)}")
-    baseline, (tasks, label) = methods[method], tasks_to_fit(planned)
+    baseline, (sources, label) = methods[method], sources_to_fit(planned)
+    tasks = read_tasks(sources)
     if baseline.learns and training_folder(planned, baseline) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = planned.path(label, f"baseline-{method}")

@@ -16,12 +16,12 @@ from torch import Generator
 from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
-from metapp.runs.fits.fitter import rng_of
+from metapp.runs.fitting import rng_of
 from metapp.runs.inputs.embedded import embedded_data, embedded_exists
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.naming import observe_of
 from metapp.runs.outputs.pictures import PICTURE
-from metapp.runs.plan import Plan
+from metapp.runs.run import Run
 from metapp.runs.surroundings import versions
 from metapp.storage.records import Record
 from metapp.storage.shards import read_manifest, read_shard
@@ -32,7 +32,7 @@ ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 Judged = tuple[Record, Params | None, object]  # the record, the picture, what was judged, as of `App.errors_of`
 
 
-def training_folder(plan: Plan, baseline: Baseline) -> Path | None:
+def training_folder(plan: Run, baseline: Baseline) -> Path | None:
     """The data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
     None where it learns nothing or neither has any: the embedded one is not made for this.
@@ -49,13 +49,13 @@ def training_of(app: App, folder: Path | None) -> Training:
     return Training(app, read_shard(folder, "train", app.name, app.tensors) if folder else [])
 
 
-def allowed_for(plan: Plan) -> Allowed:
+def allowed_for(plan: Run) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
     recipe = plan.recipe
     return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(plan.app).values()))
 
 
-def settings_of(plan: Plan, baseline: Baseline, label: str) -> Record:
+def settings_of(plan: Run, baseline: Baseline, label: str) -> Record:
     """Everything that figures of a baseline on data of this name depend on."""
     app, options = plan.app, plan.options
     own, source = options.own.recorded(), training_folder(plan, baseline)
@@ -80,7 +80,7 @@ def own_parameters(app: App) -> Params:
     return {key: value for key, value in theta.items() if not app.task_parameters or key in app.task_parameters}
 
 
-def fit_baselines(plan: Plan, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
+def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept.
 
     Args:

@@ -12,11 +12,11 @@ from metapp.appearance.colorimetry import colour_difference
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of, write_compared
-from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
+from metapp.runs.outputs.recorded import read_run, tasks_as
 from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
-from metapp.runs.surroundings import threads_of
-from metapp.runs.torch_state import threads
+from metapp.runs.run import Run
+from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
 from metapp.storage.fits import PARAMS
 from metapp.storage.records import summary
@@ -133,7 +133,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
         counts = f"{len(by_name[0])} and {len(by_name[1])} tasks, none in common"
         raise ValueError(f"{second}: {counts}, expected some; compare runs of the same data.")
     sides = [
-        Side(label, plan_as(each).app, run.folder, [of[name] for name in names])
+        Side(label, Run.of_settings(each).app, run.folder, [of[name] for name in names])
         for label, each, run, of in zip(_labels(*settings), settings, runs, by_name, strict=True)
     ]
     tasks_by_name = tasks_as(runs[0].records, sides[0].app, inputs, data)

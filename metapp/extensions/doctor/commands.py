@@ -45,8 +45,8 @@ def examine() -> Document:
     import torch
 
     from metapp.apps import app_names
-    from metapp.runs.checkpoints.shipped import shipped_names
     from metapp.runs.inputs.embedded import embedded_exists
+    from metapp.runs.recipes import shipped_names
     from metapp.storage.cache import cache_folder
 
     shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}

@@ -11,9 +11,9 @@ from metapp.extensions.few import gaussian
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.network import NETWORK
 from metapp.learning.task import Params
-from metapp.runs.checkpoints.finding import find_checkpoint
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan as plan_of
+from metapp.runs.run import Run
 
 
 def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple[Tensor, Tensor, tuple[float, float]]:
@@ -32,9 +32,9 @@ def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple
     Raises:
         ValueError: no direction is within the limits.
     """
-    planned = find_checkpoint(plan_of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
+    planned = with_checkpoint(Run.of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
     assert planned.checkpoint is not None  # or it would have been refused
-    encoder = planned.checkpoint.prepared.encoder
+    encoder = planned.checkpoint.phi.encoder
     seen = directions_to_full_circle(before.wi, before.wo)
     # before anything is measured, of the first kind: measured materials
     theta = fitted(encoder, seen, before.reflectance) if len(seen) else NETWORK.of_kinds(encoder, torch.zeros(1).long())

@@ -9,11 +9,11 @@ from metapp.extensions.onnx_files.models import OPSET, require
 from metapp.extensions.onnx_files.page import SIDES, write_folder
 from metapp.extensions.onnx_files.photographs import FEATURES, STEP, photographs_model
 from metapp.extensions.onnx_files.runtime import VERSION, runtime
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.checkpoints.shipped import FULL
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, check_new_files, fit_options
-from metapp.runs.plan import plan
+from metapp.runs.recipes import FULL
 from metapp.runs.reporter import progress, say
+from metapp.runs.run import Run
 from metapp.storage.files import write_atomically
 from metapp.storage.records import load_checkpoint
 
@@ -39,14 +39,14 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     check_new_files([file])
     require()
     parts = _runtime(quiet) if kind == PAGE else {}
-    found = find_checkpoint(plan(options))
+    found = with_checkpoint(Run.of(options))
     app, checkpoint = found.app, found.checkpoint
     assert isinstance(app, SvbrdfNonstationary)
     assert checkpoint is not None
     about = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
     if reads_features := bool(app.conditions()):
         about |= {"features": FEATURES, "license": f"MIT; of the features: {FEATURES}"}
-    model, any_size = photographs_model(app, checkpoint.prepared.encoder, about)
+    model, any_size = photographs_model(app, checkpoint.phi.encoder, about)
     side = app.network.height
     if kind == PAGE:
         write_folder(folder, model, parts, SIDES if any_size else (side,), features=reads_features)

@@ -25,7 +25,7 @@ from metapp.apps.svbrdf_nonstationary.maps import CLIPPED, RAW
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
-from metapp.runs.checkpoints.shipped import FULL, shipped_path
+from metapp.runs.recipes import FULL, shipped_path
 from metapp.storage.records import load_checkpoint
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine

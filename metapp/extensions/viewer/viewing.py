@@ -16,21 +16,20 @@ from metapp.extensions.viewer.page import Group, Shown, document, html
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.fits.execution import execute
+from metapp.runs.execution import execute
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import Recorded, by_settings, plan_as, read_run, tasks_as
-from metapp.runs.plan import plan
+from metapp.runs.outputs.recorded import Recorded, by_settings, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
-from metapp.runs.surroundings import make_folder, threads_of
-from metapp.runs.torch_state import threads
+from metapp.runs.run import Run
+from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.fits import read_params
 from metapp.storage.html import write_page
 from metapp.storage.text import file_name
 
 if TYPE_CHECKING:
-    from metapp.runs.api import Fit
+    from metapp.runs.fit import Fit
 
 MOST = 20  # tasks of a page, unless it says otherwise
 PAGE = "view.html"
@@ -95,7 +94,7 @@ def view_page(
 
 
 def _fits(run: Recorded, inputs: Sequence[Path], data: Path | None) -> list[FitOfRun]:
-    groups = [(plan_as(some[-1]["settings"]).app, some) for some in by_settings(run.records)]
+    groups = [(Run.of_settings(some[-1]["settings"]).app, some) for some in by_settings(run.records)]
     tasks = {name: task for app, some in groups for name, task in tasks_as(some, app, list(inputs), data).items()}
     if missing := sum(record["name"] not in tasks for record in run.records):
         what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"
@@ -190,7 +189,7 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS)[0]
     run = execute(
-        plan(fit_options(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True))
+        Run.of(fit_options(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True))
     )
     assert run is not None  # of several ranks only
     (fit,) = run.records

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,13 +17,12 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT, registry
 from metapp.runs.inputs.embedded import embedded_data
-from metapp.runs.inputs.memory import tasks_of_objects
-from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
+from metapp.runs.run import Run
 from metapp.storage.files import check_readable, named
 from metapp.storage.fits import marked_name
 from metapp.storage.shards import fingerprint, read_shard
-from metapp.storage.text import as_text, safe_name
+from metapp.storage.text import as_text, file_name, safe_name
 
 FILES, MEMORY = "files", "memory"  # as records call data that are no data set
 
@@ -76,55 +76,29 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     return [task._replace(name=safe_name(task.name)) for task in tasks], data_label(folder)
 
 
-def tasks_to_fit(plan: Plan) -> tuple[list[Task], str]:
-    """The tasks of a plan's sources, read now, and the name of the data.
-
-    A path that was named must be good; a damaged file that was found in a folder is skipped with a warning.
-
-    Raises:
-        ValueError: a path that is missing or no input of the application, a damaged file, no test task.
-    """
-    if plan.options.objects:
-        app = plan.app
-        how: dict[str, object] = {"observe": app.protocol}
-        how |= _arguments(plan)
-        tasks = tasks_of_objects(app.name, plan.options.objects, how)
-        return _told_apart([(str(number), task) for number, task in enumerate(tasks)]), MEMORY
-    sources, label = sources_to_fit(plan)
-    read = []
-    for source in sources:
-        try:
-            read.append((source.place, source.task()))
-        except (ValueError, OSError) as error:
-            if source.named:
-                raise named(error, Path(source.place)) from None
-            say(f"warning: skipped {named(error, Path(source.place))}")
-    if not read:
-        raise ValueError(f"none of the {len(sources)} found could be read.")
-    return _told_apart(read), label
-
-
-def sources_to_fit(plan: Plan) -> tuple[list[Source], str]:
-    """The sources of a plan, its files or its data set's test tasks, and what records call the data.
+def sources_to_fit(run: Run) -> tuple[list[Source], str]:
+    """The sources of a run, its files, objects or test tasks of its data set, and the name of the data in records.
 
     Of files nothing is read yet.
 
     Raises:
         ValueError: a path that is missing or no input of the application; no test task.
     """
-    app, options = plan.app, plan.options
+    app, options = run.app, run.options
+    if options.objects:
+        return sources_of_objects(app, options.objects, _arguments(run)), MEMORY
     if not options.paths:
         tasks, label = tasks_of_data(app, options.data, options.quiet)
         return sources_of(tasks), label
     merges = [option for option in registry().merges.of(app.name) if option in options.own.given()]
-    return [_merged(plan, merges[0])] if merges else _sources_of_files(plan), FILES
+    return [_merged(run, merges[0])] if merges else _sources_of_files(run), FILES
 
 
-def _sources_of_files(plan: Plan) -> list[Source]:
+def _sources_of_files(run: Run) -> list[Source]:
     """Files and what folders hold, each once, in the order of inputs."""
     sources: dict[str, Source] = {}
-    for path in plan.options.paths:
-        for places, read in _found(plan, path):
+    for path in run.options.paths:
+        for places, read in _found(run, path):
             for place in places:
                 whole, is_named = str(place.resolve()), len(places) == 1 or place == path
                 sources.setdefault(whole, Source(as_text(whole), functools.partial(read, place), is_named, [path]))
@@ -136,8 +110,27 @@ def sources_of(tasks: Sequence[Task]) -> list[Source]:
     return [Source(task.name, task._replace) for task in tasks]
 
 
-def _told_apart(read: Sequence[tuple[str, Task]]) -> list[Task]:
-    """Tasks and where they are from, the second of a name with a digest of that, as the folders of fits have it."""
+def read_tasks(sources: Sequence[Source]) -> list[Task]:
+    """The tasks of sources; a damaged file that was found in a folder is left out with a warning.
+
+    Raises:
+        ValueError: a damaged file that was named, or nothing is left.
+    """
+    read = []
+    for source in sources:
+        try:
+            read.append((source.place, source.task()))
+        except (ValueError, OSError) as error:
+            if source.named:
+                raise named(error, Path(source.place)) from None
+            say(f"warning: skipped {named(error, Path(source.place))}")
+    if not read:
+        raise ValueError(f"none of the {len(sources)} found could be read.")
+    return told_apart(read)
+
+
+def told_apart(read: Iterable[tuple[str, Task]]) -> list[Task]:
+    """Tasks of sources' places; the second of a name has a digest of its place, as folders of fits have."""
     first: dict[str, str] = {}
     return [
         task if first.setdefault(task.name, place) == place else task._replace(name=marked_name(task.name, place))
@@ -145,13 +138,13 @@ def _told_apart(read: Sequence[tuple[str, Task]]) -> list[Task]:
     ]
 
 
-def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
+def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
     """Sources that each reader finds at a path that it recognises, and the function that reads one of them.
 
     Raises:
         ValueError: there is no such path, or it is no input of the application.
     """
-    app = plan.app
+    app = run.app
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
@@ -171,27 +164,27 @@ def _found(plan: Plan, path: Path) -> Iterator[tuple[list[Path], Callable[[Path]
         places, skipped = form.load().find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(form.load().read_task, **form.taken(_arguments(plan)))
+        yield places, functools.partial(form.load().read_task, **form.taken(_arguments(run)))
 
 
-def _arguments(plan: Plan) -> dict[str, object]:
+def _arguments(run: Run) -> dict[str, object]:
     """The arguments of readers, by keyword: the size that fits have, and the options about INPUT that were given."""
-    reads = plan.app.read_size
-    return ({"size": reads, "rows": reads, "least": min(reads, SIZE)} if reads else {}) | plan.options.own.reading()
+    reads = run.app.read_size
+    return ({"size": reads, "rows": reads, "least": min(reads, SIZE)} if reads else {}) | run.options.own.reading()
 
 
-def _merged(plan: Plan, option: str) -> Source:
+def _merged(run: Run, option: str) -> Source:
     """The one source of all inputs, as an option merges them."""
-    app = plan.app
-    places = [place for path in plan.options.paths for some, _ in _found(plan, path) for place in some]
+    app = run.app
+    places = [place for path in run.options.paths for some, _ in _found(run, path) for place in some]
     (form, *_) = (form for form in inputs_of(app.name).values() if form.load().recognises(places[0]))
 
     def read() -> Task:
         merge = registry().merges[app.name, option].load()
-        task: Task = merge(places, getattr(plan.options.own, option), **form.taken(_arguments(plan)))
+        task: Task = merge(places, getattr(run.options.own, option), **form.taken(_arguments(run)))
         return task
 
-    return Source(as_text(str(places[0].resolve())), read, True, plan.options.paths)
+    return Source(as_text(str(places[0].resolve())), read, True, run.options.paths)
 
 
 def content_of(task: Task) -> str:
@@ -200,3 +193,53 @@ def content_of(task: Task) -> str:
     for key in sorted(task.data):
         total.update(task.data[key].detach().contiguous().flatten().view(torch.uint8).numpy().tobytes())
     return total.hexdigest()[:12]
+
+
+def in_memory(sources: Sequence[object]) -> bool:
+    """True if sources are objects in memory, not paths; all text is a path but that of an XML document.
+
+    Raises:
+        ValueError: some are paths, others are not.
+    """
+    count = sum(not _is_path(source) for source in sources)
+    if 0 < count < len(sources):
+        raise ValueError(f"{count} of {len(sources)} sources are no paths, expected all or none of them.")
+    return count > 0
+
+
+def sources_of_objects(app: App, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Source]:
+    """The sources of objects in memory, which are read at once.
+
+    Args:
+        app: the application.
+        objects: as its function for objects takes them.
+        arguments: of readers, by name.
+
+    Raises:
+        ValueError: something else than the application takes; as readers of files, with the object's name.
+    """
+    entry = registry().objects.get(app.name)
+    if entry is None:
+        raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app.name} reads files and folders.")
+    from_object = entry.load()
+    how = {"observe": app.protocol, **arguments}
+    tasks = [from_object(source, name, **how) for source, name in zip(objects, _names(objects), strict=True)]
+    return [Source(str(number), task._replace, True) for number, task in enumerate(tasks)]
+
+
+def _is_path(source: object) -> bool:
+    return isinstance(source, PathLike) or (isinstance(source, str) and not source.lstrip().startswith("<"))
+
+
+def _names(objects: Sequence[object]) -> list[str]:
+    """Names of tasks: a function's own, of a picture that PIL opened its file's, else "object"."""
+    names = [_name(source) for source in objects]
+    plain = [name for name in names if not name]
+    numbers = iter(range(1, len(plain) + 1))
+    return [file_name(name) if name else f"object-{next(numbers)}" if len(plain) > 1 else "object" for name in names]
+
+
+def _name(source: object) -> str:
+    place = getattr(source, "filename", "")
+    name = Path(place).stem if isinstance(place, str | PathLike) else ""
+    return str(getattr(source, "__name__", name)).strip("<>")

@@ -17,12 +17,12 @@ from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
 from metapp.registry import Output, registry
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.checkpoints.shipped import QUICK
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, check_export, check_name, fit_options
-from metapp.runs.outputs.recorded import plan_as, read_run, tasks_as
-from metapp.runs.plan import plan
+from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.recipes import QUICK
 from metapp.runs.reporter import number, progress, say
+from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.fits import read_params
 from metapp.storage.images import write_exr, write_png
@@ -118,10 +118,10 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
         task: what was fitted.
         theta: parameters of one task, without a task axis.
     """
-    by = find_checkpoint(plan(fit_options(app.name, "finetune", recipe=QUICK, quiet=True)))
+    by = with_checkpoint(Run.of(fit_options(app.name, "finetune", recipe=QUICK, quiet=True)))
     evaluated = app.evaluated(theta, task)
     assert evaluated is not None, f"{app.name} has one network"
-    fitted = by.paradigm.fit(by.prepared, stack(by.app, [evaluated]), Generator().manual_seed(by.options.seed))
+    fitted = by.paradigm.fit(by.phi, stack(by.app, [evaluated]), Generator().manual_seed(by.options.seed))
     before, after = (
         number(app.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
         for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
@@ -168,7 +168,7 @@ def export_run(
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            app, theta = plan_as(settings, options=options).app, read_params(record["folder"])
+            app, theta = Run.of_settings(settings, options=options).app, read_params(record["folder"])
             write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.options import BadOption
-from metapp.paradigms import PARADIGMS
 from metapp.runs.inputs.embedded import embedded_exists
-from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_to_fit
-from metapp.runs.options import fit_options, own_of_record
-from metapp.runs.plan import Plan, plan
+from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_of_data
 from metapp.runs.reporter import say
+from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import PARTIAL
 from metapp.storage.fits import FIT, RECORD, read_fit, read_fits
@@ -100,33 +97,6 @@ def _newest_run(folder: Path) -> Path:
     return newest
 
 
-def plan_as(settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Plan:
-    """The plan that a fit was made by, as far as its record says it.
-
-    Args:
-        settings: of the record.
-        options: of extensions, beside those that the record states.
-        more: further options, as of `FitOptions`.
-
-    Raises:
-        BadOption: one of `options`.
-        ValueError: settings that are not known here.
-    """
-    app, inputs = settings["app"], more.pop("inputs", ())
-    own = own_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
-    paradigm = settings.get("paradigm", "meta")
-    if paradigm not in PARADIGMS:
-        raise ValueError(f"paradigm '{paradigm}': not known, expected {', '.join(PARADIGMS)}; fit again.")
-    given = {"rule": settings.get("rule", "") if paradigm == "meta" else "", "recipe": settings["recipe"]}
-    given |= {"observe": settings.get("observe", ""), "quiet": True, **more}
-    try:
-        return plan(fit_options(app, paradigm, inputs, **own, **given))
-    except BadOption as error:
-        if options:
-            raise
-        raise ValueError(f"{app}: a fit of other settings than are known ({error})") from None
-
-
 def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
     """The tasks that were fitted in a run, by name: of what is given, else from where its records say, else embedded.
 
@@ -156,10 +126,10 @@ def _tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path 
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
     if not (inputs or data or embedded):
         return {}
-    planned = plan_as(settings, inputs=inputs, data=data)
+    run = Run.of_settings(settings, inputs=inputs, data=data)
     if inputs:
-        return _of_sources(records, sources_to_fit(planned)[0])
-    tasks, now = tasks_to_fit(planned)
+        return _of_sources(records, sources_to_fit(run)[0])
+    tasks, now = tasks_of_data(app, data, quiet=True)
     return {task.name: task for task in tasks} if now == label else {}
 
 

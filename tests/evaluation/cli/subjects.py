@@ -14,7 +14,7 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan
+from metapp.runs.run import Run
 from tests.small_spheres import shrink_spheres
 
 
@@ -39,7 +39,7 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
-    planned = plan(fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
+    planned = Run.of(fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
     return Subject(planned, run=True, strict=True)
 
 

@@ -26,14 +26,14 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
 from metapp.runs.options import fit_options
-from metapp.runs.plan import Checkpoint, plan
+from metapp.runs.run import Checkpoint, Run
 from tests.evaluation.cli.subjects import rows, subject_of
 from tests.evaluation.test_notes import row
 
 
 def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:
     """But of rules with a network of their own."""
-    planned = Subject(plan(fit_options("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
+    planned = Subject(Run.of(fit_options("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
     assert "meta:ridge" in planned.fits
     assert learned(planned) == [name for name in planned.fits if name.startswith("meta") and name != "meta:ridge"]
     ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}
@@ -48,7 +48,7 @@ def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subje
 def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     places = [cell.fits.path.name for _, _, cell in combined(subject, "meta") if cell.fits]
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
-    meta, general = (subject.fits[name].prepared for name in ("meta", "general"))
+    meta, general = (subject.fits[name].phi for name in ("meta", "general"))
     tasks, recipe = stack(subject.app, subject.tasks), subject.plan.recipe
     start, rule = InitialisationAlone(subject.app, recipe), RuleAlone(subject.app, recipe)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
@@ -61,9 +61,9 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
 
 
 def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
-    meta, encoder = subject.fits["meta"], subject.fits["general"].prepared.encoder
+    meta, encoder = subject.fits["meta"], subject.fits["general"].phi.encoder
     assert not same_initialisation(subject, "meta")
-    own = Checkpoint(meta.prepared._replace(theta={}, encoder=encoder), "", "")
+    own = Checkpoint(meta.phi._replace(theta={}, encoder=encoder), "", "")
     subject.fits["meta"] = replace(meta, checkpoint=own)
     assert same_initialisation(subject, "meta")
     assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
@@ -80,7 +80,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
     states = parts_of(cell, subject.tasks[0])
     assert list(states) == list(PARTS)
-    theta = subject.fits["meta"].prepared.theta
+    theta = subject.fits["meta"].phi.theta
     assert all(torch.equal(states[0.0][key], value) for key, value in theta.items())
     record = cell.records()[0]
     assert len(record["paths"]["overfit"]) == len(path_steps(40))

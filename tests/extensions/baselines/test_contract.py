@@ -27,8 +27,8 @@ from metapp.learning.task import Task
 from metapp.registry import WITHOUT as LEAVING_OUT
 from metapp.registry import registry
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter
+from metapp.runs.run import Run
 from metapp.storage.fits import Fits, read_params
 from metapp.storage.shards import ShardWriter
 from tests.marked import long
@@ -83,7 +83,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], Subject]:
     def make(name: str, protocol: str) -> Subject:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
-        planned = plan(fit_options(name, "general", **of_app, device="cpu", quiet=True))
+        planned = Run.of(fit_options(name, "general", **of_app, device="cpu", quiet=True))
         return Subject(planned, run=True, strict=False)
 
     return make

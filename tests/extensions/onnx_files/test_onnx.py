@@ -19,7 +19,7 @@ from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.onnx_files import brdf, models, photographs
 from metapp.learning.task import Params
-from metapp.runs.checkpoints.shipped import shipped_path
+from metapp.runs.recipes import shipped_path
 from tests.marked import long
 
 pytest.importorskip("onnxscript")
@@ -86,13 +86,13 @@ def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
 
 
 def _maps(photo: Tensor) -> tuple[Tensor, ...]:
-    from metapp.runs.checkpoints.finding import find_checkpoint
+    from metapp.runs.checkpoints import with_checkpoint
     from metapp.runs.options import fit_options
-    from metapp.runs.plan import plan
+    from metapp.runs.run import Run
 
-    found = find_checkpoint(plan(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
+    found = with_checkpoint(Run.of(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
     with torch.no_grad():
-        result: tuple[Tensor, ...] = photographs.Material(found.app, found.checkpoint.prepared.encoder)(photo)
+        result: tuple[Tensor, ...] = photographs.Material(found.app, found.checkpoint.phi.encoder)(photo)
     return result
 
 

@@ -11,7 +11,7 @@ from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.extensions.pretrained.app import FromFeatures
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan
+from metapp.runs.run import Run
 from tests.extensions.pretrained.conftest import APP
 
 
@@ -40,7 +40,7 @@ def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
     assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
 
     def chosen(paradigm: str, **options: object) -> str:
-        return plan(
+        return Run.of(
             fit_options(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)
         ).options.recipe
 

@@ -24,11 +24,10 @@ from metapp.extensions.several import checkpoints, photos
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.checkpoints.finding import find_checkpoint
-from metapp.runs.checkpoints.shipped import FULL, shipped_path
-from metapp.runs.choosing import chosen_recipe, recipe_of_tasks
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
-from metapp.runs.plan import plan
+from metapp.runs.recipes import FULL, chosen_recipe, recipe_of_tasks, shipped_path
+from metapp.runs.run import Run
 from metapp.storage.records import load_checkpoint, tensor_digest
 from metapp.storage.shards import ShardWriter
 
@@ -98,7 +97,7 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: s
     one = "full" if lacking else "pretrained"
 
     def recipe(*inputs: Path, observe: str = "photo") -> str:
-        return plan(fit_options(APP, "general", inputs, observe=observe)).options.recipe
+        return Run.of(fit_options(APP, "general", inputs, observe=observe)).options.recipe
 
     assert recipe(folder) == recipe(folder.parent) == "several"
     assert recipe(folder / "a.png") == one
@@ -123,9 +122,9 @@ def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, m
     )
     for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
         with pytest.raises(BadOption, match=re.escape(line)):
-            plan(fit_options(APP, "general", inputs, observe="photo"))
+            Run.of(fit_options(APP, "general", inputs, observe="photo"))
         for recipe in ("full", "several"):
-            assert plan(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe == recipe
+            assert Run.of(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe == recipe
     result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
     assert "recipes for these differ; fit them by two commands" in result.misuse
     assert not (folder.parent / "runs").exists()
@@ -208,9 +207,9 @@ def test_five_photos_say_more_than_one_by_default() -> None:
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "meta"), ("several", "quickft"), ("several", "general")):
-        by = find_checkpoint(plan(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
+        by = with_checkpoint(Run.of(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
-        theta = [by.paradigm.fit(by.prepared, stack(by.app, [task]), Generator()) for task in of]
+        theta = [by.paradigm.fit(by.phi, stack(by.app, [task]), Generator()) for task in of]
         found = [float(by.app.errors(each, stack(by.app, [t]))["error"]) for each, t in zip(theta, of, strict=True)]
         errors[recipe, paradigm] = sum(found) / len(found)
     assert errors["several", "quickft"] < 0.8 * errors["several", "general"]
@@ -222,4 +221,4 @@ def test_without_the_extension_its_folders_are_refused_by_its_name(
 ) -> None:
     monkeypatch.setenv(registry.WITHOUT, "several")
     assert "the extension several reads it" in metapp("meta", APP, folder, "--observe", "photo").refusal
-    assert plan(fit_options(APP, "meta", (folder / "a.png",), observe="photo")).options.recipe == "full"
+    assert Run.of(fit_options(APP, "meta", (folder / "a.png",), observe="photo")).options.recipe == "full"

@@ -24,7 +24,7 @@ from metapp.extensions.viewer.view import View, pictures_view, thumbnail
 from metapp.learning.pictures import REFERENCE
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
-from metapp.runs.torch_state import threads
+from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.tensors import kept
 

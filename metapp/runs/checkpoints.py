@@ -16,18 +16,18 @@ from metapp.learning.task import Params
 from metapp.networks.field import regridded
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.quickft import TUNED
-from metapp.runs.checkpoints.shipped import QUICK, shipped_path, ships
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.naming import is_first_protocol, name_of
-from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.recipes import QUICK, shipped_path, ships
 from metapp.runs.reporter import say
+from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 
 FOLDER = "checkpoints"  # of what was trained for an application
 
 
-def find_checkpoint(plan: Plan) -> Plan:
+def with_checkpoint(plan: Run) -> Run:
     """The plan with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
 
     Raises:
@@ -63,7 +63,7 @@ def find_checkpoint(plan: Plan) -> Plan:
     return replace(plan, checkpoint=checkpoint)
 
 
-def trained_path(plan: Plan, name: str) -> Path:
+def trained_path(plan: Run, name: str) -> Path:
     """Where a checkpoint that is trained on this data is kept."""
     label = data_label(data_folder(plan.app, plan.options.data, plan.options.quiet))
     run = f"{label}-{plan.options.recipe}-seed{plan.options.seed}"
@@ -80,7 +80,7 @@ def checkpoint_name(app: App, name: str) -> str:
     return name if is_first_protocol(app) or shared else f"{name}-{app.protocol}"
 
 
-def ships_general(plan: Plan) -> bool:
+def ships_general(plan: Run) -> bool:
     """True if a General ships that training may begin at.
 
     On a data set of the user's own none may: the shipped one may have seen its test tasks.
@@ -88,7 +88,7 @@ def ships_general(plan: Plan) -> bool:
     return not plan.options.data and _has_shipped(plan) and _shipped(plan, "general").is_file()
 
 
-def _of_app(plan: Plan) -> Path:
+def _of_app(plan: Run) -> Path:
     """The folder of all runs of an application."""
     return plan.options.out / plan.app.name
 
@@ -113,10 +113,10 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Do
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
-def _with_tuning(plan: Plan, checkpoint: Checkpoint, name: str) -> Checkpoint:
+def _with_tuning(plan: Run, checkpoint: Checkpoint, name: str) -> Checkpoint:
     """Put the Adam that was tuned for this very encoder into its checkpoint: one beside that, or the one that ships."""
     options, app = plan.options, plan.app
-    encoder = tensor_digest(checkpoint.prepared.encoder)
+    encoder = tensor_digest(checkpoint.phi.encoder)
     candidates = [_shipped(plan, name)]
     if options.checkpoint:
         folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
@@ -136,10 +136,10 @@ def _with_tuning(plan: Plan, checkpoint: Checkpoint, name: str) -> Checkpoint:
 
 def tuned_by(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoint:
     """General's checkpoint with an Adam that was tuned for it."""
-    return Checkpoint(general.prepared._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", digest(path))
+    return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", digest(path))
 
 
-def _checkpoint_path(plan: Plan, name: str) -> Path:
+def _checkpoint_path(plan: Run, name: str) -> Path:
     given = plan.options.checkpoint
     if given and given.is_dir():
         path = given / f"{checkpoint_name(plan.app, name)}.safetensors"
@@ -160,15 +160,15 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
     )
 
 
-def _has_shipped(plan: Plan) -> bool:
+def _has_shipped(plan: Run) -> bool:
     return ships(plan.app.name, plan.options.recipe, plan.options.observe)
 
 
-def _shipped(plan: Plan, name: str) -> Path:
+def _shipped(plan: Run, name: str) -> Path:
     return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.options.recipe, plan.options.observe)
 
 
-def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:
+def on_own_grid(plan: Run, prepared: MetaParameters) -> MetaParameters:
     """A checkpoint of Meta whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own.
 
     They may have been learned on a coarser one: those of another recipe of the same network.
@@ -189,7 +189,7 @@ def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
     return value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0
 
 
-def _fresh_alpha(plan: Plan) -> Params:
+def _fresh_alpha(plan: Run) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
     recipe = plan.recipe
     network = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
@@ -197,7 +197,7 @@ def _fresh_alpha(plan: Plan) -> Params:
     return rule_of(plan.paradigm.rule_name).alpha(plan.app, network, recipe.steps, first)
 
 
-def require_fit(path: Path, plan: Plan, prepared: MetaParameters) -> None:
+def require_fit(path: Path, plan: Run, prepared: MetaParameters) -> None:
     """Refuse tensors that are not this application's, or not this rule's.
 
     Raises:

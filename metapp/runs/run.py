@@ -1,11 +1,11 @@
-"""From options to a plan: the application, its recipe, rule and steps, the paradigm, the device, the run's folder."""
+"""A run: the application, recipe, rule, paradigm and device that options name, its settings and its folder."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -17,10 +17,9 @@ from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
 from metapp.options import FIT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
-from metapp.runs.checkpoints.shipped import usual_recipe
-from metapp.runs.choosing import chosen_recipe
 from metapp.runs.naming import is_first_protocol, observe_of
-from metapp.runs.options import FitOptions, name_parts
+from metapp.runs.options import FitOptions, fit_options, name_parts, own_of_record
+from metapp.runs.recipes import chosen_recipe, usual_recipe
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.records import digest
@@ -28,28 +27,84 @@ from metapp.storage.text import meant
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint, where it came from and a digest of its file ("" where nothing is needed)."""
+    """A checkpoint: phi, the place it was read from, and a digest of its file ("" where a paradigm needs none)."""
 
-    prepared: MetaParameters
+    phi: MetaParameters
     source: str
     digest: str
 
 
 @dataclass(frozen=True)
-class Plan:
+class Run:
     """Options with all that they name looked up.
 
     Attributes:
         options: as given, with recipe and rule by their names; steps None where they are the recipe's.
-        paradigm: what fits, for the application under its protocol, with the network of the recipe and of the rule.
-        device: what it works with.
-        checkpoint: what fits begin at; None until `checkpoints.find_checkpoint` has found it.
+        paradigm: of the application under its protocol, with the network of the recipe and of the rule.
+        device: of all tensors.
+        checkpoint: initialisation and rule of the fits; None until `checkpoints.with_checkpoint` has read it.
     """
 
     options: FitOptions
     paradigm: Paradigm
     device: torch.device
     checkpoint: Checkpoint | None = None
+
+    @classmethod
+    def of(cls, options: FitOptions) -> Run:
+        """Look up what options name; no task is read and nothing is written.
+
+        Raises:
+            BadOption: a rule that the application cannot have, or options that the recipe does not have.
+            ValueError: no such device, paradigm or data set.
+        """
+        kind = PARADIGMS.get(options.paradigm)
+        if kind is None:
+            names = ", ".join(PARADIGMS)
+            hint = meant(options.paradigm, PARADIGMS)
+            raise ValueError(f"paradigm '{options.paradigm}': expected one of {names}.{hint}")
+        name = options.recipe or chosen_recipe(options)
+        usual = recipes_of(options.app, options.observe)[name]
+        recipe = _adapted(options, name, usual)
+        if recipe == usual:  # by options that say what it does anyway
+            options = replace(options, own=replace(options.own, **options.own.defaults(FIT)))
+        rule = _rule_name(options, recipe)
+        app = app_of(options.app, recipe, options.observe, rule=rule if kind.name == "meta" else "")
+        try:
+            app = replace(app, size=getattr(options.own, "size", None))
+        except ValueError as error:
+            raise BadOption(str(error)) from None
+        built = kind(app, recipe, rule)
+        steps = None if built.recipe_steps in (options.steps, 0) else options.steps
+        options = replace(options, recipe=name, rule=rule, steps=steps)
+        return cls(options, replace(built, asked_steps=steps), find_device(options.device, app))
+
+    @classmethod
+    def of_settings(cls, settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Run:
+        """The run that a fit was made by, as far as the settings of its record say it.
+
+        Args:
+            settings: of the record.
+            options: of extensions, beside those that the record states.
+            more: further options, as of `FitOptions`.
+
+        Raises:
+            BadOption: one of `options`.
+            ValueError: settings that are not known here.
+        """
+        app, inputs = settings["app"], more.pop("inputs", ())
+        own = own_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
+        paradigm = settings.get("paradigm", "meta")
+        if paradigm not in PARADIGMS:
+            raise ValueError(f"paradigm '{paradigm}': not known, expected {', '.join(PARADIGMS)}; fit again.")
+        given = {"rule": settings.get("rule", "") if paradigm == "meta" else "", "recipe": settings["recipe"]}
+        given |= {"observe": settings.get("observe", ""), "quiet": True, **more}
+        try:
+            return cls.of(fit_options(app, paradigm, inputs, **own, **given))
+        except BadOption as error:
+            if options:
+                raise
+            raise ValueError(f"{app}: a fit of other settings than are known ({error})") from None
 
     @property
     def app(self) -> App:
@@ -67,13 +122,13 @@ class Plan:
         return self.paradigm.steps
 
     @property
-    def prepared(self) -> MetaParameters:
-        """The parameters of the checkpoint, which must have been found."""
+    def phi(self) -> MetaParameters:
+        """The parameters of the checkpoint, which must have been read."""
         assert self.checkpoint is not None
-        return self.checkpoint.prepared
+        return self.checkpoint.phi
 
-    def by(self, paradigm: str, rule: str = "") -> Plan:
-        """The same for another paradigm and rule ("" for the same one), of the recipe's steps, without a checkpoint."""
+    def by(self, paradigm: str, rule: str = "") -> Run:
+        """A run by another paradigm and rule ("" for this one), of the recipe's steps, without a checkpoint."""
         rule = rule or self.paradigm.rule_name
         options = replace(self.options, paradigm=paradigm, rule=rule, steps=None)
         app = app_of(self.app.name, self.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
@@ -81,10 +136,10 @@ class Plan:
         return replace(self, options=options, paradigm=built, checkpoint=None)
 
     def settings(self, label: str) -> Document:
-        """Everything that figures of a run on data of this name depend on: what its records carry, and their key."""
+        """All that errors and seconds of fits to this data depend on: the settings in their records."""
         paradigm, app = self.paradigm, self.app
         own = self.options.own.recorded()
-        adam, guard = paradigm.adam(self.prepared), paradigm.guard
+        adam, guard = paradigm.adam(self.phi), paradigm.guard
         assert self.checkpoint is not None
         return {
             "app": app.name,
@@ -132,7 +187,7 @@ class Plan:
         return options.out / app.name / "-".join(filter(None, words))
 
     def origin(self, inputs: Sequence[Path]) -> Document:
-        """Where inputs and data set are, by which they are found again: absolute paths, as far as given."""
+        """The places of inputs and data set, by which they are found again: absolute paths, as far as given."""
         data = self.options.data
         places: Document = {
             "inputs": [str(path.absolute()) for path in inputs],
@@ -141,36 +196,14 @@ class Plan:
         return {key: value for key, value in places.items() if value}
 
 
-def plan(options: FitOptions) -> Plan:
-    """Look up what options name; no task is read and nothing is written.
-
-    Raises:
-        BadOption: a rule that the application cannot have, or options that the recipe does not have.
-        ValueError: no such device, paradigm or data set.
-    """
-    kind = PARADIGMS.get(options.paradigm)
-    if kind is None:
-        names = ", ".join(PARADIGMS)
-        raise ValueError(f"paradigm '{options.paradigm}': expected one of {names}.{meant(options.paradigm, PARADIGMS)}")
-    name = options.recipe or chosen_recipe(options)
-    usual = recipes_of(options.app, options.observe)[name]
+def _adapted(options: FitOptions, name: str, recipe: Recipe) -> Recipe:
+    """A recipe as the application's own options change it, or a usage error."""
     try:
-        recipe = options.own.adapt(usual)
+        adapted: Recipe = options.own.adapt(recipe)
     except ValueError as error:
         own = ", ".join(f"--{key} {value}" for key, value in options.own.given(FIT).items())
         raise BadOption(f"{own}, by recipe {name}: {error}.") from None
-    if recipe == usual:  # by options that say what it does anyway
-        options = replace(options, own=replace(options.own, **options.own.defaults(FIT)))
-    rule = _rule_name(options, recipe)
-    app = app_of(options.app, recipe, options.observe, rule=rule if kind.name == "meta" else "")
-    try:
-        app = replace(app, size=getattr(options.own, "size", None))
-    except ValueError as error:
-        raise BadOption(str(error)) from None
-    built = kind(app, recipe, rule)
-    steps = None if built.recipe_steps in (options.steps, 0) else options.steps
-    options = replace(options, recipe=name, rule=rule, steps=steps)
-    return Plan(options, replace(built, asked_steps=steps), find_device(options.device, app))
+    return adapted
 
 
 def _rule_name(options: FitOptions, recipe: Recipe) -> str:

@@ -18,11 +18,11 @@ from metapp.paradigms import PARADIGMS, ranks
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.training import describe, preparing, training_of
 from metapp.paradigms.validation import split_validation
-from metapp.runs.checkpoints.finding import find_checkpoint, ships_general, trained_path
+from metapp.runs.checkpoints import ships_general, trained_path, with_checkpoint
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.naming import name_of, observe_of
-from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import progress, say
+from metapp.runs.run import Checkpoint, Run
 from metapp.runs.surroundings import make_folder, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.files import remove_partial
@@ -47,7 +47,7 @@ class Trained(NamedTuple):
     seconds: float
 
 
-def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None = None) -> Trained:
+def train_checkpoint(plan: Run, steps: int | None, general: Checkpoint | None = None) -> Trained:
     """Train what the paradigm of a plan needs, together with the other ranks where there are any.
 
     Args:
@@ -67,7 +67,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     first = _first(plan, name)
     begins = not first.digest and _needs_general(plan, name)
     general = general or general_of(plan, steps) if begins else None
-    encoder = general.prepared if general else None
+    encoder = general.phi if general else None
     tasks = _tasks_of(plan, name, folder)
     about = _about(plan, name, folder, encoder) | ({"first": first.digest} if first.digest else {})
     settings = _settings(plan, name, steps, folder, encoder) | about
@@ -78,7 +78,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         kept = state.phi._replace(encoder={}) if name == "quickft" else state.phi
         save_checkpoint(file, kept, describe(paradigm, state, steps) | info, previous)
 
-    writes, phi = ranks.number() == 0, first.prepared
+    writes, phi = ranks.number() == 0, first.phi
     checkpoint, since = _opened(path, settings, plan, training_of(paradigm, steps))
     with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
         rng = Generator(plan.device).manual_seed(options.seed)
@@ -108,7 +108,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
 
 
 def _opened(
-    path: Path, settings: Document, plan: Plan, training: OuterLoop | None
+    path: Path, settings: Document, plan: Run, training: OuterLoop | None
 ) -> tuple[TrainingCheckpoint, TrainState]:
     """The training checkpoint beside a file, and how far it was: read by all ranks."""
     writes = ranks.number() == 0
@@ -125,7 +125,7 @@ def _opened(
     return checkpoint, since
 
 
-def _tasks_of(plan: Plan, name: str, folder: Path) -> Tasks:
+def _tasks_of(plan: Run, name: str, folder: Path) -> Tasks:
     """The training tasks of a data set."""
     app = plan.app
     tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), plan.device)
@@ -133,14 +133,14 @@ def _tasks_of(plan: Plan, name: str, folder: Path) -> Tasks:
     return tasks
 
 
-def _first(plan: Plan, name: str) -> Checkpoint:
+def _first(plan: Run, name: str) -> Checkpoint:
     """The checkpoint that a training goes on from; an empty one where none was given, or a General to begin at."""
     given = plan.options.checkpoint
     if not given or (_needs_general(plan, name) and load_checkpoint(given)[1].get("checkpoint") == "general"):
         return Checkpoint(MetaParameters(), "", "")
     if name == "quickft":
         raise ValueError(f"{given}: expected the General that an Adam is searched for; name its file, or leave it out.")
-    checkpoint = find_checkpoint(plan).checkpoint
+    checkpoint = with_checkpoint(plan).checkpoint
     assert checkpoint is not None
     say(f"going on from {checkpoint.source}")
     return checkpoint
@@ -157,7 +157,7 @@ def _remove_partial(path: Path) -> None:
         remove_partial(file)
 
 
-def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
+def general_of(plan: Run, steps: int | None = None) -> Checkpoint:
     """The General that QuickFT is tuned for or that Meta's training begins at.
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now, for as many steps. A
@@ -178,13 +178,13 @@ def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
             train_checkpoint(begin, steps)
         plan = replace(plan, options=replace(options, checkpoint=path))
-    checkpoint = find_checkpoint(plan).checkpoint
+    checkpoint = with_checkpoint(plan).checkpoint
     assert checkpoint is not None
     say(f"General: {checkpoint.source}")
     return checkpoint
 
 
-def _is_trained(plan: Plan, steps: int | None) -> bool:
+def _is_trained(plan: Run, steps: int | None) -> bool:
     """True if the General that would be trained now is there, by the same settings."""
     path = trained_path(plan, "general")
     folder = data_folder(plan.app, plan.options.data, plan.options.quiet)
@@ -192,7 +192,7 @@ def _is_trained(plan: Plan, steps: int | None) -> bool:
     return load_checkpoint(path)[1].get("training_digest") == digest(settings)
 
 
-def _name_of(plan: Plan) -> str:
+def _name_of(plan: Run) -> str:
     """The checkpoint to train: the last of those that the paradigm needs."""
     needs = plan.paradigm.needs
     if not needs:
@@ -202,11 +202,11 @@ def _name_of(plan: Plan) -> str:
     return needs[-1]
 
 
-def _needs_general(plan: Plan, name: str) -> bool:
+def _needs_general(plan: Run, name: str) -> bool:
     return name == "quickft" or (name != "general" and plan.recipe.training(name).from_general)
 
 
-def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> Document:
+def _about(plan: Run, name: str, folder: Path, encoder: MetaParameters | None) -> Document:
     """The part of a checkpoint's header about the data it was trained on."""
     return (
         {"data": data_label(folder), "recipe": plan.options.recipe, "seed": plan.options.seed}
@@ -218,7 +218,7 @@ def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) 
     )
 
 
-def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
+def _settings(plan: Run, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
     """All that the result of a training depends on but for rounding, beside what its checkpoint says about itself."""
     return {
         "app": plan.app.name,

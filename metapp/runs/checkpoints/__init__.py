@@ -1,1 +1,0 @@
-"""Checkpoints: those that ship, those that were trained here, and training."""

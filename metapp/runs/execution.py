@@ -1,0 +1,231 @@
+"""Execution of a run: its inputs are read and fitted, and each fit is kept in a folder of its own."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+from metapp.learning.task import Params, Task
+from metapp.paradigms import ranks
+from metapp.runs.checkpoints import tuned_by, with_checkpoint
+from metapp.runs.fit import Fit
+from metapp.runs.fitting import BadInput, fit_sources
+from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
+from metapp.runs.naming import name_of, observe_of
+from metapp.runs.outputs.files import export_fit, export_path, outputs_of, write_outputs, write_pictures
+from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run
+from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
+from metapp.runs.run import Run
+from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.training import train_checkpoint
+from metapp.storage import Document
+from metapp.storage.files import named
+from metapp.storage.fits import Fits, find_fit, read_params
+from metapp.storage.records import guarded, summary
+
+FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
+
+
+class Failure(NamedTuple):
+    """An input that was not fitted, or a form that a fit was not written in.
+
+    Attributes:
+        source: its place.
+        reason: the error, with the source named.
+        counted: whether the run fails by it; not by a damaged file that was found in a folder.
+        kept: whether the fit is kept, and only an export was not written.
+    """
+
+    source: str
+    reason: str
+    counted: bool = True
+    kept: bool = False
+
+
+class Execution:
+    """Fits of the sources of a run, and the folder that they are kept in.
+
+    Attributes:
+        run: with its checkpoint.
+        fits: the folder and the settings of the fits.
+        records: of all fits, in the order of the sources, those of before among them that are skipped.
+        replaced: the number of fits that replace fits of before.
+        skipped: the number of fits of before.
+        failures: inputs that were not fitted, and exports that were not written.
+        remarks: of outputs.
+        tasks_per_second: of the fits of now, all that takes time counted: reading, fitting, keeping, pictures; None
+            where there was nothing left to fit.
+    """
+
+    def __init__(self, run: Run, sources: list[Source], fits: Fits) -> None:
+        self.run, self.fits = run, fits
+        self.replaced = self.skipped = 0
+        self.failures: list[Failure] = []
+        self.remarks: list[str] = []
+        self.tasks_per_second: float | None = None
+        self._sources = sources
+        self._records: dict[str, Document] = {}  # by the sources' places
+        self._columns: dict[str, Column] = {}
+        self._outputs = outputs_of(run.options)
+        self._bar = Bar()
+
+    @property
+    def records(self) -> list[Document]:
+        """As the attributes say."""
+        return [self._records[source.place] for source in self._sources if source.place in self._records]
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run; of a single fit the task's."""
+        return Path(self.records[0]["folder"]) if len(self._records) == 1 else self.fits.path
+
+    def document(self) -> Document:
+        """The object that --json prints."""
+        app, settings, records = self.run.app, self.fits.settings, self.records
+        fields = ("name", "error", "seconds", "counts", "note", "warning", "folder")
+        return {
+            "app": app.name,
+            **observe_of(app),
+            "paradigm": settings["paradigm"],
+            "rule": settings["rule"],
+            "steps": settings["steps"],
+            "device": str(self.run.device),
+            "data": settings["data"],
+            **app.conditions(),
+            **{key: settings[key] for key in ("precision",) if key in settings},
+            **summary(records),
+            "guarded": guarded(records),
+            "tasks": [{key: record[key] for key in fields if key in record} for record in records],
+            "tasks_per_second": self.tasks_per_second,
+            "failures": [{"source": failure.source, "reason": failure.reason} for failure in self.failures],
+            "out": str(self.fits.path),
+        }
+
+    def fit(self) -> None:
+        """Fit the sources, keep each fit, and draw the picture of the run.
+
+        Raises:
+            ValueError: nothing could be fitted.
+        """
+        begin, options = time.perf_counter(), self.run.options
+        with progress(self.run.paradigm.name, len(self._sources), quiet=options.quiet) as self._bar:
+            for source, fit in fit_sources(self.run, self._sources, self.fits.settings, self._is_fitted):
+                if isinstance(fit, Exception):
+                    self._fail(source, fit)
+                    continue
+                try:
+                    self._keep(source, fit)
+                except ValueError as error:
+                    self._fail(source, error)
+        if fitted := len(self._records) - self.skipped:
+            self.tasks_per_second = fitted / (time.perf_counter() - begin)
+        if not self._records:
+            count = len(self._sources)
+            several = f"none of {count} inputs could be fitted; the first: " if count > 1 else ""
+            raise ValueError(f"{several}{self.failures[0].reason}")
+        self._draw()
+
+    def _is_fitted(self, source: Source, task: Task) -> bool:
+        """True if --resume skips a source: there is a fit of these settings, of an input of this content."""
+        record = find_fit(self.fits.path, task.name, source.place) if self.run.options.resume else None
+        if not (record and self.fits.hold(record) and record.get("content") == content_of(task)):
+            return False
+        self._records[source.place] = record
+        self.skipped += 1
+        self._bar.advance(f"{task.name}: fitted before")
+        return True
+
+    def _fail(self, source: Source, error: Exception) -> None:
+        if not isinstance(error, FORESEEN) and len(self._sources) == 1:
+            raise error
+        counted = source.named or not isinstance(error, BadInput)
+        self.failures.append(Failure(source.place, str(named(error, Path(source.place))), counted))
+        self._bar.advance(f"failed: {Path(source.place).name}")
+
+    def _keep(self, source: Source, fit: Fit) -> None:
+        """Write the parameters, the pictures and the record of a fit, in this order, then its exports."""
+        app, theta = self.run.app, fit.parameters
+
+        def draw(folder: Path) -> None:
+            with torch.no_grad():
+                write_pictures(app.pictures(theta, fit.task), folder)
+                self.remarks += write_outputs(app, self._outputs, folder, fit.task, theta)
+
+        origin = self.run.origin(source.given)
+        record = fit.record | {"source": source.place, "content": content_of(fit.task), "origin": origin}
+        self.replaced += find_fit(self.fits.path, fit.name, source.place) is not None
+        kept = self.fits.write(record, theta, draw)
+        if len(self._columns) < COMPARED:
+            self._add_column(source, fit.task._replace(name=kept["name"]), theta)
+        self._records[source.place] = kept
+        self._bar.advance(f"{kept['name']} {number(kept['error'], '.3f')}".removesuffix(" -"))
+        for form in self.run.options.exports:
+            self._export(fit, kept, form)
+
+    def _export(self, fit: Fit, record: Document, form: str) -> None:
+        """Write a fit that is kept in a form of --export."""
+        path = export_path(record, form)
+        try:
+            with torch.no_grad():
+                export_fit(self.run.app, fit.task, fit.parameters, path, form, self.fits.settings)
+        except (ValueError, OSError) as error:
+            why = getattr(error, "strerror", None) or str(error).removesuffix(".")
+            again = f"metapp export {record['folder']} {form}"
+            line = f"{path}: not written as {form}: {why}; the fit is kept, write it by {again} --out FOLDER."
+            self.failures.append(Failure(str(path), line, kept=True))
+
+    def _draw(self) -> None:
+        """Write the picture of the first fits beside their references."""
+        first = [source for source in self._sources if source.place in self._records][:COMPARED]
+        for source in first:
+            if source.place not in self._columns:  # fitted before
+                self._add_column(source, source.task(), read_params(self._records[source.place]["folder"]))
+        columns = [(self._columns[source.place], self._records[source.place]) for source in first]
+        picture_of_run(self.run.app, self.run.paradigm.name, columns, self.records, self.fits.path)
+
+    def _add_column(self, source: Source, task: Task, theta: Params) -> None:
+        with torch.no_grad():
+            self._columns[source.place] = column_of_fit(self.run.app, task, theta)
+
+
+def execute(run: Run) -> Execution | None:
+    """Train the checkpoint, if that is asked for, then fit all inputs and keep each fit in its folder.
+
+    Returns:
+        The fits; None on all but the first of several ranks, which train alone.
+
+    Raises:
+        ValueError: bad inputs, no checkpoint, a folder that cannot be written to; nothing could be fitted.
+        FloatingPointError: training is not finite.
+    """
+    with threads(threads_of(run.app)):
+        if ranks.number() > 0:
+            if run.options.train:
+                with reporting(Reporter()):
+                    _with_checkpoint(replace(run, options=replace(run.options, quiet=True)))
+            return None
+        make_folder(run.options.out)
+        sources, label = sources_to_fit(run)
+        run = replace(run, checkpoint=_with_checkpoint(run).checkpoint)
+        assert run.checkpoint is not None
+        if not run.options.quiet:
+            count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
+            say(f"{name_of(run.app)} {run.paradigm.name}: {count}; {run.steps} steps, from {run.checkpoint.source}")
+        execution = Execution(run, sources, Fits(run.path(label), run.settings(label)))
+        execution.fit()
+        return execution
+
+
+def _with_checkpoint(run: Run) -> Run:
+    """The run with its checkpoint, trained first if that is asked for, by all ranks together."""
+    if run.options.train:
+        with ranks.joined(run.device):
+            trained = train_checkpoint(run, run.options.train_steps)
+        run = replace(run, options=replace(run.options, checkpoint=trained.path))
+        if run.paradigm.name == "quickft" and trained.general:  # which may ship
+            return replace(run, checkpoint=tuned_by(trained.general, trained.state.phi, trained.path))
+    return with_checkpoint(run) if ranks.number() == 0 else run

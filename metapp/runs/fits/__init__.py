@@ -1,1 +1,0 @@
-"""Fits of a plan: one loop over all inputs."""

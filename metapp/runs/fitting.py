@@ -1,0 +1,252 @@
+"""Fitting: tasks one by one, or some side by side, with their errors and times; sources as they are read."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+
+import torch
+from torch import Generator
+
+from metapp.learning.app import stack
+from metapp.learning.learn import Step, last
+from metapp.learning.task import Params, Rng, Task, Tasks, drawn
+from metapp.runs.fit import Fit
+from metapp.runs.inputs.sources import Source
+from metapp.runs.reporter import say
+from metapp.runs.run import Run
+from metapp.storage import Document
+from metapp.storage.files import named
+
+WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
+ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
+FAILURES = (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError)  # of inputs and fits
+
+
+class BadInput(ValueError):
+    """An input that cannot be read, with its place."""
+
+
+def fit_sources(
+    run: Run,
+    sources: Sequence[Source],
+    settings: Document,
+    skip: Callable[[Source, Task], bool] = lambda source, task: False,
+) -> Iterator[tuple[Source, Fit | Exception]]:
+    """Fits of sources, each read when its turn comes, `--batch` of them side by side.
+
+    Args:
+        run: with a checkpoint.
+        sources: to fit.
+        settings: of the records.
+        skip: tells sources that are not to be fitted, once they are read.
+
+    Yields:
+        Each source with its fit, or with the error by which it has none.
+    """
+    pairs = _readable(run, sources, skip)
+    is_warm = False
+    while some := list(itertools.islice(pairs, run.options.batch or 1)):
+        read = [(source, task) for source, task in some if isinstance(task, Task)]
+        yield from ((source, error) for source, error in some if isinstance(error, Exception))
+        for group in of_equal_sizes(read):
+            if not is_warm:
+                warm_up(run, group[0][1])
+                is_warm = True
+            yield from _fit_group(run, group, settings)
+
+
+def _readable(
+    run: Run, sources: Iterable[Source], skip: Callable[[Source, Task], bool]
+) -> Iterator[tuple[Source, Task | Exception]]:
+    for source in sources:
+        try:
+            task = source.task()
+            if not skip(source, task):
+                check_task(run, task)
+                yield source, task
+        except (ValueError, OSError) as error:
+            yield source, BadInput(str(named(error, Path(source.place))))
+
+
+def _fit_group(
+    run: Run, pairs: Sequence[tuple[Source, Task]], settings: Document
+) -> Iterator[tuple[Source, Fit | Exception]]:
+    """Fits side by side; where that fails, one by one."""
+    failure: Exception | None = None
+    try:
+        fits = fit_side_by_side(run, [task for _, task in pairs], settings, warns=True)
+    except FAILURES as error:
+        failure = error.with_traceback(None)  # whose frames hold the tensors of the batch
+    if failure is None:
+        yield from zip([source for source, _ in pairs], fits, strict=True)
+    elif len(pairs) == 1:
+        yield pairs[0][0], failure
+    else:
+        for pair in pairs:
+            yield from _fit_group(run, [pair], settings)
+
+
+def of_equal_sizes(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
+    """Groups of tasks whose tensors are of equal sizes, which can be fitted side by side."""
+    groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Source, Task]]] = {}
+    for source, task in pairs:
+        sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
+        groups.setdefault(sizes, []).append((source, task))
+    return list(groups.values())
+
+
+def fit_tasks(
+    run: Run, tasks: Sequence[Task], settings: Document | None = None, *, warns: bool = False
+) -> Iterator[Fit]:
+    """Fits of tasks, each alone, so that its time is its own.
+
+    The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
+    reference.
+
+    Args:
+        run: with a checkpoint.
+        tasks: to fit.
+        settings: of the records.
+        warns: whether warnings are also said, not only recorded; tables of hundreds of fits count them instead.
+
+    Yields:
+        Each fit as it comes.
+    """
+    for task in tasks:
+        check_task(run, task)
+    for number, task in enumerate(tasks):
+        if number == 0:
+            warm_up(run, task)
+        yield from fit_side_by_side(run, [task], settings, warns=warns)
+
+
+def check_task(run: Run, task: Task) -> None:
+    """Refuse a task without the tensors that a fit reads: that should not be found after hours.
+
+    Raises:
+        ValueError: one is missing.
+    """
+    if run.app.protocol:
+        run.app.prepare(task)
+
+
+def warm_up(run: Run, task: Task) -> None:
+    """Take a step before the first fit, as first calls load kernels."""
+    few = min(run.steps, WARM)
+    # what a guard looks at takes longer than a step
+    run.paradigm.unguarded(few).fit(run.phi, stack(run.app, [task], run.device), rng_of(run, task))
+
+
+def fit_side_by_side(
+    run: Run, tasks: Sequence[Task], settings: Document | None = None, *, warns: bool = False
+) -> list[Fit]:
+    """Fits of tasks of equal sizes, each as if it were alone; its seconds are its share of those that all took.
+
+    Args:
+        run, settings, warns: as of `fit_tasks`.
+        tasks: one or more.
+
+    Raises:
+        FloatingPointError: a fit is not finite.
+        ValueError: tasks differ in their sizes.
+    """
+    app = run.app
+    rng: Rng = tuple(rng_of(run, task) for task in tasks) if len(tasks) > 1 else rng_of(run, tasks[0])
+    begin = _now(run.device)
+    stacked = stack(app, tasks, run.device)
+    descent = run.paradigm.descend(run.phi, stacked, rng)
+    first = next(descent)
+    end = last(chain([first], descent))
+    theta = app.finish(end.theta)
+    seconds = (_now(run.device) - begin) / len(tasks)
+    measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, end)
+    fits = []
+    for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
+        errors = {key: float(value[i]) for key, value in measures.items()}
+        errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+        parameters = {key: value[i] for key, value in theta.items()}
+        require_finite(task, parameters, errors)
+        # sums depend on the number of threads, in their last digits: the record says it, but not its settings, since
+        # that is no reason to fit anew
+        record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds}
+        record |= {"threads": torch.get_num_threads(), **app.remarks(task, parameters)}
+        record |= {"guarded": end.guarded is not None and bool(end.guarded[i])} if run.paradigm.guard else {}
+        record |= {"warning": "; ".join(clauses)} if clauses else {}
+        record |= {"batch": len(tasks)} if len(tasks) > 1 else {}
+        fits.append(Fit(run, task, record | {"settings": settings or {}}, parameters))
+        if warns:
+            _tell(fits[-1], clauses)
+    return fits
+
+
+def _tell(fit: Fit, clauses: Sequence[str]) -> None:
+    """Say the note and the warnings of a fit."""
+    if "note" in fit.record:
+        say(f"{fit.name}: {fit.record['note']}")
+    for clause in clauses:
+        remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
+        say(f"warning: {fit.name}: {clause}{remedy}")
+
+
+def _now(device: torch.device) -> float:
+    """Seconds on a clock, once the device has done what it was asked for."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
+    """Refuse a fit of a task, parameters without a task axis, that holds NaN or infinite values, or has such an error.
+
+    Raises:
+        FloatingPointError: it does.
+    """
+    finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
+    if not finite or (errors and not math.isfinite(errors["error"])):
+        what = "error is" if finite else "parameters are"
+        raise FloatingPointError(
+            f"{task.name}: the fit's {what} not finite; use another checkpoint or paradigm, or fewer steps."
+        )
+
+
+def warnings_of(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
+    """Warnings of fits that are doubtful, as some applications see themselves, or worse than they began.
+
+    Fits that a guard compared with their beginning are none of the latter.
+
+    Args:
+        run: of the fits.
+        stacked: the tasks.
+        first, fit: their fits at their beginning and end.
+
+    Returns:
+        Clauses for each task, [] where there is nothing to say.
+    """
+    app = run.app
+    doubts = app.doubts(fit.theta, stacked)
+    compared = fit.guarded is not None or not run.steps
+    rises = [[] for _ in range(len(stacked))] if compared else _rises(run, stacked, first, fit)
+    return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
+
+
+def _rises(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
+    """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
+    again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
+    with torch.no_grad():
+        batch = drawn(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)
+        before, after = (run.app.loss(step.theta, batch, {}).tolist() for step in (first, fit))
+    pairs = zip(before, after, strict=True)
+    return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]
+
+
+def rng_of(run: Run, task: Task) -> Generator:
+    """The source of a fit's draws: it depends on the task's name alone, whatever is fitted beside it."""
+    text = f"{run.options.seed} {task.name}"
+    seed = int.from_bytes(hashlib.sha256(text.encode(errors="surrogatepass")).digest()[:6], "big")
+    return Generator(run.device).manual_seed(seed)
