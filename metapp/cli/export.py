@@ -65,8 +65,7 @@ def command(
       metapp export runs/brdf/meta bsdf
       metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.files import Exported, export_run
-    from metapp.runs.outputs.recorded import holds_runs
+    from metapp.runs.outputs.recorded import Exported, export_run, holds_runs
 
     if form in registry().file_exports and not holds_runs(source):
         if inputs or data or size:

@@ -13,6 +13,7 @@ import numpy as np
 from torch import Tensor
 
 from metapp.learning.task import Task
+from metapp.options import BadOption
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
@@ -24,6 +25,8 @@ from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage.fits import read_params
+
+COMMAND_LINE = ("train", "train_steps", "resume", "export")  # options of folders of fits
 
 
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
@@ -74,7 +77,7 @@ def fit_all(
         sources: files and folders, or things in memory, as of `fit`; None: the test tasks of `data`, else of the
             embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
-        options: observe, rule, recipe, steps, data, checkpoint, seed, device, and those of the application,
+        options: observe, rule, recipe, steps, data, checkpoint, seed, device, batch, and those of the application,
             with the names of the command line.
 
     Returns:
@@ -88,6 +91,9 @@ def fit_all(
         raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
     if sources is not None and not (sources := list(sources)):
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
+    for name in COMMAND_LINE:
+        if options.get(name):
+            raise BadOption(f"{name}: of the command line, where fits are kept in folders; leave it out.")
     try:
         given = sources or []
         if not in_memory(given):

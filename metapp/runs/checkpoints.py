@@ -27,47 +27,47 @@ from metapp.storage.records import digest, load_checkpoint, tensor_digest
 FOLDER = "checkpoints"  # of what was trained for an application
 
 
-def with_checkpoint(plan: Run) -> Run:
-    """The plan with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
+def with_checkpoint(run: Run) -> Run:
+    """The run with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
 
     Raises:
         ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
     """
-    needs = plan.paradigm.needs
+    needs = run.paradigm.needs
     if not needs:
-        return replace(plan, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
+        return replace(run, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
     needed, *tuned = needs
-    path = _checkpoint_path(plan, needed)
-    prepared, info = load_checkpoint(path, plan.device, _shipped(plan, "general"))
+    path = _checkpoint_path(run, needed)
+    prepared, info = load_checkpoint(path, run.device, _shipped(run, "general"))
     app, name = info.get("app"), info.get("checkpoint")
-    if (app, name) != (plan.app.name, needed):
+    if (app, name) != (run.app.name, needed):
         a_rule = isinstance(name, str) and name not in PARADIGMS
-        other = app == plan.app.name and a_rule and plan.paradigm.name == "meta"
+        other = app == run.app.name and a_rule and run.paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
-        raise ValueError(f"{path}: a checkpoint of {app} {name}, expected {plan.app.name} {needed}{remedy}.")
-    _require_protocol(path, plan.app, info)
-    _require_conditions(path, plan.app, prepared, info)
-    prepared = on_own_grid(plan, prepared)
+        raise ValueError(f"{path}: a checkpoint of {app} {name}, expected {run.app.name} {needed}{remedy}.")
+    _require_protocol(path, run.app, info)
+    _require_conditions(path, run.app, prepared, info)
+    prepared = on_own_grid(run, prepared)
     try:
-        require_fit(path, plan, prepared)
+        require_fit(path, run, prepared)
     except ValueError as error:
-        if path.parent == shipped_path(plan.app.name, needed).parent and plan.options.recipe != QUICK:
+        if path.parent == shipped_path(run.app.name, needed).parent and run.options.recipe != QUICK:
             raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
         raise
     checkpoint = Checkpoint(prepared, str(path), digest(path))
-    if path == _shipped(plan, needed) and not plan.options.checkpoint:
-        note = ", trained on other data, which may hold these tasks" if plan.options.data else ""
+    if path == _shipped(run, needed) and not run.options.checkpoint:
+        note = ", trained on other data, which may hold these tasks" if run.options.data else ""
         checkpoint = checkpoint._replace(source=f"the checkpoint that ships{note}")
     for name in tuned:
-        checkpoint = _with_tuning(plan, checkpoint, name)
-    return replace(plan, checkpoint=checkpoint)
+        checkpoint = _with_tuning(run, checkpoint, name)
+    return replace(run, checkpoint=checkpoint)
 
 
-def trained_path(plan: Run, name: str) -> Path:
+def trained_path(run: Run, name: str) -> Path:
     """Where a checkpoint that is trained on this data is kept."""
-    label = data_label(data_folder(plan.app, plan.options.data, plan.options.quiet))
-    run = f"{label}-{plan.options.recipe}-seed{plan.options.seed}"
-    return _of_app(plan) / FOLDER / run / f"{checkpoint_name(plan.app, name)}.safetensors"
+    label = data_label(data_folder(run.app, run.options.data, run.options.quiet))
+    training = f"{label}-{run.options.recipe}-seed{run.options.seed}"
+    return _of_app(run) / FOLDER / training / f"{checkpoint_name(run.app, name)}.safetensors"
 
 
 def checkpoint_name(app: App, name: str) -> str:
@@ -80,17 +80,17 @@ def checkpoint_name(app: App, name: str) -> str:
     return name if is_first_protocol(app) or shared else f"{name}-{app.protocol}"
 
 
-def ships_general(plan: Run) -> bool:
+def ships_general(run: Run) -> bool:
     """True if a General ships that training may begin at.
 
     On a data set of the user's own none may: the shipped one may have seen its test tasks.
     """
-    return not plan.options.data and _has_shipped(plan) and _shipped(plan, "general").is_file()
+    return not run.options.data and _has_shipped(run) and _shipped(run, "general").is_file()
 
 
-def _of_app(plan: Run) -> Path:
+def _of_app(run: Run) -> Path:
     """The folder of all runs of an application."""
-    return plan.options.out / plan.app.name
+    return run.options.out / run.app.name
 
 
 def _require_protocol(path: Path, app: App, info: Document) -> None:
@@ -113,11 +113,11 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Do
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
-def _with_tuning(plan: Run, checkpoint: Checkpoint, name: str) -> Checkpoint:
+def _with_tuning(run: Run, checkpoint: Checkpoint, name: str) -> Checkpoint:
     """Put the Adam that was tuned for this very encoder into its checkpoint: one beside that, or the one that ships."""
-    options, app = plan.options, plan.app
+    options, app = run.options, run.app
     encoder = tensor_digest(checkpoint.phi.encoder)
-    candidates = [_shipped(plan, name)]
+    candidates = [_shipped(run, name)]
     if options.checkpoint:
         folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
         candidates.insert(0, folder / f"{checkpoint_name(app, name)}.safetensors")
@@ -139,10 +139,10 @@ def tuned_by(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoi
     return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", digest(path))
 
 
-def _checkpoint_path(plan: Run, name: str) -> Path:
-    given = plan.options.checkpoint
+def _checkpoint_path(run: Run, name: str) -> Path:
+    given = run.options.checkpoint
     if given and given.is_dir():
-        path = given / f"{checkpoint_name(plan.app, name)}.safetensors"
+        path = given / f"{checkpoint_name(run.app, name)}.safetensors"
         if not path.is_file():
             held = ", ".join(sorted(file.stem for file in given.glob("*.safetensors"))) or "no checkpoints"
             raise ValueError(
@@ -151,33 +151,33 @@ def _checkpoint_path(plan: Run, name: str) -> Path:
         return path
     if given:
         return given
-    path = _shipped(plan, name)
-    if path.is_file() and _has_shipped(plan):
+    path = _shipped(run, name)
+    if path.is_file() and _has_shipped(run):
         return path
     raise ValueError(
-        f"{name_of(plan.app)} {name}, recipe {plan.options.recipe}: no checkpoint ships; train one with --train, or "
+        f"{name_of(run.app)} {name}, recipe {run.options.recipe}: no checkpoint ships; train one with --train, or "
         "name one with --checkpoint."
     )
 
 
-def _has_shipped(plan: Run) -> bool:
-    return ships(plan.app.name, plan.options.recipe, plan.options.observe)
+def _has_shipped(run: Run) -> bool:
+    return ships(run.app.name, run.options.recipe, run.options.observe)
 
 
-def _shipped(plan: Run, name: str) -> Path:
-    return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.options.recipe, plan.options.observe)
+def _shipped(run: Run, name: str) -> Path:
+    return shipped_path(run.app.name, checkpoint_name(run.app, name), run.options.recipe, run.options.observe)
 
 
-def on_own_grid(plan: Run, prepared: MetaParameters) -> MetaParameters:
+def on_own_grid(run: Run, prepared: MetaParameters) -> MetaParameters:
     """A checkpoint of Meta whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own.
 
     They may have been learned on a coarser one: those of another recipe of the same network.
     """
-    if plan.paradigm.name != "meta":
+    if run.paradigm.name != "meta":
         return prepared
-    wanted = _fresh_alpha(plan)
+    wanted = _fresh_alpha(run)
     alpha = {
-        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.periodic)
+        key: regridded(value, *wanted[key].shape[2:], periodic=run.app.periodic)
         if key in wanted and _is_on_a_grid(value, wanted[key])
         else value
         for key, value in prepared.alpha.items()
@@ -189,27 +189,27 @@ def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
     return value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0
 
 
-def _fresh_alpha(plan: Run) -> Params:
+def _fresh_alpha(run: Run) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
-    recipe = plan.recipe
-    network = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
-    first = recipe.training(plan.paradigm.rule_name).first
-    return rule_of(plan.paradigm.rule_name).alpha(plan.app, network, recipe.steps, first)
+    recipe = run.recipe
+    network = {key: value[0] for key, value in run.app.init(Generator().manual_seed(0), 1).items()}
+    first = recipe.training(run.paradigm.rule_name).first
+    return rule_of(run.paradigm.rule_name).alpha(run.app, network, recipe.steps, first)
 
 
-def require_fit(path: Path, plan: Run, prepared: MetaParameters) -> None:
+def require_fit(path: Path, run: Run, prepared: MetaParameters) -> None:
     """Refuse tensors that are not this application's, or not this rule's.
 
     Raises:
         ValueError: a tensor is missing or has another shape; names it.
     """
-    app, rng = plan.app, Generator().manual_seed(0)
+    app, rng = run.app, Generator().manual_seed(0)
     network = {key: value[0] for key, value in app.init(rng, 1).items()}
-    if plan.paradigm.name == "meta":
-        _require(path, "alpha", prepared.alpha, _fresh_alpha(plan), steps=True)
+    if run.paradigm.name == "meta":
+        _require(path, "alpha", prepared.alpha, _fresh_alpha(run), steps=True)
     else:
         _require(path, "alpha", prepared.alpha, {})
-    if prepared.encoder or plan.paradigm.name != "meta":
+    if prepared.encoder or run.paradigm.name != "meta":
         _require(path, "encoder", prepared.encoder, app.init_encoder(rng))
     else:
         _require(path, "theta", prepared.theta, network)

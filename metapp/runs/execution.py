@@ -21,7 +21,6 @@ from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, pictur
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads, threads_of
-from metapp.runs.training import train_checkpoint
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.fits import Fits, find_fit, read_params
@@ -223,6 +222,8 @@ def execute(run: Run) -> Execution | None:
 def _with_checkpoint(run: Run) -> Run:
     """The run with its checkpoint, trained first if that is asked for, by all ranks together."""
     if run.options.train:
+        from metapp.runs.training import train_checkpoint
+
         with ranks.joined(run.device):
             trained = train_checkpoint(run, run.options.train_steps)
         run = replace(run, options=replace(run.options, checkpoint=trained.path))

@@ -76,6 +76,9 @@ def test_options_are_those_of_the_command(network: Path) -> None:
         api.fit("brdf", network, paradigm="magic")
     with pytest.raises(ValueError, match=r"^--rule: rule 'magic': 'magic' is unknown"):
         api.fit("brdf", network, rule="magic")
+    for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl"}.items():
+        with pytest.raises(ValueError, match=f"^{name}: of the command line"):
+            api.fit("brdf", network, **{name: value})
 
 
 @pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks

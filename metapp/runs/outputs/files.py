@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
 
 from torch import Generator
 
@@ -18,13 +16,11 @@ from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
 from metapp.registry import Output, registry
 from metapp.runs.checkpoints import with_checkpoint
-from metapp.runs.options import FitOptions, check_export, check_name, fit_options
-from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.recipes import QUICK
-from metapp.runs.reporter import number, progress, say
+from metapp.runs.reporter import number, say
 from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.fits import read_params
 from metapp.storage.images import write_exr, write_png
 
 WRITERS = 2  # pictures compressed at a time
@@ -128,58 +124,3 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
     )
     say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")
     return {key: value[0] for key, value in fitted.items()}
-
-
-class Exported(NamedTuple):
-    """The result of an export: the form, the folder that holds all of it, and the names of the fits."""
-
-    form: str
-    out: str
-    tasks: list[str]
-
-
-def export_run(
-    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
-) -> Exported:
-    """Write every fit of a run.
-
-    Args:
-        run: its folder, or that of one of its tasks.
-        form: as of --export.
-        inputs: what was fitted, for forms that are made of that, too.
-        data: the data set whose test tasks were fitted, for the same.
-        out: folder to write to; None: a folder of the form's name in each task's.
-        options: that are fields of the application, by name.
-        quiet: no progress.
-
-    Raises:
-        BadOption: fits of the application cannot be written so, or not by these options.
-        ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
-    """
-    folder, records = read_run(run)
-    apps = {record["settings"]["app"] for record in records}
-    if len(apps) > 1:
-        raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
-    (name,) = apps
-    check_name(name)
-    check_export(form, name)
-    fit_options(name, **options)
-    with progress(form, len(records), quiet=quiet) as bar:
-        tasks: dict[str, Task] | None = None
-        for record in records:
-            settings, name = record["settings"], record["name"]
-            app, theta = Run.of_settings(settings, options=options).app, read_params(record["folder"])
-            write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
-            try:
-                write(task=Task(name, {}), settings=settings)
-            except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
-                tasks = tasks_as(records, app, inputs, data) if tasks is None else tasks
-                if name not in tasks:
-                    raise ValueError(
-                        f"{name}: {form} is made of the fit and its input ({missing}), expected both; "
-                        "give what was fitted after the form, or --data."
-                    ) from None
-                write(task=tasks[name], settings=settings)
-            bar.advance(name)
-    target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
-    return Exported(form, str(target), [record["name"] for record in records])

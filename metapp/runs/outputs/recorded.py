@@ -1,8 +1,9 @@
-"""Runs that are over: their records, and the plans that these were made by."""
+"""Runs that are over: their records, the tasks that were fitted, and exports of their fits."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,11 +13,13 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_of_data
-from metapp.runs.reporter import say
+from metapp.runs.options import check_export, check_name, fit_options
+from metapp.runs.outputs.files import export_fit, export_path
+from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import PARTIAL
-from metapp.storage.fits import FIT, RECORD, read_fit, read_fits
+from metapp.storage.fits import FIT, RECORD, read_fit, read_fits, read_params
 from metapp.storage.text import entry_of, meant, path_of
 
 # settings that plans are made of, and what they are where records lack them
@@ -61,7 +64,7 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
 
 
 def _check_settings(record: Document) -> None:
-    """Refuse settings and an origin, which anybody may have written, that no plan can be made of.
+    """Refuse settings and an origin, which anybody may have written, that no run can be made of.
 
     Raises:
         ValueError: one is missing or of another type.
@@ -143,3 +146,58 @@ def _of_sources(records: list[Document], sources: list[Source]) -> dict[str, Tas
                 read[content_of(task)] = task
     pairs = [(record["name"], read.get(record.get("content", ""))) for record in records]
     return {name: task._replace(name=name) for name, task in pairs if task}
+
+
+class Exported(NamedTuple):
+    """The result of an export: the form, the folder that holds all of it, and the names of the fits."""
+
+    form: str
+    out: str
+    tasks: list[str]
+
+
+def export_run(
+    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
+) -> Exported:
+    """Write every fit of a run.
+
+    Args:
+        run: its folder, or that of one of its tasks.
+        form: as of --export.
+        inputs: what was fitted, for forms that are made of that, too.
+        data: the data set whose test tasks were fitted, for the same.
+        out: folder to write to; None: a folder of the form's name in each task's.
+        options: that are fields of the application, by name.
+        quiet: no progress.
+
+    Raises:
+        BadOption: fits of the application cannot be written so, or not by these options.
+        ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
+    """
+    folder, records = read_run(run)
+    apps = {record["settings"]["app"] for record in records}
+    if len(apps) > 1:
+        raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
+    (name,) = apps
+    check_name(name)
+    check_export(form, name)
+    fit_options(name, **options)
+    with progress(form, len(records), quiet=quiet) as bar:
+        tasks: dict[str, Task] | None = None
+        for record in records:
+            settings, name = record["settings"], record["name"]
+            app, theta = Run.of_settings(settings, options=options).app, read_params(record["folder"])
+            write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
+            try:
+                write(task=Task(name, {}), settings=settings)
+            except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
+                tasks = tasks_as(records, app, inputs, data) if tasks is None else tasks
+                if name not in tasks:
+                    raise ValueError(
+                        f"{name}: {form} is made of the fit and its input ({missing}), expected both; "
+                        "give what was fitted after the form, or --data."
+                    ) from None
+                write(task=tasks[name], settings=settings)
+            bar.advance(name)
+    target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
+    return Exported(form, str(target), [record["name"] for record in records])
