@@ -89,7 +89,7 @@ def ratios(found: list[Errors], others: list[Errors]) -> list[str]:
     """Mean errors over those of another way, paired over tasks, with their intervals; on how many tasks it is ahead."""
     cells = []
     for one, other in zip(found, others, strict=True):
-        told = paired([one], [other], {name: name for name in one}, logarithmic=False)
+        told = paired(one, other, {name: name for name in one}, logarithmic=False)
         assert told is not None
         cells.append(f"{told}, {told.ahead}/{told.tasks}")
     return cells

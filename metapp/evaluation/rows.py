@@ -198,13 +198,13 @@ def row_of(
     seconds = [record["seconds"] for record in records if "seconds" in record]
     of_paper = beside_paper and is_first_protocol(app) and not name.startswith("meta:")
     row = blank(app.name, name, beside_paper=of_paper, **observe_of(app))
-    row |= statistics_of([values_of(cell, take) for cell in cells], groups)
+    row |= statistics_of(values_of(cells[0], take), groups)
     row |= {"seconds": statistics.median(seconds) if seconds else None, "tasks": len(cells[0].records())}
     row |= remarks(records) | means_of(subject, records) | entries | app.conditions()
-    logarithmic, ours = subject.app.logarithmic, [values_of(cell) for cell in cells]
+    logarithmic, ours = subject.app.logarithmic, values_of(cells[0])
     for other, others in (against or {}).items():
         theirs = [values_of(cell) for cell in others]
-        row |= paired_entries(other, paired(ours, theirs, groups, logarithmic=logarithmic) if theirs else None)
+        row |= paired_entries(other, paired(ours, theirs[0], groups, logarithmic=logarithmic) if theirs else None)
     return row
 
 

@@ -140,12 +140,12 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     one, other = sides
-    ratio_of_errors = paired([one.errors()], [other.errors()], groups, logarithmic=one.app.logarithmic)
+    ratio_of_errors = paired(one.errors(), other.errors(), groups, logarithmic=one.app.logarithmic)
     measures = {}
     for key, title in one.app.measures.items():
         means = one.mean(key), other.mean(key)
         if means[0] is not None and means[1] is not None:
-            ratio = paired([one.errors(key)], [other.errors(key)], groups, logarithmic=False)
+            ratio = paired(one.errors(key), other.errors(key), groups, logarithmic=False)
             measures[title] = Measured((means[0], means[1]), ratio)
     return Comparison((one, other), tasks, ratio_of_errors, measures, _notes(settings, by_name, names))
 
@@ -188,7 +188,7 @@ def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str
     return {
         f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": Measured(
             (statistics.fmean(one.values()), statistics.fmean(other.values())),
-            paired([one], [other], groups, logarithmic=False),
+            paired(one, other, groups, logarithmic=False),
         )
         for share, one, other in zip(("median", "95 %"), *found, strict=True)
     }

@@ -1,4 +1,4 @@
-"""Errors of many tasks and seeds: mean, median, worst task, bootstrap intervals, and paired comparisons."""
+"""Errors of many tasks: mean, median, worst task, bootstrap intervals, and paired comparisons."""
 
 from __future__ import annotations
 
@@ -13,28 +13,19 @@ FEWEST = 5  # groups of tasks: the bootstrap of fewer says nothing
 DRAWS = 4000
 
 
-class Bootstrap:
-    """Resampling with replacement from a fixed seed: of groups of tasks that show the same, and of seeds.
+def resampled(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.ndarray:
+    """Sums [K, DRAWS] of K columns of values of the same tasks, [K, N], over tasks drawn with replacement.
 
-    Attributes:
-        count: [DRAWS], the number of tasks in each draw.
+    Draws are of groups, from a fixed seed: tasks that show the same are drawn together.
+
+    Args:
+        columns: values of tasks.
+        groups: the subject that each task shows, [N].
     """
-
-    def __init__(self, groups: Sequence[str]) -> None:
-        """Draw the groups; `groups` are those of the tasks, [N]."""
-        numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
-        self._rows = np.array([numbers[group] for group in groups])
-        self._rng = np.random.default_rng(0)
-        self._drawn = self._rng.integers(len(numbers), size=(DRAWS, len(numbers)))
-        self.count = np.bincount(self._rows)[self._drawn].sum(1)
-
-    def sums(self, seeds: Sequence[Sequence[float]]) -> np.ndarray:
-        """Sums [DRAWS] over the drawn tasks of values [seeds][N], averaged over seeds that each call draws anew."""
-        totals = np.stack([np.bincount(self._rows, values) for values in seeds])
-        picked = self._rng.integers(len(totals), size=(DRAWS, len(totals)))
-        share = np.stack([(picked == seed).mean(1) for seed in range(len(totals))], 1)
-        result: np.ndarray = np.take_along_axis(share @ totals, self._drawn, 1).sum(1)
-        return result
+    numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
+    rows = [numbers[group] for group in groups]
+    drawn = np.random.default_rng(0).integers(len(numbers), size=(DRAWS, len(numbers)))
+    return np.stack([np.bincount(rows, values)[drawn].sum(1) for values in columns])
 
 
 def interval_of(values: np.ndarray) -> tuple[float, float]:
@@ -43,27 +34,22 @@ def interval_of(values: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def mean_of(seeds: Sequence[Errors]) -> dict[str, float]:
-    """The mean over seeds of each task that all of them have."""
-    return {name: statistics.fmean(seed[name] for seed in seeds) for name in seeds[0] if all(name in s for s in seeds)}
-
-
-def statistics_of(seeds: Sequence[Errors], groups: Mapping[str, str]) -> dict[str, float | None]:
+def statistics_of(errors: Errors, groups: Mapping[str, str]) -> dict[str, float | None]:
     """Mean `error`, `median`, `worst`, and the 95 % interval `low` to `high` of the mean over tasks; None without any.
 
     Args:
-        seeds: the errors of each seed of training, at least one seed; the interval is over tasks and seeds.
-        groups: what a task shows, by its name.
+        errors: of tasks.
+        groups: the subject that a task shows, by the task's name.
     """
-    means = mean_of(seeds)
-    if not means:
+    if not errors:
         return dict.fromkeys(("error", "median", "worst", "low", "high"))
-    draws = Bootstrap([groups[name] for name in means])
-    low, high = interval_of(draws.sums(_values(seeds, list(means))) / draws.count)
+    values = list(errors.values())
+    sums, counts = resampled([values, [1.0] * len(values)], [groups[name] for name in errors])
+    low, high = interval_of(sums / counts)
     return {
-        "error": statistics.fmean(means.values()),
-        "median": statistics.median(means.values()),
-        "worst": max(means.values()),
+        "error": statistics.fmean(values),
+        "median": statistics.median(values),
+        "worst": max(values),
         "low": low,
         "high": high,
     }
@@ -101,39 +87,34 @@ class Paired(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
 
-def paired(
-    one: Sequence[Errors], other: Sequence[Errors], groups: Mapping[str, str], *, logarithmic: bool
-) -> Paired | None:
+def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic: bool) -> Paired | None:
     """Compare two methods by their errors of the same tasks.
 
-    What makes tasks easy or hard is common to both, so that this tells methods apart whose own intervals overlap. Where
-    there are several seeds of training, means over them are compared; each method's own seeds are resampled, too.
+    What makes tasks easy or hard is common to both, so that this tells methods apart whose own intervals overlap.
 
     Args:
-        one: errors of each seed, at least one seed.
-        other: those that they are compared with.
-        groups: what a task shows, by its name.
+        one: errors of the first method.
+        other: errors of the second.
+        groups: the subject that a task shows, by the task's name.
         logarithmic: compare by the difference: a ratio of logarithms means nothing.
 
     Returns:
         None where they have no task in common, or where there is no ratio, as the other's errors are 0.
     """
-    ours, theirs = mean_of(one), mean_of(other)
-    names = [name for name in ours if name in theirs]
+    names = [name for name in one if name in other]
     if not names:
         return None
-    first, second = [ours[name] for name in names], [theirs[name] for name in names]
-    draws = Bootstrap([groups[name] for name in names])
-    sums, base = draws.sums(_values(one, names)), draws.sums(_values(other, names))
+    first, second, of_tasks = [one[name] for name in names], [other[name] for name in names], [groups[n] for n in names]
+    sums, base, counts = resampled([first, second, [1.0] * len(names)], of_tasks)
     if logarithmic:
-        value, values = statistics.fmean(first) - statistics.fmean(second), (sums - base) / draws.count
+        value, values = statistics.fmean(first) - statistics.fmean(second), (sums - base) / counts
     elif min(second) < 0 or not base.all():
         return None
     else:
         value, values = sum(first) / sum(second), sums / base
     ahead = sum(a < b for a, b in zip(first, second, strict=True))
     kind = "difference" if logarithmic else "ratio"
-    return Paired(value, *interval_of(values), ahead, len(names), len({groups[name] for name in names}), kind)
+    return Paired(value, *interval_of(values), ahead, len(names), len(set(of_tasks)), kind)
 
 
 def apart(pair: Paired | None) -> bool | None:
@@ -141,7 +122,3 @@ def apart(pair: Paired | None) -> bool | None:
     if pair is None or pair.groups < FEWEST:
         return None
     return not pair.low <= pair.level <= pair.high
-
-
-def _values(seeds: Sequence[Errors], names: Sequence[str]) -> list[list[float]]:
-    return [[seed[name] for name in names] for seed in seeds]
