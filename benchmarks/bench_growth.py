@@ -26,8 +26,8 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native.fastest import steps as fastest
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Batch
+from metapp.rules import rule_of
 
 APP = Brdf()
 

@@ -53,8 +53,9 @@ from metapp.extensions.native.fastest import steps as fastest
 from metapp.learning.adjoint import Drawn, Loss, StepsOf, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, rule_of, sgd
+from metapp.learning.rules import META_EPS, sgd
 from metapp.learning.task import Batch, Params
+from metapp.rules import rule_of
 
 APP = Brdf()
 

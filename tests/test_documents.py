@@ -14,7 +14,7 @@ import typer
 from packaging.specifiers import SpecifierSet
 
 from metapp.cli.commands import app as cli
-from metapp.learning.names import rule_names
+from metapp.rules import rule_names
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from data_tools.formats import exports_of
 from metapp.apps import app_names, protocols_of, recipe_names
 from metapp.evaluation.tables import ALL, table_names
-from metapp.learning.names import composition_names, rule_names
 from metapp.registry import registry
+from metapp.rules import composition_names, rule_names
 
 DEVICES = ("auto", "cpu", "cuda")
 

@@ -15,9 +15,9 @@ from metapp.apps import options_of, protocols_of, recipe_names
 from metapp.cli.console import Exit, importing, out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.cli.streams import escaped, one_line
-from metapp.learning.names import rule_names
 from metapp.options import INPUT, OUTPUT, Declared, declared
 from metapp.registry import registry
+from metapp.rules import rule_names
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say
 from metapp.storage import Document

@@ -20,8 +20,8 @@ from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table, table_names
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_cell
 from metapp.evaluation.tables.results import result_row
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
+from metapp.rules import rule_of
 from metapp.runs.naming import factor_of, name_of
 
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}

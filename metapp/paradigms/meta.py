@@ -12,13 +12,13 @@ from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_outer_loss
 from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, Guard, MetaTraining
-from metapp.learning.rules import rule_of
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Rng, Tasks
 from metapp.paradigms.general import encoding, predicted
 from metapp.paradigms.outer_loop import train
 from metapp.paradigms.paradigm import AT_ONCE, Paradigm, TrainingData, fastest
 from metapp.paradigms.tuning import search
+from metapp.rules import rule_of
 
 GATHERED = 32  # tasks whose gradients settle parts of a rule
 

@@ -12,11 +12,10 @@ import torch
 from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.names import composition_names, rule_names
 from metapp.learning.recipe import Recipe
-from metapp.learning.rules import rule_of
 from metapp.options import FIT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.rules import composition_names, rule_names, rule_of
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.options import FitOptions, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import chosen_recipe, usual_recipe

@@ -17,9 +17,9 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.meta import Meta
+from metapp.rules import rule_of
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
 APP = Brdf(SIZE)

@@ -16,8 +16,8 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
 from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Task, Tasks
+from metapp.rules import rule_of
 from tests.apps.test_svbrdf_nonstationary import material
 
 SIDE, COUNT = 16, 3

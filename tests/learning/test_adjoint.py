@@ -13,8 +13,9 @@ from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_through, torch_steps
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
+from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
+from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import applicable
 

@@ -14,8 +14,9 @@ from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import Step, descend, last, learn, spread, task_loss
 from metapp.learning.recipe import Adam, Guard
-from metapp.learning.rules import fixed_adam, rule_of, sgd
+from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Params, Tasks
+from metapp.rules import rule_of
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 
 APP = Brdf()

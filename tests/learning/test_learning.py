@@ -31,8 +31,9 @@ from metapp.learning.learn import (
     task_loss,
 )
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import fixed_adam, rule_of, sgd
+from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.rules import rule_of
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 from tests.paradigms.small import applicable
 

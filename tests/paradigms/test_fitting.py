@@ -14,10 +14,10 @@ from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, last, task_loss
 from metapp.learning.recipe import Adam, Guard
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import PARADIGMS, Paradigm
 from metapp.paradigms.meta import Meta
+from metapp.rules import rule_of
 from tests.marked import long
 from tests.paradigms.small import KINDS, PAIRS, fits_of, prepared_for, rng, small_recipe, untrained
 

@@ -14,13 +14,13 @@ from metapp.apps import recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Tasks
 from metapp.paradigms import Paradigm, tuning
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QuickFT
 from metapp.paradigms.validation import split_validation
+from metapp.rules import rule_of
 from tests.paradigms.small import result, rng
 from tests.quick import app_by
 

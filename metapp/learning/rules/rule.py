@@ -1,21 +1,15 @@
-"""A learned rule: parts, one after the other, as one update rule; the parts and the rules by name.
-
-Free compositions have names, too: "adam+curvature+average".
-"""
+"""A learned rule: parts, one after the other, as one update rule; and compositions of parts by name."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
-from metapp.learning.names import composition_names, part_names, rule_names
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Params
-from metapp.registry import Entry, registry
 
 
 @dataclass(frozen=True)
@@ -125,64 +119,52 @@ class LearnedRule:
         return alpha
 
 
-def parts_by_name() -> Mapping[str, Part]:
-    """All parts, in the order in which they act on a step."""
-    return {name: _part(entry) for name, entry in registry().parts.items()}
+def compose(
+    name: str, parts: Mapping[str, Part], rules: Mapping[str, str], compositions: Mapping[str, str]
+) -> LearnedRule:
+    """The learned rule of a composition: names of parts, rules and compositions with "+" between them, in any order.
 
+    Equal sets of parts give equal rules.
 
-@cache  # one object a part: compiled steps are found by it
-def _part(entry: Entry) -> Part:
-    part: Part = entry.load()()
-    return part
-
-
-def rule_of(name: str) -> LearnedRule:
-    """The learned rule of a name, or of names of rules and parts with "+" between them, in any order.
-
-    The same parts are the same rule: "curvature+loss+adam" is meta-curvature.
+    Args:
+        name: of the composition.
+        parts: all parts by name, in the order in which they act on a step.
+        rules, compositions: compositions by name; the name of a rule stands for it alone, that of a composition also
+            within longer ones.
 
     Raises:
         ValueError: a name is unknown, or the parts do not go together.
+
+    >>> from metapp.learning.rules.parts import Betas, Rates
+    >>> compose("betas+rates", {"rates": Rates(), "betas": Betas()}, {}, {"adam": "rates+betas"}).name
+    'adam'
     """
-    return _composed(frozenset(_expanded(name, name)))
 
+    def expand(word: str) -> set[str]:
+        if word in parts:
+            return {word}
+        inner = {**compositions, **rules}.get(word) if "+" not in word else word
+        if inner is None:
+            expected = ", ".join((*rules, *compositions, *parts))
+            raise ValueError(f"rule '{name}': '{word}' is unknown, expected names of these, joined by +: {expected}.")
+        return {part for each in inner.split("+") for part in expand(each)}
 
-def _expanded(name: str, whole: str) -> set[str]:
-    """The names of the parts of a rule that is a component of the rule `whole`."""
-    if name in part_names():
-        return {name}
-    inner = (registry().compositions | registry().rules).get(name) if "+" not in name else name
-    if inner is None:
-        expected = ", ".join((*rule_names(), *composition_names()))
-        raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, joined by +: {expected}.")
-    return {part for each in inner.split("+") for part in _expanded(each, whole)}
-
-
-@cache  # one object a rule: compiled steps are found by it
-def _composed(names: frozenset[str]) -> LearnedRule:
-    parts = tuple(_part(entry) for name, entry in registry().parts.items() if name in names)
-    rule = LearnedRule(_name(names), parts)
-    rates = [part.name for part in parts if part.is_rate]
+    chosen = expand(name)
+    short = {word: expand(word) for word in compositions if expand(word) <= chosen}
+    rest = [part for part in parts if part in chosen.difference(*short.values())]
+    usual = next((rule for rule in rules if expand(rule) == chosen), "+".join([*short, *rest]))
+    rule = LearnedRule(usual, tuple(part for key, part in parts.items() if key in chosen))
+    rates = [part.name for part in rule.parts if part.is_rate]
     if len(rates) != 1:
-        kinds = [name for name, part in parts_by_name().items() if part.is_rate]
+        kinds = ", ".join(key for key, part in parts.items() if part.is_rate)
         raise ValueError(
-            f"rule '{rule.name}': {' and '.join(rates) or 'no part'} for rates, expected one of {', '.join(kinds)} "
+            f"rule '{usual}': {' and '.join(rates) or 'no part'} for rates, expected one of {kinds} "
             "(adam has rates, tied has shared)."
         )
-    for part in parts:
+    for part in rule.parts:
         if part.beside and not any(map(rule.has, part.beside)):
             raise ValueError(
-                f"rule '{rule.name}': {part.name} says nothing by itself, expected {' or '.join(part.beside)} beside "
-                "it; add that."
+                f"rule '{usual}': {part.name} says nothing by itself, expected {' or '.join(part.beside)} beside it; "
+                "add that."
             )
     return rule
-
-
-def _name(names: frozenset[str]) -> str:
-    """The one name of a set of parts: a rule's if it has one, else the parts in order, with short names in front."""
-    for rule, parts in registry().rules.items():
-        if _expanded(parts, rule) == names:
-            return rule
-    short = {name: parts for name, parts in registry().compositions.items() if names.issuperset(parts.split("+"))}
-    covered = {part for parts in short.values() for part in parts.split("+")}
-    return "+".join([*short, *(part for part in part_names() if part in names - covered)])

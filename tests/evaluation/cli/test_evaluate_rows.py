@@ -23,8 +23,8 @@ from metapp.evaluation.tables.storage import size, stored
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
+from metapp.rules import rule_of
 from metapp.runs.options import fit_options
 from metapp.runs.run import Checkpoint, Run
 from tests.evaluation.cli.subjects import rows, subject_of

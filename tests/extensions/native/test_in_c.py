@@ -20,10 +20,11 @@ from metapp.extensions.native.packing import Layout
 from metapp.learning.adjoint import Drawn, Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread, task_outer_loss
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, fixed_adam, rule_of, sgd
+from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
+from metapp.rules import rule_of
 
 APP = Brdf()
 

@@ -14,10 +14,10 @@ from metapp.learning.adjoint import Loss, at_step, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import rule_of
 from metapp.learning.rules.network import MEMORY, move, network_of, networks
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
+from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 
 TASKS, STEPS = 2, 3

@@ -13,9 +13,10 @@ from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import at_step
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import META_EPS, fixed_adam, parts_by_name, rule_of
-from metapp.learning.rules.parts import Average, Basis, averaging
+from metapp.learning.rules import META_EPS, fixed_adam
+from metapp.learning.rules.parts import Average, Basis, Curvature, averaging
 from metapp.learning.task import Params
+from metapp.rules import rule_of
 from tests.learning.rules.steps import STEPS, assert_equal, assert_same, run
 from tests.paradigms.small import applicable
 
@@ -80,7 +81,7 @@ def test_eps_divides_small_gradients(start: Params, single: list[Params]) -> Non
 
 
 def test_curvature_is_of_axes_that_have_more_than_one_entry(start: Params) -> None:
-    alpha = parts_by_name()["curvature"].initial(APP, start, 3, FIRST)
+    alpha = Curvature().initial(APP, start, 3, FIRST)
     assert {key: tuple(value.shape) for key, value in alpha.items() if key.endswith((".w1", ".b1"))} == {
         "left.w1": (3, 21, 21),
         "right.w1": (3, 6, 6),

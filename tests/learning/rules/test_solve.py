@@ -13,9 +13,9 @@ from torch import Generator, Tensor
 from metapp.learning.adjoint import Drawn, learn_through
 from metapp.learning.learn import learn, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import parts_by_name, rule_of
-from metapp.learning.rules.solve import GREATEST, LEAST, ROUNDING, NormalEquations
+from metapp.learning.rules.solve import GREATEST, LEAST, ROUNDING, NormalEquations, Solve
 from metapp.learning.task import Batch, Linear, Params
+from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import FEATURED, small_app
 
@@ -132,7 +132,7 @@ def test_penalties_are_at_least_what_rounding_makes_of_the_normal_equations() ->
 
 def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
     one = {"last": theta["W"][0]}
-    alpha = parts_by_name()["solve"].initial(small_app(FEATURED), one, STEPS, Adam(1e-3))
+    alpha = Solve().initial(small_app(FEATURED), one, STEPS, Adam(1e-3))
     assert {key: tuple(each.shape) for key, each in alpha.items()} == {
         "penalty.last": (1, FEATURES),
         "keep.last": (STEPS,),
