@@ -128,50 +128,34 @@ class Recipe(Entry):
     checkpoints: str = ""
 
 
-@dataclass(frozen=True)
-class Converter:
-    """The command `metapp data NAME` of a format.
-
-    Attributes:
-        help: paragraphs and examples.
-        noun: what one source is called, such as "MERL file".
-        metavar, paths: of its arguments, and their help.
-        options: a dataclass of its own options, as of `metapp.options`; None for none.
-        split_help: of --split, where files or names tell more than the general rule.
-    """
-
-    help: str
-    noun: str
-    metavar: str
-    paths: str
-    options: type | None = None
-    split_help: str = SPLIT
-
-
 @dataclass(frozen=True, kw_only=True)
 class Format(Entry):
     """A format of files that tasks come from: a module that finds and reads them.
 
     The module has `find(paths)`, sources and a line for each file of a folder that is none, ValueError for a bad path;
     `read_task(source, ...)`, ValueError where it is damaged; of inputs of fits `recognises(path)`, True of a file of
-    the format and of a folder with such files. Where it converts files it has UNITS, of the tasks' tensors by name, and
-    where that takes more than these, `conversion(paths, split, **options)`.
+    the format and of a folder with such files. Of a format with the command `metapp data NAME` it has UNITS, of the
+    tasks' tensors by name, and, where places or names of sources tell more than the general rule, `entries(sources,
+    folders, split)`: names, groups and splits as `metapp.storage.shards.Entry`, of all sources that are not left out.
 
     Attributes:
+        help: of the command, paragraphs and examples; "" for no command.
         app: the application whose tasks its files hold.
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
         takes: what fits tell `read_task` of themselves: "size", px a side or rows of what the file becomes; "least",
             what smaller photos are enlarged to; further names are keywords of `AppOptions.reading`.
         kinds: the kinds of its files, and the module's function `tells(path) -> bool` that says which are of the kind,
             the first that does; "" where all are.
-        command: that converts files, if any.
+        options: keywords of `read_task` that the command offers, a dataclass as of `metapp.options`; None for none.
+        split_help: of the command's --split.
     """
 
     app: str
     inputs: str = ""
     takes: tuple[str, ...] = ()
     kinds: tuple[tuple[str, str], ...] = ()
-    command: Converter | None = None
+    options: type | None = None
+    split_help: str = SPLIT
 
     def taken(self, arguments: Mapping[str, object]) -> dict[str, object]:
         """Those of the arguments of readers, by keyword, that the format takes."""
@@ -384,7 +368,7 @@ class Registry:
         """What no two packages may have: names in tables, of commands, and kinds of inputs that recipes are for."""
         yield from self.reserved
         yield from (_name(kind, key) for kind, key, _ in self.entries())
-        yield from (f"commands data {name}" for name, form in self.formats.items() if form.command)
+        yield from (f"commands data {name}" for name, form in self.formats.items() if form.help)
         for (app, protocol, _), recipe in self.recipes.items():
             if recipe.kind:
                 yield f"recipes of {app} for inputs of kind {_line((recipe.kind, protocol))}"

@@ -10,8 +10,6 @@ from __future__ import annotations
 from data_tools.formats import brdf, light, pictures
 from metapp.registry import Export, Format, Registry, registry
 
-AUTO = "auto"  # the split by a rule: train and test tasks
-
 
 def register(registry: Registry) -> None:
     """Add the formats that ship."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from metapp.options import Option
-from metapp.registry import Converter, Entry, Export, Format, Registry
+from metapp.registry import Entry, Export, Format, Registry
 
 
 @dataclass(frozen=True)
@@ -53,17 +53,15 @@ def register(registry: Registry) -> None:
         "data_tools.readers.merl",
         app="brdf",
         inputs="MERL .binary files",
-        command=Converter(
-            MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", SampleOptions
-        ),
+        help=MERL,
+        options=SampleOptions,
     )
     registry.formats["nbrdf"] = Format(
         "data_tools.readers.nbrdf",
         app="brdf",
         inputs="folders with an NBRDF network",
-        command=Converter(
-            NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", SampleOptions
-        ),
+        help=NBRDF,
+        options=SampleOptions,
     )
     registry.exports["brdf", "merl"] = Export("data_tools.readers.merl:export")
     registry.exports["brdf", "nbrdf"] = Export(

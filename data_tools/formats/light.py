@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from metapp.options import Option
-from metapp.registry import Converter, Entry, Format, Registry
+from metapp.registry import Entry, Format, Registry
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,7 @@ def register(registry: Registry) -> None:
         app="illumination",
         inputs="HDR maps (.exr, .hdr)",
         takes=("rows",),
-        command=Converter(
-            LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", LavalOptions
-        ),
+        help=LAVAL,
+        options=LavalOptions,
     )
     registry.objects["illumination"] = Entry("data_tools.readers.picture_objects:light")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from metapp.networks.options import field_of_view
 from metapp.options import Option
-from metapp.registry import Converter, Entry, Format, Registry
+from metapp.registry import Entry, Format, Registry
 
 Size = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
 Normals = Annotated[
@@ -32,14 +34,15 @@ class ImageOptions:
 class FlashOptions(ImageOptions):
     """Options of conversions of flash photographs."""
 
-    fov: Annotated[
+    fov_rad: Annotated[
         float,
         Option(
             "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
             "DEGREES",
             low=0.0,
             high=150.0,
-            parse=field_of_view,
+            parse=lambda degrees: math.radians(field_of_view(degrees)),
+            flags=("--fov",),
         ),
     ] = 0.0
 
@@ -49,6 +52,12 @@ class MapsOptions(ImageOptions):
     """Options of conversions of maps."""
 
     normals: Normals = "auto"
+
+
+def _folder(path: Path) -> Path:
+    if not path.is_dir():
+        raise ValueError("no such folder, expected one of predicted maps")
+    return path
 
 
 @dataclass(frozen=True)
@@ -66,13 +75,14 @@ class StripsOptions(ImageOptions):
         ),
     ] = 1.35
     predicted: Annotated[
-        str,
+        Path | None,
         Option(
             "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; "
             "where they show the middle alone, so do the tasks.",
             "FOLDER",
+            parse=_folder,
         ),
-    ] = ""
+    ] = None
 
 
 IMAGES = """Convert photographs of textures.
@@ -147,40 +157,31 @@ def register(registry: Registry) -> None:
         app="svbrdf_stationary",
         inputs="flash photos",
         takes=("size", "least", "fov_rad"),
-        command=Converter(
-            FLASH,
-            "photograph",
-            "FILES...",
-            "Photographs, and folders searched at any depth.",
-            FlashOptions,
-            FLASH_SPLIT,
-        ),
+        help=FLASH,
+        options=FlashOptions,
+        split_help=FLASH_SPLIT,
     )
     registry.formats["images"] = Format(
         "data_tools.readers.photos",
         app="texture",
         inputs="images",
         takes=("size", "least"),
-        command=Converter(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", ImageOptions),
+        help=IMAGES,
+        options=ImageOptions,
     )
     registry.formats["maps"] = Format(
         "data_tools.readers.material_maps",
         app="svbrdf_nonstationary",  # as INPUT `svbrdf` takes them
-        command=Converter(
-            MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", MapsOptions, MAPS_SPLIT
-        ),
+        help=MAPS,
+        options=MapsOptions,
+        split_help=MAPS_SPLIT,
     )
     registry.formats["strips"] = Format(
         "data_tools.readers.strips",
         app="svbrdf_nonstationary",  # as INPUT `svbrdf` takes them
-        command=Converter(
-            STRIPS,
-            "strip",
-            "FILES...",
-            "Strips, and folders searched at any depth.",
-            StripsOptions,
-            STRIPS_SPLIT,
-        ),
+        help=STRIPS,
+        options=StripsOptions,
+        split_help=STRIPS_SPLIT,
     )
     registry.formats["svbrdf"] = Format(
         "data_tools.readers.svbrdf_inputs",

@@ -19,7 +19,6 @@ import hashlib
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,15 +26,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.conversion import Conversion, Label, split_groups
 from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import files_below
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
-from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
+from data_tools.readers.svbrdf_task import UNITS as UNITS
+from data_tools.readers.svbrdf_task import svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
+from metapp.storage.shards import Entry
 
 _ROLES = {
     "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
@@ -113,9 +113,7 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
     for path in map(Path, paths):
         files, lines = find_photos([path])
         if not path.is_dir():
-            material = material_of(path)
-            if material is None:
-                raise ValueError(f"{path}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
+            material = _material(path)
             by_source.setdefault(material.source.resolve(), material)
             continue
         in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
@@ -133,6 +131,12 @@ def material_of(file: Path) -> Material | None:
     """The material that a map belongs to."""
     materials = materials_in(file.parent)[0]
     return next((material for material in materials if file.name in [map_.name for map_ in material.maps]), None)
+
+
+def _material(file: Path) -> Material:
+    if material := material_of(file):
+        return material
+    raise ValueError(f"{file}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
 
 
 def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
@@ -197,10 +201,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
         ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
             normals that are none.
     """
-    material = material_of(source)
-    if material is None:
-        raise ValueError(f"{source}: no map under a usual name, {_EXPECTED}; rename it.")
-    return read_material(material, size, normals, least)
+    return read_material(_material(source), size, normals, least)
 
 
 def task_of_pixels(maps: Mapping[str, tuple[str, Pixels]], name: str, size: int = SIZE, least: int = 0) -> Task:
@@ -251,16 +252,6 @@ def _task(material: Material, pixels_of: Callable[[Path], Pixels], size: int, no
     return svbrdf_task(task_name(material.title), pack(Maps(diffuse, specular, roughness, normal)))
 
 
-def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
-    """Conversion of materials to tasks, variants of one in one split."""
-    labels = split_materials(find_materials(paths)[0])
-    read = partial(read_task, size=size, normals=normals)
-    notes = {"made_by": "metapp data maps", "size": size, "normals": normals}
-    return Conversion(
-        "svbrdf_nonstationary", "material", UNITS, find, read, notes, lambda source: labels[source.resolve()]
-    )
-
-
 def mixed_slopes(normal: Tensor) -> float:
     """Correlation 2 <u v> / <u^2 + v^2> of the mixed second derivatives of a height with normals [3, H, W].
 
@@ -273,16 +264,17 @@ def mixed_slopes(normal: Tensor) -> float:
     return 2 * float((along_x * along_y).sum()) / total if total > 0 else 0.0
 
 
-def split_materials(materials: Sequence[Material]) -> dict[Path, Label]:
-    """Labels of materials by their `source`; those with the very same file of normals are a group, as variants."""
-    labels: dict[Path, Label] = {}
+def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
+    """Materials by their maps; those with the very same file of normals are a group, as variants."""
+    found: dict[Path, Entry] = {}
     groups: dict[str, str] = {}
-    for material in materials:
+    for source in sources:
+        material = _material(source)
         files = next((material.files[role] for role in _NORMALS if role in material.files), (material.source,))
         digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
-        labels[material.source.resolve()] = Label(task_name(material.title), group)
-    return split_groups(labels)
+        found[source] = Entry(task_name(material.title), group=group)
+    return found
 
 
 def _choose(material: Material) -> dict[str, Path]:

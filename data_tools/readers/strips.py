@@ -11,23 +11,22 @@ encoded with gamma 2.2, all else is as in strips.
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import AUTO
-from data_tools.readers.conversion import Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, read_pixels, shape_of
 from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.learning.task import Task
+from metapp.storage.shards import AUTO, Entry, split_auto
 
 TILES = 5
 WHITE = 1.35  # radiance of white right below the flash
@@ -35,8 +34,8 @@ UNITS = {
     **OF_TASKS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; the strip's own flash photograph, exposed so "
     "that white has radiance 1 right below the flash",
+    "predicted": "as maps: those that another method predicts of the photograph",
 }
-PREDICTED = {"predicted": "as maps: those that another method predicts of the photograph"}
 
 _GAMMA = 2.2  # of predicted colours
 _CLIPPED = 0.995
@@ -53,7 +52,12 @@ def is_strip(path: Path) -> bool:
 
 
 def read_task(
-    path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE, predicted: str = "", least: int = 0
+    path: Path,
+    size: int = SIZE,
+    gamma: float = 1.0,
+    white: float = WHITE,
+    predicted: Path | None = None,
+    least: int = 0,
 ) -> Task:
     """A strip as a task with the maps and the photograph that it holds, and `predicted` maps where there is a folder.
 
@@ -65,23 +69,23 @@ def read_task(
         gamma: all tiles but the normals are encoded so; 1 is linear.
         white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
             where it is clipped.
-        predicted: a folder of predicted maps, of the strip's stem or what is before its first `;`; "" for none.
+        predicted: a folder of predicted maps, of the strip's stem or what is before its first `;`.
         least: as of `photo_of`.
 
     Raises:
         ValueError: as `read_pixels` and `read_predicted`; not five squares, NaN, black, normals that are none.
     """
     tiles = _read_tiles(path, gamma, white)
-    of_others = read_predicted(Path(predicted), (path.stem, path.stem.split(";")[0])) if predicted else []
+    of_others = read_predicted(predicted, (path.stem, path.stem.split(";")[0])) if predicted else []
     share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
     size = side_of(round(share * len(tiles[0])), size, least)
     photo, *true = (_resampled(tile, size, share) for tile in tiles)
     if max(float(true[1].max()), float(true[3].max())) < _DARKEST:
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
     task = svbrdf_task(task_name(path.stem), _packed(path, *true), photo=encoded(photo))
-    if not of_others:
+    if not predicted:
         return task
-    maps = _packed(Path(predicted, path.name), *(_resampled(tile, size) for tile in of_others))
+    maps = _packed(predicted / path.name, *(_resampled(tile, size) for tile in of_others))
     return task._replace(data=task.data | {"predicted": maps.half()})
 
 
@@ -123,40 +127,17 @@ def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, sp
     return pack(Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, source)))
 
 
-def conversion(
-    paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float, predicted: str
-) -> Conversion:
-    """Conversion of strips to tasks; with a split by base materials, those that blend both sides are left out."""
-    if predicted and not Path(predicted).is_dir():
-        raise ValueError(f"{predicted}: no such folder, expected one of predicted maps; check --predicted.")
-    sources = [source.resolve() for source in find(paths)[0]]
+def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
+    """Strips by what they blend; with a split by it, which warnings tell, those that blend both sides are left out."""
     groups = group_strips(sources)
     sides, by = split_strips(sources) if split == AUTO else (dict.fromkeys(sources, ""), "")
-    left_out = len(sources) - len(sides)
-
-    def find_kept(named: Iterable[Path]) -> tuple[list[Path], list[str]]:
-        strips, skipped = find(named)
-        return [source for source in strips if source.resolve() in sides], skipped
-
-    def label(source: Path) -> Label:
-        place = source.resolve()
-        return Label(task_name(source.stem), groups[place], sides[place])
-
-    remarks = []
     if by == "preset":
-        remarks.append(
-            "base materials are blended with all others: training and test strips show other presets of them."
-        )
-    if left_out:
-        between = f"{by}s of training with {by}s of tests"
-        remarks.append(f"{left_out} of {len(sources)} strips left out: they blend {between}.")
-    read = partial(read_task, size=size, gamma=gamma, white=white, predicted=predicted)
-    notes: dict[str, object] = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
-    if split == AUTO:
-        notes |= {"split_by": by, "left_out": left_out}
-    notes |= {"predicted": Path(predicted).resolve().name} if predicted else {}
-    units = UNITS | (PREDICTED if predicted else {})
-    return Conversion("svbrdf_nonstationary", "strip", units, find_kept, read, notes, label, tuple(remarks))
+        found = "base materials are blended with all others: training and test strips show other presets of them."
+        warnings.warn(found, stacklevel=2)
+    if left_out := len(sources) - len(sides):
+        found = f"{left_out} of {len(sources)} strips left out: they blend {by}s of training with {by}s of tests."
+        warnings.warn(found, stacklevel=2)
+    return {strip: Entry(task_name(strip.stem), split=side, group=groups[strip]) for strip, side in sides.items()}
 
 
 def _has_tiles(height: int, width: int) -> bool:
@@ -229,8 +210,8 @@ def split_strips(strips: Sequence[Path]) -> tuple[dict[Path, str], str]:
     sizes = Counter(components.values())
     if len(sizes) >= _FEW:
         in_line = sorted(sizes, key=lambda component: (-sizes[component], component))
-        test_ones = frozenset(in_line[_FEW - 1 :: _FEW])
-        return {strip: "test" if components[strip] in test_ones else "train" for strip in strips}, "material"
+        side = split_auto(in_line)
+        return {strip: side[components[strip]] for strip in strips}, "material"
     for by, made_of in (("material", materials), ("preset", presets)):
         if test := _test_side(Counter(made_of.values())):
             kept = {strip: units <= test for strip, units in made_of.items() if units <= test or not units & test}

@@ -19,7 +19,7 @@ from metapp.options import BadOption
 from metapp.registry import Format, Recipe, load
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
-from metapp.storage.manifest import read_manifest
+from metapp.storage.shards import read_manifest
 
 QUICK, FULL = "quick", "full"
 PACKAGE = "metapp.checkpoints"

@@ -1,6 +1,7 @@
-"""Task shards on disk: a folder with one `safetensors` file per task and a `manifest.json` that lists them.
+"""Task shards: a folder with one `safetensors` file per task and a `manifest.json` that lists them.
 
-Nothing is ever unpickled, and no path of a manifest leads out of its folder.
+Nothing is ever unpickled, no path of a manifest leads out of its folder, and every field is checked, since anybody may
+have written the files.
 """
 
 from __future__ import annotations
@@ -13,30 +14,160 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import Any, NamedTuple
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import save
 
 from metapp.learning.task import Task, TensorSpec, problems_of
-from metapp.storage.files import PARTIAL, locked, naming, open_regular, partial_path, write_atomically
-from metapp.storage.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
+from metapp.storage import Document
+from metapp.storage.files import PARTIAL, locked, naming, open_regular, partial_path, read_bytes, write_atomically
 from metapp.storage.tensors import read_tensors
+from metapp.storage.text import entry_of
 
-__all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]
+SCHEMA = 1
+MANIFEST, SUFFIX = "manifest.json", ".safetensors"
+SPLITS = ("train", "test")
+AUTO = "auto"  # the split of `split_auto`
 
-AUTO = "auto"
 
+class Entry(NamedTuple):
+    """One task of a manifest, whose file may be still to write.
 
-def split_auto(names: Iterable[str]) -> dict[str, str]:
-    """Split tasks into training and test tasks by the stated rule: of the sorted names, every fifth is a test task.
-
-    The rule needs no seed and does not depend on the order of files: 80 names give 64 "train" and 16 "test".
-
-    Returns:
-        "train" or "test" by name, sorted by name.
+    Attributes:
+        name: the task's name, as tables print it.
+        file: its file's name inside the folder.
+        split: "train" or "test"; before it is written also "", for that of the rule.
+        source: base name of the file or folder it was made of; "" where there is none.
+        sha256: of the file's bytes, 64 hexadecimal digits.
+        group: what several tasks show, which no split parts; "" where it shows something of its own.
+        beside: name of a file in the folder that holds one of its tensors as text; "" where there is none.
     """
-    return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(sorted(set(names)))}
+
+    name: str
+    file: str = ""
+    split: str = ""
+    source: str = ""
+    sha256: str = ""
+    group: str = ""
+    beside: str = ""
+
+
+class Manifest(NamedTuple):
+    """The content of a data set.
+
+    Attributes:
+        app: the application its tasks belong to.
+        tasks: its tasks, in the order they were added.
+        units: unit and meaning of each tensor, by the tensor's name.
+        notes: anything else worth knowing, such as converter and seed.
+        schema: version of the layout.
+    """
+
+    app: str
+    tasks: tuple[Entry, ...]
+    units: dict[str, str]
+    notes: Document
+    schema: int = SCHEMA
+
+
+def read_manifest(folder: str | Path) -> Manifest:
+    """Read what a data set holds.
+
+    Raises:
+        ValueError: no such folder, no manifest in it, one that is damaged or of a newer version, or one whose file
+            names lead out of the folder.
+    """
+    folder = Path(folder)
+    path = folder / MANIFEST
+    if not folder.is_dir():
+        state = "a file" if folder.exists() else "no such folder"
+        raise ValueError(f"{folder}: {state}, expected the folder of a data set; make one with `metapp data`.")
+    if not path.is_file():
+        raise ValueError(
+            f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
+            "interrupted: convert again with `metapp data`."
+        )
+    try:
+        raw = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not readable as JSON ({error}); convert the data again.") from None
+    return _from_json(raw, path)
+
+
+def fingerprint(folder: str | Path) -> str:
+    """Short name of a data set's content: 12 hexadecimal digits, the same wherever and whenever it was converted.
+
+    It covers application, task names, splits and the files' hashes as the manifest states them; not notes, not order.
+
+    Raises:
+        ValueError: as `read_manifest`.
+    """
+    manifest = read_manifest(folder)
+    content = [manifest.app, sorted([entry.name, entry.split, entry.sha256] for entry in manifest.tasks)]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
+
+
+def to_json(manifest: Manifest) -> str:
+    """A manifest as the text of its file."""
+    raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
+    # ASCII: a file name may hold bytes that no encoding takes, which Python passes on as lone surrogates.
+    return json.dumps(raw, indent=1, allow_nan=False) + "\n"
+
+
+def _from_json(raw: object, path: Path) -> Manifest:
+    """Check every field, since anybody may have written the file."""
+
+    def field(record: object, key: str, kind: type, where: str = "", absent: object = None) -> Any:
+        return entry_of(record, key, kind, f"{path}: {where}", "convert the data again", absent)
+
+    schema = field(raw, "schema", int)
+    if schema != SCHEMA:
+        newer = schema > SCHEMA
+        remedy = "update metapp" if newer else "convert the data again"
+        raise ValueError(
+            f"{path}: schema {schema}{', written by a newer metapp' if newer else ''}, expected {SCHEMA}; {remedy}."
+        )
+    entries: list[Entry] = []
+    for index, record in enumerate(field(raw, "tasks", list)):
+        where = f"task {index + 1}: "
+        # older data sets have neither of two fields
+        absent = {key: "" if key in ("group", "beside") else None for key in Entry._fields}
+        entry = Entry(**{key: field(record, key, str, where, absent[key]) for key in Entry._fields})
+        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SUFFIX):
+            raise ValueError(
+                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "
+                "same folder; convert the data again."
+            )
+        stem = re.escape(entry.file.removesuffix(SUFFIX))
+        if entry.beside and not re.fullmatch(rf"{stem}\.[a-z]{{1,8}}", entry.beside):
+            raise ValueError(
+                f"{path}: {where}beside {json.dumps(entry.beside)}, expected the name of {entry.file} with another "
+                "suffix; convert the data again."
+            )
+        if entry.split not in SPLITS:
+            raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")
+        entries.append(entry)
+    for key in ("name", "file"):
+        values = [getattr(entry, key) for entry in entries]
+        if len(set(values)) < len(values):
+            raise ValueError(f"{path}: two tasks have the same {key}, expected them to differ; convert the data again.")
+    units = field(raw, "units", dict)
+    for key in units:
+        field(units, key, str, "units: ")
+    return Manifest(field(raw, "app", str), tuple(entries), units, field(raw, "notes", dict), schema)
+
+
+def split_auto(in_line: Iterable[str]) -> dict[str, str]:
+    """The stated rule of splits, "train" or "test" by name: of names in line, every fifth is for tests.
+
+    Names of tasks and of groups are sorted for it, so that neither a seed nor the order of files counts.
+
+    >>> "".join(name for name, split in split_auto("abcdefghijk").items() if split == "test")
+    'ej'
+    """
+    return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(dict.fromkeys(in_line))}
 
 
 class ShardWriter:
@@ -109,7 +240,7 @@ class ShardWriter:
 
         Args:
             task: its tensors may live anywhere, in any layout; a name that another task has is refused.
-            split: "train", "test", or "auto": by the rule of `split_auto` among all tasks added so.
+            split: "train", "test", or "auto": by the rule of `split_auto` among all groups of tasks added so.
             source: what it was made of; only the base name is kept.
 
         Raises:
@@ -149,8 +280,11 @@ class ShardWriter:
 
     def entries(self) -> tuple[Entry, ...]:
         """The tasks added so far, in that order, each in its split."""
-        auto = split_auto(entry.name for entry in self._entries if entry.split == AUTO)
-        return tuple(entry._replace(split=auto.get(entry.name, entry.split)) for entry in self._entries)
+        auto = split_auto(sorted(entry.group or entry.name for entry in self._entries if entry.split == AUTO))
+        return tuple(
+            entry._replace(split=auto[entry.group or entry.name]) if entry.split == AUTO else entry
+            for entry in self._entries
+        )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

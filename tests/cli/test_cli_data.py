@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.storage.manifest import read_manifest
-from metapp.storage.shards import check_shard, read_shard
+from metapp.storage.shards import check_shard, read_manifest, read_shard
 from tests.conftest import Result
 
 FEW = ("--samples", "64")
@@ -98,7 +97,7 @@ def test_bad_inputs_are_one_line_and_write_nothing(metapp: Callable, gold: Path,
     result = metapp("data", "nbrdf", "in", "--out", "out", *FEW)
     assert result.code == 1
     assert [line.split(":")[0] for line in result.err.splitlines()] == ["warning", "warning", "error"]
-    assert "2 NBRDF networks, none usable" in result.err
+    assert "in: 2 sources, none usable" in result.err
     assert not Path("out").exists()
 
 

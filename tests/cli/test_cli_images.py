@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from metapp.storage.manifest import read_manifest
-from metapp.storage.shards import check_shard, read_shard
+from metapp.storage.shards import check_shard, read_manifest, read_shard
 from tests.pictures import environment, noise, photograph, text, write
 
 IN, OUT = Path("in"), Path("out")
@@ -104,7 +103,7 @@ def test_strips_become_a_data_set(metapp: Callable) -> None:
     assert last == "svbrdf_nonstationary: 10 train + 2 test tasks in out; 2 skipped"
     assert {name for name, split in splits().items() if split == "test"} == {"4_a4Xb4_0X1", "14_b4Xa4_2Xdefault"}
     manifest = read_manifest(OUT)
-    notes = {"size": 32, "gamma": 1.0, "white": 1.35, "split_by": "material", "left_out": 0, "split": "auto"}
+    notes = {"size": 32, "gamma": 1.0, "white": 1.35, "split": "auto"}
     assert manifest.notes == {"made_by": "metapp data strips", **notes}
     assert {entry.name: entry.group for entry in manifest.tasks}["14_b4Xa4_2Xdefault"] == "a4"
     assert shapes_of("test", "svbrdf_nonstationary") == {"maps": (10, 32, 32), "photo": (3, 32, 32)}
@@ -138,7 +137,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert "1_a_0" in metapp(*call, "--recipe", "quick").out
     assert metapp(*convert).code == 0
     assert "1_a_0: no predicted maps, expected some" in metapp(*call, "--recipe", "quick").error
-    assert "nowhere: no such folder" in metapp(*convert, "--predicted", "nowhere").error
+    assert "'nowhere': no such folder" in metapp(*convert, "--predicted", "nowhere").misuse
 
 
 def test_maps_of_materials_become_a_data_set(metapp: Callable) -> None:

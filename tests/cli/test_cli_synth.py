@@ -17,8 +17,7 @@ from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.rendering.scenes.rules import scene_of
 from metapp.runs.inputs.embedded import embedded_data, split_counts
-from metapp.storage.manifest import read_manifest
-from metapp.storage.shards import check_shard, read_shard
+from metapp.storage.shards import check_shard, read_manifest, read_shard
 from tests.needs_mitsuba import needs_mitsuba
 
 FEW = ("--samples", "200", "--held", "50")

@@ -76,8 +76,7 @@ def read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack
     from metapp.runs.inputs.sources import tasks_of_data
-    from metapp.storage.manifest import fingerprint
-    from metapp.storage.shards import check_shard
+    from metapp.storage.shards import check_shard, fingerprint
 
     fingerprint(folder)
     check_shard(folder)

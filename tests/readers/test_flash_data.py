@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from data_tools.readers import flash, photos, svbrdf_inputs
-from data_tools.readers.conversion import Label
-from data_tools.readers.flash import find_shown, shown, split_by_material
+from data_tools.readers.flash import shown
 from data_tools.readers.image_files import focal_length_of
 from data_tools.readers.photos import field_of_view, seen_share
+from metapp.storage.shards import Entry, split_auto
 from tests.pictures import write
 
 
@@ -26,29 +26,32 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    return {label.name: label.split for label in split_by_material(find_shown([folder])).values()}
+    found = flash.entries(flash.find([folder])[0], [folder], "auto").values()
+    by_group = split_auto(sorted(entry.group for entry in found))
+    return {entry.name: entry.split or by_group[entry.group] for entry in found}
 
 
-LABELS = {
-    ("train_0231_IMG_0785.jpg", ""): Label("0231_IMG_0785", "0231", "train"),
-    ("deep/Test_gold_a.jpg", ""): Label("gold_a", "gold", "test"),
-    ("test/0280/IMG_0786.JPG", ""): Label("0280_IMG_0786", "0280", "test"),
-    ("Train/tin.jpg", ""): Label("tin", "tin", "train"),
-    ("box/wood/IMG_1.jpg", ""): Label("wood_IMG_1", "wood", ""),
-    ("stone.jpg", ""): Label("stone", "stone", ""),
-    ("test_stone.jpg", ""): Label("test_stone", "test_stone", ""),
+PLACES = {
+    ("train_0231_IMG_0785.jpg", ""): ("0231_IMG_0785", "0231", "train"),
+    ("deep/Test_gold_a.jpg", ""): ("gold_a", "gold", "test"),
+    ("test/0280/IMG_0786.JPG", ""): ("0280_IMG_0786", "0280", "test"),
+    ("Train/tin.jpg", ""): ("tin", "tin", "train"),
+    ("box/wood/IMG_1.jpg", ""): ("wood_IMG_1", "wood", ""),
+    ("stone.jpg", ""): ("stone", "stone", ""),
+    ("test_stone.jpg", ""): ("test_stone", "test_stone", ""),
     # what lies above the named folder says nothing, but the folder itself does, and the place of a file that was named
-    ("test/photographs/wood/a.jpg", "test/photographs"): Label("wood_a", "wood", ""),
-    ("test/gold/a.jpg", "test"): Label("gold_a", "gold", "test"),
-    ("test/gold/a.jpg", None): Label("gold_a", "gold", "test"),
-    ("photographs/a.jpg", None): Label("a", "a", ""),
+    ("test/photographs/wood/a.jpg", "test/photographs"): ("wood_a", "wood", ""),
+    ("test/gold/a.jpg", "test"): ("gold_a", "gold", "test"),
+    ("test/gold/a.jpg", None): ("gold_a", "gold", "test"),
+    ("photographs/a.jpg", None): ("a", "a", ""),
 }
 
 
-@pytest.mark.parametrize(("file", "named"), LABELS)
+@pytest.mark.parametrize(("file", "named"), PLACES)
 def test_the_material_follows_from_name_and_place(tmp_path: Path, file: str, named: str | None) -> None:
     where = () if named is None else (tmp_path / named,)
-    assert shown(tmp_path / file, *where) == LABELS[file, named]
+    name, group, split = PLACES[file, named]
+    assert shown(tmp_path / file, *where) == Entry(name, group=group, split=split)
 
 
 @pytest.mark.parametrize(
@@ -77,9 +80,9 @@ def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
 
 def test_a_material_on_both_sides_and_bad_paths_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no image in this folder"):
-        find_shown([tmp_path])
+        flash.find([tmp_path])
     with pytest.raises(ValueError, match=r"none.jpg: no such file"):
-        find_shown([tmp_path / "none.jpg"])
+        flash.find([tmp_path / "none.jpg"])
     touch(tmp_path, "train_a_1.jpg", "test_a_2.jpg")
     with pytest.raises(ValueError, match=r"test_a_2.jpg and .*train_a_1.jpg: training and test .* material 'a'"):
         splits_of(tmp_path)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import material_maps
-from data_tools.readers.material_maps import find_materials, mixed_slopes, read_task, split_materials
+from data_tools.readers.material_maps import entries, find, find_materials, mixed_slopes, read_task
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
@@ -163,10 +163,8 @@ def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
             write(path / "color.png", 0.5)
             write(path / "rough.png", 0.1 * index)
             write(path / "normal.png", torch.tensor([0.5 + 0.02 * index, 0.5, 1.0]))
-    sides = split_materials(find_materials([tmp_path])[0])
-    assert len(sides) == 20
-    assert {label.group for label in sides.values() if label.split == "test"} == {"m4a", "m9a"}
-    assert [label.split for label in sides.values()].count("test") == 4
+    groups = {entry.name: entry.group for entry in entries(find([tmp_path])[0], [tmp_path], "auto").values()}
+    assert groups == {f"m{index}{variant}": f"m{index}a" for index in range(10) for variant in "ab"}
 
 
 # Normals

@@ -49,7 +49,7 @@ def test_a_strip_holds_its_maps(tmp_path: Path, kind: str, suffix: str, toleranc
     path = write(tmp_path / f"a;b.{suffix}", strip(maps, photo, gamma), kind)
     task = strips.read_task(path, 64, gamma, white=1)
     assert task.name == "a_b"
-    assert list(task.data) == list(strips.UNITS)
+    assert [*task.data, "predicted"] == list(strips.UNITS)
     assert task.data["maps"].dtype == torch.float16
     torch.testing.assert_close(task.data["maps"].float(), maps, atol=tolerance * gamma * 1.3, rtol=0)
     torch.testing.assert_close(task.data["maps"][:3].float().norm(dim=0), torch.ones(64, 64), atol=1e-3, rtol=0)
@@ -97,12 +97,12 @@ def test_predicted_maps_lie_over_the_middle_of_a_strip(tmp_path: Path, side: int
     maps, photo = material(), torch.rand(3, 64, 64)
     folder = predictions(tmp_path / "predicted", name, maps[middle])
     path = write(tmp_path / "7;a;b.png", strip(maps, photo), "uint16")
-    whole, read = strips.read_task(path, 64), strips.read_task(path, side, predicted=str(folder))
+    whole, read = strips.read_task(path, 64), strips.read_task(path, side, predicted=folder)
     assert torch.equal(read.data["maps"], whole.data["maps"][middle])
     assert torch.equal(read.data["photo"], whole.data["photo"][middle])
     assert read.data["predicted"].dtype == torch.float16
     torch.testing.assert_close(read.data["predicted"], read.data["maps"], atol=2e-3, rtol=0)
-    assert strips.read_task(path, 32, predicted=str(folder)).data["predicted"].shape == (10, 32, 32)
+    assert strips.read_task(path, 32, predicted=folder).data["predicted"].shape == (10, 32, 32)
 
 
 def test_predicted_maps_that_are_not_whole_are_refused(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_predicted_maps_that_are_not_whole_are_refused(tmp_path: Path) -> None:
     write(folder / "7_R.png", torch.rand(3, 40, 40))
     for missing, said in (("", "48 x 48, 48 x 48, 40 x 40, 48 x 48 px"), ("R", "7_R.png: no such file"), ("N", "7_N")):
         (folder / f"7_{missing}.png").unlink(missing_ok=not missing)
-        check_refused(lambda place: strips.read_task(path, predicted=str(place)), folder, said)
+        check_refused(lambda place: strips.read_task(path, predicted=place), folder, said)
 
 
 @pytest.mark.parametrize(("side", "size", "wanted"), [(270, 2048, 270), (270, 264, 264), (64, 2048, 256), (64, 32, 32)])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.storage.manifest import Entry, Manifest, read_manifest, to_json
+from metapp.storage.shards import Entry, Manifest, read_manifest, to_json
 
 GOLD = Entry("gold", "gold.safetensors", "train", "gold.binary", "0" * 64)
 SILVER = Entry("silver", "silver.safetensors", "test", "", "1" * 64)

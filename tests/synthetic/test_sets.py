@@ -11,7 +11,7 @@ import torch
 from data_tools.synthetic import brdf
 from data_tools.synthetic.svbrdf_stationary import FLAT
 from metapp.runs.inputs.embedded import embedded_data
-from metapp.storage.manifest import read_manifest
+from metapp.storage.shards import read_manifest
 from tests.synthetic.drawn import Drawn, drawn, source_of
 
 Kind = tuple[torch.dtype, tuple[int, ...]]

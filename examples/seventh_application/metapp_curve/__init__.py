@@ -1,6 +1,6 @@
 """Curves as a seventh application of metapp, with their files, an export and a baseline."""
 
-from metapp.registry import Application, Converter, Entry, Export, Format, Registry
+from metapp.registry import Application, Entry, Export, Format, Registry
 
 HELP = """Convert curves, text files of 32 numbers.
 
@@ -17,7 +17,7 @@ def register(registry: Registry) -> None:
         "metapp_curve.files",
         app="curve",
         inputs=".curve files of 32 numbers",
-        command=Converter(HELP, "curve", "FILES...", ".curve files, and folders of them."),
+        help=HELP,
     )
     registry.exports["curve", "csv"] = Export("metapp_curve.files:export")
     registry.baselines["curve", "line"] = Entry("metapp_curve.line:baselines")

@@ -13,8 +13,8 @@ import typer
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Overwrite, parameters_of, signed
 from metapp.options import parse
-from metapp.registry import SPLIT, Converter, Format
-from metapp.runs.inputs.convert import Converted, conversion_of, convert
+from metapp.registry import SPLIT, Format
+from metapp.runs.inputs.convert import Converted, convert
 from metapp.runs.reporter import say
 
 
@@ -41,11 +41,13 @@ SplitOption = Annotated[Split, typer.Option("--split", metavar="train|test|auto"
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
-def command_of(name: str, form: Format, about: Converter) -> Callable[..., None]:
+def command_of(name: str, form: Format) -> Callable[..., None]:
     """Make the command that converts files of a format; with the options that it declares."""
 
     def command(
-        paths: list[Path],
+        paths: Annotated[
+            list[Path], typer.Argument(metavar="PATHS...", help="Files, and folders that are searched at any depth.")
+        ],
         folder: Out,
         split: Split = Split.AUTO,
         overwrite: Overwrite = False,
@@ -53,16 +55,14 @@ def command_of(name: str, form: Format, about: Converter) -> Callable[..., None]
         as_json: Json = False,
         **own: object,
     ) -> None:
-        conversion = conversion_of(name, form, paths, split.value, vars(parse(kind, own)))
-        for line in conversion.remarks:
-            say(f"warning: {line}")
-        report(convert(conversion, paths, folder, split.value, overwrite=overwrite, quiet=quiet), quiet, as_json)
+        options = vars(parse(kind, own))
+        done = convert(name, form, paths, folder, split.value, options, overwrite=overwrite, quiet=quiet)
+        report(done, quiet, as_json)
 
-    kind = about.options or NoOptions
-    command.__name__, command.__doc__ = name, about.help
+    kind = form.options or NoOptions
+    command.__name__, command.__doc__ = name, form.help
     command.__annotations__ |= {
-        "paths": Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)],
-        "split": Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=about.split_help)],
+        "split": Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=form.split_help)],
     }
     return signed(command, command, [*parameters_of(command), *parameters_of(kind)])
 

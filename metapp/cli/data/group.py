@@ -19,11 +19,7 @@ class Group(group.Group):
 
     def own(self) -> dict[str, Callable[[], group.Command]]:
         """The conversions, by the format's name."""
-        return {
-            name: functools.partial(command_of, name, form, form.command)
-            for name, form in formats().items()
-            if form.command
-        }
+        return {name: functools.partial(command_of, name, form) for name, form in formats().items() if form.help}
 
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")

@@ -84,8 +84,7 @@ def join(
 
     from metapp.apps import class_of
     from metapp.learning.task import KIND
-    from metapp.storage.manifest import read_manifest
-    from metapp.storage.shards import ShardWriter, read_shard
+    from metapp.storage.shards import ShardWriter, read_manifest, read_shard
 
     if folder.resolve() in [source.resolve() for source in folders]:
         raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
@@ -132,8 +131,7 @@ def check(
       metapp data check merl
     """
     from metapp.apps import class_of
-    from metapp.storage.manifest import read_manifest
-    from metapp.storage.shards import check_shard
+    from metapp.storage.shards import check_shard, read_manifest
 
     try:
         manifest = read_manifest(folder)

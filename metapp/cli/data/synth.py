@@ -100,7 +100,7 @@ def synth(
             param_hint="APP",
         )
     if form == SHARDS:
-        from metapp.storage.manifest import read_manifest
+        from metapp.storage.shards import read_manifest
 
         made = embedded_data(name, seed, count, folder, quiet, own, overwrite=overwrite)
         done = converted(name, made, read_manifest(made).tasks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.registry import Converter, Entry, Format, Recipe, Registry
+from metapp.registry import Entry, Format, Recipe, Registry
 
 _HERE = "metapp.extensions.few"
 
@@ -26,7 +26,7 @@ def register(registry: Registry) -> None:
         app="brdf",
         inputs="goniometer .csv files",
         kinds=(("phi_h", "is_anisotropic"), ("few", "has_few")),
-        command=Converter(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
+        help=GONIO,
     )
     registry.networks["brdf", "few"] = Entry(f"{_HERE}.network:NETWORK")
     registry.recipes["brdf", "", "few"] = Recipe(

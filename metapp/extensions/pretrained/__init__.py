@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from data_tools.formats.pictures import MAPS_SPLIT, MapsOptions, Size
-from metapp.registry import Converter, Format, Recipe, Registry
+from metapp.registry import Format, Recipe, Registry
 
 _HERE = "metapp.extensions.pretrained"
 
@@ -43,12 +43,7 @@ def register(registry: Registry) -> None:
     registry.formats["materials"] = Format(
         f"{_HERE}.materials",
         app="svbrdf_nonstationary",
-        command=Converter(
-            MATERIALS,
-            "material",
-            "FOLDERS...",
-            "Folders of maps, searched at any depth, and data sets.",
-            MaterialsOptions,
-            MAPS_SPLIT,
-        ),
+        help=MATERIALS,
+        options=MaterialsOptions,
+        split_help=MAPS_SPLIT,
     )

@@ -7,29 +7,19 @@ whose colours have shading baked in: they count less. Smaller sets tile and are 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import torch
 
-from data_tools.readers.conversion import Conversion, Label
-from data_tools.readers.material_maps import (
-    PLAIN,
-    find,
-    find_materials,
-    material_of,
-    read_material,
-    recognises,
-    split_materials,
-)
+from data_tools.readers import material_maps
+from data_tools.readers.material_maps import PLAIN, material_of, read_material
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.apps import class_of
 from metapp.learning.task import Task
-from metapp.storage.manifest import MANIFEST, read_manifest
-from metapp.storage.shards import read_shard
-
-__all__ = ["UNITS", "conversion", "find", "read_task", "recognises"]
+from metapp.storage.shards import MANIFEST, SUFFIX, Entry, read_manifest, read_shard
 
 APP = "svbrdf_nonstationary"
 UNITS = {
@@ -41,17 +31,36 @@ ROUGHNESS = 0.6  # where there is none
 OLD = 0.3  # what colours with shading in them count
 
 
+def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """One file of each set of maps, and all files of data sets; errors as of maps and `read_shard`."""
+    sources, skipped = [], []
+    for path in paths:
+        drawn = path.is_dir() and (path / MANIFEST).is_file()
+        found, lines = ([path / file for file in _drawn(path)], []) if drawn else material_maps.find([path])
+        sources += found
+        skipped += lines
+    return sources, skipped
+
+
+def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:
+    """As of maps; of data sets as their manifests have them."""
+    drawn = {source: _drawn(source.parent)[source.name][0] for source in sources if source.suffix == SUFFIX}
+    return material_maps.entries([source for source in sources if source not in drawn], folders, split) | drawn
+
+
 def read_task(source: Path, size: int, normals: str) -> Task:
     """The material that a map belongs to, with what is known of it.
 
     Args:
-        source: one of its maps.
+        source: one of its maps, or a drawn material's file in its data set.
         size: side in px.
         normals: as of `data_tools.readers.material_maps.read_task`.
 
     Raises:
-        ValueError: as there, but for a missing roughness.
+        ValueError: as there, but for a missing roughness; a drawn material of another size, or a photo alone.
     """
+    if source.suffix == SUFFIX:
+        return _drawn_task(source, size)
     material = material_of(source)
     assert material is not None, source  # it was found by its name
     files = material.files
@@ -71,46 +80,21 @@ def read_task(source: Path, size: int, normals: str) -> Task:
     return _with(svbrdf_task(task.name, maps), known, 1)
 
 
-def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
-    """Conversion of sets of maps, and of drawn materials as they are."""
-    paths = list(paths)
-    sets, folders = ([path for path in paths if (path / MANIFEST).is_file() == is_set] for is_set in (True, False))
-    drawn = {source: one for path in sets for source, one in _drawn(path, size).items()}
-    labels: Mapping[Path, Label] = split_materials(find_materials(folders)[0]) if folders else {}
-
-    def found(some: Iterable[Path]) -> tuple[list[Path], list[str]]:
-        some = list(some)
-        scans = [path for path in some if path not in sets]
-        sources, skipped = find(scans) if scans else ([], [])
-        return [*sources, *(source for source in drawn if source.parent in some)], skipped
-
-    def read(source: Path) -> Task:
-        return _with(drawn[source][0], torch.ones(4), 0) if source in drawn else read_task(source, size, normals)
-
-    def label(source: Path) -> Label:
-        return drawn[source][1] if source in drawn else labels[source.resolve()]
-
-    notes = {"made_by": "metapp data materials", "size": size, "normals": normals}
-    return Conversion(APP, "material", UNITS, found, read, notes, label)
-
-
 def _with(task: Task, known: torch.Tensor, kind: int) -> Task:
     return task._replace(data=task.data | {"known": known, "kind": torch.tensor([kind], dtype=torch.uint8)})
 
 
-def _drawn(folder: Path, size: int) -> dict[Path, tuple[Task, Label]]:
-    """The tasks of a data set by their files, and where they belong.
+def _drawn_task(source: Path, size: int) -> Task:
+    _, task = _drawn(source.parent)[source.name]
+    side = task.data["maps"].shape[-1] if "maps" in task.data else 0
+    if side != size:
+        found = f"maps of {side} px" if side else "a photo without maps"
+        raise ValueError(f"{source}: {found}, expected maps of {size} px; set --size, or draw others.")
+    return _with(task._replace(data={key: task.data[key] for key in OF_MAPS}), torch.ones(4), 0)
 
-    Raises:
-        ValueError: as `read_shard`; maps of another size; photos alone.
-    """
-    drawn = {}
-    entries = read_manifest(folder).tasks
-    for entry, task in zip(entries, read_shard(folder, app=APP, holds=class_of(APP).tensors), strict=True):
-        side = task.data["maps"].shape[-1] if "maps" in task.data else 0
-        if side != size:
-            found = f"maps of {side} px" if side else "a photo without maps"
-            raise ValueError(f"{folder / entry.file}: {found}, expected maps of {size} px; set --size, or draw others.")
-        task = task._replace(data={key: task.data[key] for key in OF_MAPS})
-        drawn[folder / entry.file] = task, Label(entry.name, entry.group, entry.split)
-    return drawn
+
+@functools.lru_cache(maxsize=8)
+def _drawn(folder: Path) -> dict[str, tuple[Entry, Task]]:
+    """The tasks of a data set by their files, and what its manifest says of each; ValueError as of `read_shard`."""
+    tasks = read_shard(folder, app=APP, holds=class_of(APP).tensors)
+    return {entry.file: (entry, task) for entry, task in zip(read_manifest(folder).tasks, tasks, strict=True)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from data_tools.formats.brdf import SampleOptions
-from metapp.registry import Converter, Entry, Export, Format, Registry
+from metapp.registry import Entry, Export, Format, Registry
 
 _HERE = "metapp.extensions.rgl"
 
@@ -26,9 +26,8 @@ def register(registry: Registry) -> None:
         app="brdf",
         inputs="RGL .bsdf files",
         kinds=(("phi_h", "is_anisotropic"),),
-        command=Converter(
-            RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", SampleOptions
-        ),
+        help=RGL,
+        options=SampleOptions,
     )
     registry.exports["brdf", "bsdf"] = Export(f"{_HERE}.rgl:export")
     registry.exports["brdf", "bsdf-spectral"] = Export(f"{_HERE}.rgl:export_spectral")

@@ -21,7 +21,7 @@ from metapp.learning.task import Task
 from metapp.rendering.scenes.instances import Json
 from metapp.rendering.scenes.rules import DEPTH, SceneDict
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.manifest import MANIFEST
+from metapp.storage.shards import MANIFEST
 
 __all__ = ["BESIDE", "UNITS", "find", "from_object", "read_scene", "read_task", "recognises"]
 

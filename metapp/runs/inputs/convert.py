@@ -1,21 +1,20 @@
-"""Turning a user's files into a data set: one loop for every kind of file."""
+"""Turning a user's files into a data set: one loop for every format."""
 
 from __future__ import annotations
 
-import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from data_tools.formats import AUTO
-from data_tools.readers.conversion import Conversion
 from metapp.registry import Format
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
 
 if TYPE_CHECKING:
-    from metapp.storage.manifest import Entry
+    from metapp.storage.shards import Entry
+
+Find = Callable[[list[Path]], tuple[list[Path], list[str]]]  # as of a format's module
 
 
 class Converted(NamedTuple):
@@ -34,23 +33,13 @@ def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[s
     return Converted(app, str(out), names["train"], names["test"], list(skipped))
 
 
-def conversion_of(name: str, form: Format, paths: list[Path], split: str, options: Mapping[str, object]) -> Conversion:
-    """The conversion of files of a format by the options of its command; ValueError for bad paths."""
-    assert form.command is not None
-    module = form.load()
-    if hasattr(module, "conversion"):
-        result: Conversion = module.conversion(paths, split, **options)
-        return result
-    read = functools.partial(module.read_task, **options)
-    notes = {"made_by": f"metapp data {name}", **options}
-    return Conversion(form.app, form.command.noun, module.UNITS, module.find, read, notes)
-
-
 def convert(
-    conversion: Conversion,
+    name: str,
+    form: Format,
     paths: Iterable[Path],
     out: Path,
     split: str,
+    options: Mapping[str, object],
     *,
     overwrite: bool = False,
     quiet: bool = False,
@@ -60,39 +49,46 @@ def convert(
     A file that was named must be good; one that was found in a folder may be bad: it is skipped with a warning.
 
     Args:
-        conversion: of this kind of file.
+        name: of the format.
+        form: the format.
         paths: files, and folders to search.
         out: folder of the data set.
         split: "train", "test" or "auto".
+        options: keywords of the format's `read_task`; those that are set become notes of the data set, of paths the
+            base name.
         overwrite: whether a data set that is there is replaced.
         quiet: no progress.
 
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
-    from metapp.storage.shards import ShardWriter
+    from metapp.storage.shards import AUTO, ShardWriter
 
-    sources, skipped = _find(conversion, paths)
-    folders = splits_by_folder(sources) if split == AUTO else {}
+    reader = form.load()
+    found, skipped = _find(reader.find, paths)
+    own = getattr(reader, "entries", entries_by_place)(list(found), {*found.values()} - {None}, split)
+    entries: dict[Path, Entry] = {source: own[source] for source in found if source in own}
+    _require_distinct(entries)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path] = set()
-    notes = {**conversion.notes, "split": split}
-    with ShardWriter(out, conversion.app, conversion.units, notes, overwrite=overwrite) as writer:
-        with progress(f"{conversion.noun}s", len(sources), quiet=quiet) as bar:
-            for source, searched in sources.items():
-                label = conversion.label(source)
-                bar.name(label.name)
+    shown = {key: value.name if isinstance(value, Path) else value for key, value in options.items() if value}
+    notes = {"made_by": f"metapp data {name}", **shown, "split": split}
+    with ShardWriter(out, form.app, reader.UNITS, notes, overwrite=overwrite) as writer:
+        with progress(name, len(entries), quiet=quiet) as bar:
+            for source, entry in entries.items():
+                bar.name(entry.name)
+                folder = found[source]
                 try:
-                    task = conversion.read(source)
+                    task = reader.read_task(source, **options)
                 except (ValueError, OSError) as error:
-                    if searched is None:
+                    if folder is None:
                         raise named(error, source) from None
-                    bad.setdefault(searched, []).append(str(named(error, source)))
+                    bad.setdefault(folder, []).append(str(named(error, source)))
                 else:
-                    part = (label.split or folders.get(source, AUTO)) if split == AUTO else split
-                    writer.add(task._replace(name=label.name, group=label.group), part, source)
-                    usable |= {searched} if searched else set()
-                bar.advance(label.name)
+                    part = entry.split or AUTO if split == AUTO else split
+                    writer.add(task._replace(name=entry.name, group=entry.group), part, source)
+                    usable |= {folder} if folder else set()
+                bar.advance(entry.name)
         empty = [folder for folder in bad if folder not in usable]
         if empty and len(bad[empty[0]]) == 1:
             raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant
@@ -100,51 +96,54 @@ def convert(
         for line in skipped:
             say(f"warning: skipped: {line}")
         if empty:
-            raise ValueError(
-                f"{empty[0]}: {len(bad[empty[0]])} {conversion.noun}s, none usable; expected at least one."
-            )
-        entries = writer.entries()
-    return converted(conversion.app, out, entries, skipped)
+            raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} sources, none usable; expected at least one.")
+        written = writer.entries()
+    return converted(form.app, out, written, skipped)
 
 
-def splits_by_folder(sources: Iterable[Path]) -> dict[Path, str]:
-    """The splits of sources in a folder train/ or test/ that stands beside the other, which is said.
+def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
+    """Sources by the names of their files, and their splits: those of folders train/ and test/, which is said.
 
-    The innermost such folder counts, and whether only one of the two was named does not matter.
+    The innermost folder that stands beside the other counts; whether only one of the two was named does not matter.
     """
-    from metapp.storage.manifest import SPLITS
+    from metapp.storage.shards import AUTO, SPLITS, Entry
 
-    splits: dict[Path, str] = {}
-    for source in sources:
+    entries = {source: Entry(source.stem if source.is_file() else source.resolve().name) for source in sources}
+    for source in sources if split == AUTO else ():
         inner = Path(os.path.abspath(source.parent))
         for folder in (inner, *inner.parents):
             if folder.name in SPLITS and all((folder.parent / name).is_dir() for name in SPLITS):
-                splits[source] = folder.name
+                entries[source] = entries[source]._replace(split=folder.name)
                 break
-    if splits:
+    if any(entry.split for entry in entries.values()):
         say("train/ and test/ keep their tasks apart; --split puts them together.")
-    return splits
+    return entries
 
 
-def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:
+def _find(
+    find: Callable[[list[Path]], tuple[list[Path], list[str]]], paths: Iterable[Path]
+) -> tuple[dict[Path, Path | None], list[str]]:
     """All sources, each once, with the folder it was found in (None: it was named), and lines about skipped files."""
     sources_by_path: dict[Path, tuple[Path, Path | None]] = {}
     skipped: list[str] = []
     for path in paths:
         check_readable(path)
-        sources, lines = conversion.find([path])
+        sources, lines = find([path])
         skipped += lines
         for source in sources:
             key = source.resolve()
             if not path.is_dir() or key not in sources_by_path:
                 sources_by_path[key] = (source, path if path.is_dir() else None)
+    return dict(sources_by_path.values()), skipped
+
+
+def _require_distinct(entries: Mapping[Path, Entry]) -> None:
+    """Refuse two tasks of one name."""
     names: dict[str, Path] = {}
-    for source, _ in sources_by_path.values():
-        name = conversion.label(source).name
-        other = names.setdefault(name, source)
+    for source, entry in entries.items():
+        other = names.setdefault(entry.name, source)
         if other is not source:
             raise ValueError(
-                f"{other} and {source}: two tasks named '{name}', expected names that differ; "
-                "rename one, or convert them into two folders."
+                f"{other} and {source}: two tasks named '{entry.name}', expected names that differ; rename one, or "
+                "convert them into two folders."
             )
-    return dict(sources_by_path.values()), skipped

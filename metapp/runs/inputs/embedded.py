@@ -165,7 +165,7 @@ def _make(
 
 
 def _is_finished(folder: Path, app: str, notes: Document) -> bool:
-    from metapp.storage.manifest import read_manifest
+    from metapp.storage.shards import read_manifest
 
     try:
         manifest = read_manifest(folder)

@@ -59,7 +59,7 @@ def ball(options: BallOptions) -> None:
     """
     from metapp.extensions.capture.ball.capture import capture
     from metapp.extensions.capture.ball.files import FOUND, write_capture
-    from metapp.storage.manifest import MANIFEST
+    from metapp.storage.shards import MANIFEST
 
     times, place = _times(options.shutter), _place(options.ball)
     folder, name = options.folder, options.folder.resolve().name
