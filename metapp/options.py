@@ -17,7 +17,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
-from metapp.storage.text import meant
+from metapp.registry import did_you_mean
 
 PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # of --help
 Options = TypeVar("Options")
@@ -90,8 +90,8 @@ class Declared(NamedTuple):
             expected = f"{least} to {most}" if least and most else f"{least} or more" if least else f"{most} or less"
             raise BadOption(f"{self.flag} {given}: expected {expected}.")
         if option.choices and given not in option.choices:
-            expected = ", ".join(option.choices)
-            raise BadOption(f"{self.flag} '{given}': expected one of {expected}.{meant(str(given), option.choices)}")
+            expected = f"{', '.join(option.choices)}.{did_you_mean(str(given), option.choices)}"
+            raise BadOption(f"{self.flag} '{given}': expected one of {expected}")
         try:
             return option.parse(given) if option.parse else given
         except (ValueError, TypeError, AttributeError) as error:
@@ -148,7 +148,7 @@ def parse(options: type[Options], values: Mapping[str, object], **checked: objec
     for name in values:
         if name not in by_name:
             names = ", ".join(sorted(by_name))
-            raise BadOption(f"{name}: not an option, expected one of {names}.{meant(name, by_name)}")
+            raise BadOption(f"{name}: not an option, expected one of {names}.{did_you_mean(name, by_name)}")
     given = {name: by_name[name].value(value) for name, value in values.items() if value is not None}
     return options(**given, **checked)
 

@@ -8,6 +8,7 @@ imported on first use. What ships with metapp registers in the same way, first.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import functools
 import importlib
 import importlib.metadata
@@ -15,7 +16,7 @@ import importlib.util
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -48,6 +49,17 @@ def load(reference: str) -> Any:
     except BaseException as error:
         raise ImportError(f"{reference} cannot be loaded: {reason_of(error)}") from error
     return thing
+
+
+def did_you_mean(word: str, names: Iterable[str]) -> str:
+    """A question after an error about a word that is no name, where some names begin so or one is like it; else "".
+
+    >>> did_you_mean("mreta", ["general", "meta"])
+    " Did you mean 'meta'?"
+    """
+    choices = list(names)
+    near = [name for name in choices if word and name.startswith(word)] or difflib.get_close_matches(word, choices, 1)
+    return f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
 def reason_of(error: BaseException) -> str:

@@ -17,7 +17,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
-from metapp.storage.records import load_checkpoint, tensor_digest
+from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 
 GRID, CURVE = 64, 200
 SKIPPED = (".previous", ".interrupted", ".training", ".aside")

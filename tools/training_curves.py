@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from metapp.evaluation.style import COLOURS, GRID, STYLE, new, save
-from metapp.storage.records import load_checkpoint
+from metapp.storage.checkpoints import load_checkpoint
 
 
 def extrapolated(steps: NDArray[np.float64], errors: NDArray[np.float64], until: NDArray[np.float64]) -> Any:

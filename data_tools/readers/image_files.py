@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metapp.storage.files import check_readable, open_regular
-from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
+from metapp.storage.images import check_memory, check_pixels, error_of, reason_of, silent
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio

@@ -24,7 +24,7 @@ from metapp.appearance.colorimetry import colour_science
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
-from metapp.storage.image_limits import check_memory, error_of, reason_of
+from metapp.storage.images import check_memory, error_of, reason_of
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio

@@ -16,8 +16,7 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.precision import in_bfloat16
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import open_regular
-from metapp.storage.tensors import opened_tensors
+from metapp.storage.files import open_regular, opened_tensors
 
 # channels of the convolutions of each block of VGG-16 (Simonyan & Zisserman 2015); blocks are parted by max pooling
 BLOCKS = ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3)

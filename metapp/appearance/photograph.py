@@ -19,7 +19,7 @@ from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals, texel_of
 from metapp.learning.draws import uniform
-from metapp.storage.tensors import kept
+from metapp.storage.cache import cached_tensors
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
 SAMPLES = 4  # of a mirror's pixel along each side
@@ -203,4 +203,4 @@ def _glossy(size: int, roughness: float) -> Tensor:
     if rows * size < CACHED:
         return make()["lobes"]
     sources = (__file__, latlong.__file__, reflection.__file__)
-    return kept(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]
+    return cached_tensors(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]

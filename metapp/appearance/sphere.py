@@ -12,7 +12,7 @@ from torch import Tensor
 
 from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, gauss_legendre
-from metapp.storage.tensors import kept
+from metapp.storage.cache import cached_tensors
 
 _FOUR = "-phi_h"  # of names of scenes with phi_h
 
@@ -246,4 +246,4 @@ def _environment_scene(size: int, azimuths: bool) -> SphereScene:
 
 def _kept(name: str, make: Callable[[], SphereScene]) -> SphereScene:
     """A scene from the cache, or made now."""
-    return SphereScene(**kept(f"sphere-{name}", (__file__, geometry.__file__), lambda: make()._asdict()))
+    return SphereScene(**cached_tensors(f"sphere-{name}", (__file__, geometry.__file__), lambda: make()._asdict()))

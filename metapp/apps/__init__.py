@@ -11,9 +11,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from metapp.options import AppOptions
-from metapp.registry import Application, registry
+from metapp.registry import Application, did_you_mean, registry
 from metapp.registry import Recipe as RecipeEntry
-from metapp.storage.text import meant
 
 if TYPE_CHECKING:
     from metapp.learning.app import App
@@ -33,7 +32,7 @@ def application_of(name: str) -> Application:
     """
     applications = registry().applications
     if name not in applications:
-        expected = f"expected one of {', '.join(sorted(applications))}.{meant(name, applications)}"
+        expected = f"expected one of {', '.join(sorted(applications))}.{did_you_mean(name, applications)}"
         raise ValueError(f"application '{name}': not known, {expected}")
     return applications[name]
 

@@ -20,7 +20,7 @@ from metapp.cli.streams import leave, one_line
 from metapp.options import BadOption
 from metapp.runs.reporter import Reporter, reporting
 from metapp.storage import Document
-from metapp.storage.text import as_text
+from metapp.storage.files import as_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -121,12 +121,12 @@ def run(command: Callable[[], object]) -> int:
 def _remedy(message: str) -> str:
     """A remedy for an application that was forgotten or is no command, or a word that is no choice; else ""."""
     from metapp.apps import app_names
-    from metapp.storage.text import meant
+    from metapp.registry import did_you_mean
 
     if message == "Missing argument 'APP'.":
         return f" It is one of {', '.join(app_names())}."
     if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message):
-        return meant(choice[1], choice[2].strip("'").split("', '"))
+        return did_you_mean(choice[1], choice[2].strip("'").split("', '"))
     given = re.fullmatch(r"No such command '(\w+)'\.", message)
     return f" {given[1]} is an application: metapp meta {given[1]}." if given and given[1] in app_names() else ""
 

@@ -12,10 +12,9 @@ import typer
 from metapp.cli import completion
 from metapp.cli.options import Json, Overwrite, check_new, takes
 from metapp.evaluation.tables import ALL, load_table, table_names
-from metapp.registry import WITHOUT, left_out_with
+from metapp.registry import WITHOUT, did_you_mean, left_out_with
 from metapp.runs.options import check_name, check_protocol, fit_options
 from metapp.runs.reporter import say
-from metapp.storage.text import meant
 
 if TYPE_CHECKING:
     from metapp.evaluation.rows import Table
@@ -138,7 +137,8 @@ def check(options: Evaluation) -> Evaluation:
         )
     for option, value, names in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in names:
-            raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(names)}.{meant(value, names)}")
+            expected = f"expected one of {', '.join(names)}.{did_you_mean(value, names)}"
+            raise typer.BadParameter(f"{option} '{value}': {expected}")
     return options
 
 

@@ -171,7 +171,7 @@ def table_of(
 
     from metapp.evaluation.notes import warned
     from metapp.runs.naming import caption_of, factor_of, title_of
-    from metapp.storage.records import guarded, summary
+    from metapp.storage.fits import guarded, summary
 
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
     listed = records

@@ -9,8 +9,7 @@ from typing import Any
 import typer
 
 from metapp.cli import help
-from metapp.registry import TRUSTED, WITHOUT, left_out_with, reason_of, registry
-from metapp.storage.text import meant
+from metapp.registry import TRUSTED, WITHOUT, did_you_mean, left_out_with, reason_of, registry
 
 ORDER = (  # of commands in help: first what a user does first, commands of other packages last
     *("try", "examples", "general", "overfit", "finetune", "quickft", "meta", "evaluate"),
@@ -71,7 +70,7 @@ class Group(help.Group):
             )
         if name and not name.startswith("-") and name not in (names := self.list_commands(ctx)):
             usage_error = typer.BadParameter.__mro__[1]  # which typer does not export
-            raise usage_error(f"No such command '{name}'.{meant(name, names)}", ctx)
+            raise usage_error(f"No such command '{name}'.{did_you_mean(name, names)}", ctx)
         return super().resolve_command(ctx, args)
 
 

@@ -9,8 +9,7 @@ from metapp.learning.task import Params, Task
 from metapp.runs.inputs.sources import content_of
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import threads
-from metapp.storage.fits import Fits
-from metapp.storage.records import Record
+from metapp.storage.fits import Fits, Record
 
 Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 

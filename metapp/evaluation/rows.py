@@ -17,7 +17,7 @@ from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.outputs.statistics import Errors, Paired, paired, statistics_of
 from metapp.runs.reporter import number
 from metapp.storage import Document
-from metapp.storage.records import Record, guarded
+from metapp.storage.fits import Record, guarded
 
 Row = Document
 Take = Callable[[Record], float | None]  # a measure of a record; None where it has none

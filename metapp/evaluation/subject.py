@@ -19,8 +19,7 @@ from metapp.runs.naming import name_of, title_of
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads_of
-from metapp.storage.fits import FIT, Fits
-from metapp.storage.records import Record
+from metapp.storage.fits import FIT, Fits, Record
 
 LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
 FEW = 3  # tasks of these rows, unless all are asked for

@@ -22,7 +22,7 @@ from metapp.runs.recipes import QUICK, shipped_path, ships
 from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
-from metapp.storage.records import digest, load_checkpoint, tensor_digest
+from metapp.storage.checkpoints import digest, load_checkpoint, tensor_digest
 
 FOLDER = "checkpoints"  # of what was trained for an application
 

@@ -23,8 +23,7 @@ from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.fits import Fits, find_fit, read_params
-from metapp.storage.records import guarded, summary
+from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
 
 FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
 

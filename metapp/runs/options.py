@@ -12,7 +12,8 @@ from typing import Annotated, Any
 from data_tools.formats import exports_of
 from metapp.apps import app_names, options_of, protocols_of, recipe_entries
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Declared, Option, declared, parse
-from metapp.storage.text import file_name, meant
+from metapp.registry import did_you_mean
+from metapp.storage.files import file_name
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
 TASKS = "default: the test tasks of --data"
@@ -131,7 +132,7 @@ def check_name(app: str) -> None:
     """A usage error that lists the applications where there is none of that name."""
     if app not in app_names():
         names = app_names()
-        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{meant(app, names)}")
+        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{did_you_mean(app, names)}")
 
 
 def check_protocol(protocol: str, app: str) -> None:
@@ -139,7 +140,7 @@ def check_protocol(protocol: str, app: str) -> None:
     protocols = protocols_of(app)
     if protocol and protocol not in protocols:
         expected = f"expects one of {', '.join(protocols)}" if protocols else "has one protocol; leave it out"
-        raise BadOption(f"--observe '{protocol}': {app} {expected}.{meant(protocol, protocols)}")
+        raise BadOption(f"--observe '{protocol}': {app} {expected}.{did_you_mean(protocol, protocols)}")
 
 
 def check_new_files(paths: Iterable[Path]) -> None:
@@ -158,7 +159,7 @@ def check_export(name: str, app: str) -> None:
     forms = exports_of(app)
     if name not in forms:
         expected = f"expects one of {', '.join(forms)}" if forms else "has none; leave it out"
-        raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, forms)}")
+        raise BadOption(f"--export '{name}': {app} {expected}.{did_you_mean(name, forms)}")
     needs = forms[name].needs
     if needs and not importlib.util.find_spec(needs[0]):
         raise BadOption(f'--export {name} needs {needs[1]}: pip install "metapp[export]"')
@@ -170,7 +171,7 @@ def _unknown(name: str, app: str, names: set[str]) -> str:
     if others:
         flag = f"--{name.replace('_', '-')}"
         return f"{flag}: {app} has no such option, only {', '.join(others)}; leave it out."
-    return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{meant(name, names)}"
+    return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{did_you_mean(name, names)}"
 
 
 def _check(options: FitOptions) -> None:
@@ -184,7 +185,7 @@ def _check(options: FitOptions) -> None:
     recipes = recipe_entries(app, options.observe)
     if options.recipe and options.recipe not in recipes:
         raise BadOption(
-            f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{meant(options.recipe, recipes)}"
+            f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
         )
     for form in options.exports:
         check_export(form, app)

@@ -15,14 +15,14 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.options import FIT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.registry import did_you_mean
 from metapp.rules import composition_names, rule_names, rule_of
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.options import FitOptions, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import chosen_recipe, usual_recipe
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
-from metapp.storage.records import digest
-from metapp.storage.text import meant
+from metapp.storage.checkpoints import digest
 
 
 class Checkpoint(NamedTuple):
@@ -60,7 +60,7 @@ class Run:
         kind = PARADIGMS.get(options.paradigm)
         if kind is None:
             names = ", ".join(PARADIGMS)
-            hint = meant(options.paradigm, PARADIGMS)
+            hint = did_you_mean(options.paradigm, PARADIGMS)
             raise ValueError(f"paradigm '{options.paradigm}': expected one of {names}.{hint}")
         name = options.recipe or chosen_recipe(options)
         usual = recipes_of(options.app, options.observe)[name]
@@ -217,5 +217,5 @@ def _rule_name(options: FitOptions, recipe: Recipe) -> str:
     except ValueError as error:
         words = [*rule_names(), *composition_names()]
         unknown = [word for word in options.rule.split("+") if word not in words]
-        raise BadOption(f"--rule: {error}{meant(unknown[0], words) if unknown else ''}") from None
+        raise BadOption(f"--rule: {error}{did_you_mean(unknown[0], words) if unknown else ''}") from None
     return rule.name

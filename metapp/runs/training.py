@@ -25,8 +25,8 @@ from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
 from metapp.runs.surroundings import make_folder, precision_of, versions
 from metapp.storage import Document
+from metapp.storage.checkpoints import digest, load_checkpoint, save_checkpoint, tensor_digest
 from metapp.storage.files import remove_partial
-from metapp.storage.records import digest, load_checkpoint, save_checkpoint, tensor_digest
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 

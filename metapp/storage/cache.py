@@ -5,13 +5,20 @@ from __future__ import annotations
 import atexit
 import contextlib
 import functools
+import hashlib
 import os
 import shutil
 import stat
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metapp.storage.files import opened_tensors, write_atomically
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 SECONDS, BLOCK = 30.0, 1 << 20  # until a silent server is given up; bytes that are read at a time
 
@@ -75,3 +82,32 @@ def code_folder(folder: Path, variable: str) -> Path:
     alone = tempfile.mkdtemp(prefix="metapp-")
     atexit.register(shutil.rmtree, alone, ignore_errors=True)
     return Path(alone)
+
+
+def cached_tensors(name: str, sources: Sequence[str], make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Tensors from the cache, where the same code made them; else made, and kept there if that can be.
+
+    Args:
+        name: of the file.
+        sources: paths of the code that makes them.
+        make: what does.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import save
+
+    path, maker = cache_folder() / f"{name}.safetensors", {"maker": _maker(sources)}
+    with contextlib.suppress(OSError, SafetensorError), opened_tensors(path) as stored:
+        if stored.metadata() == maker:
+            return {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118  (not a mapping)
+    tensors = {key: value.contiguous() for key, value in make().items()}
+    with contextlib.suppress(OSError):
+        write_atomically(path, lambda partial: partial.write_bytes(save(tensors, maker)))
+    return tensors
+
+
+def _maker(sources: Sequence[str]) -> str:
+    """A digest of code, and torch's version."""
+    import torch
+
+    digest = hashlib.sha256(b"".join(Path(file).read_bytes() for file in sources))
+    return f"{digest.hexdigest()[:16]} {torch.__version__}"

@@ -1,7 +1,8 @@
 """Files: those that are read are regular ones, those that are written are there whole or not at all.
 
 What is written gets a temporary name in the same folder and is renamed: a link that lies there is replaced, never
-followed. What is opened is a regular file.
+followed. What is opened is a regular file. Names of files may have bytes that are no UTF-8, which Python passes on as
+lone surrogates.
 """
 
 from __future__ import annotations
@@ -9,24 +10,27 @@ from __future__ import annotations
 import contextlib
 import errno
 import filecmp
+import functools
 import glob
+import hashlib
 import io
+import json
 import os
+import re
 import shutil
 import stat
+import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-try:
-    import fcntl
-except ImportError:  # Windows: `locked` keeps nobody out
-    fcntl = None  # type: ignore[assignment]
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
 
+    from torch import Tensor
+
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
+NAME_BYTES = 100  # of a name at most; file systems take 255, of which suffixes and temporary names need some
 _PROGRAM = os.urandom(3).hex()  # programs on two machines of a cluster may have the same process id
 
 
@@ -62,6 +66,33 @@ def read_text(path: str | Path, encoding: str = "utf-8") -> str:
     return read_bytes(path).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
+@contextlib.contextmanager
+def opened_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
+    """A file as `safetensors.safe_open` gives it.
+
+    Raises:
+        OSError: it cannot be opened.
+        ValueError: it is no file.
+        SafetensorError: it is damaged.
+    """
+    from safetensors import safe_open  # here: it imports torch
+
+    with open_regular(path) as file:
+        place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"  # it takes no bytes that are not UTF-8
+        with safe_open(place, "pt", device=device) as stored:
+            yield stored
+
+
+def read_tensors(path: str | Path) -> dict[str, Tensor]:
+    """All tensors of a file, on the CPU.
+
+    Raises:
+        OSError, SafetensorError: as `opened_tensors`.
+    """
+    with opened_tensors(path) as stored:
+        return {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118  (not a mapping)
+
+
 def check_readable(path: Path) -> None:
     """Refuse what libraries would open themselves and read without an end, such as a pipe or a device.
 
@@ -90,16 +121,16 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
         with naming(path):
             partial.unlink(missing_ok=True)
             write(partial)
-            _sync(partial)
+            _sync(partial, os.O_RDWR)  # as Windows needs it
             # one of the same bytes is what this program wrote before it was killed: the one before that stays
             if previous and path.is_file() and not filecmp.cmp(partial, path, shallow=False):
-                _keep_as(previous, path)
+                write_atomically(previous, functools.partial(shutil.copyfile, path))
             os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
     with contextlib.suppress(OSError):  # not every system opens folders
-        _sync(path.parent)
+        _sync(path.parent, os.O_RDONLY)
 
 
 def write_xml(path: Path, root: ET.Element) -> None:
@@ -132,25 +163,13 @@ def naming(path: Path) -> Iterator[None]:
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-def _sync(path: Path) -> None:
+def _sync(path: Path, mode: int) -> None:
     """Wait until a file, or the names in a folder, are on the disk."""
-    handle = os.open(path, os.O_RDONLY)
+    handle = os.open(path, mode)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _keep_as(name: Path, path: Path) -> None:
-    """Give a file a second name, whose own file is replaced at once; a copy where there are no links."""
-    partial = partial_path(name)
-    partial.unlink(missing_ok=True)
-    try:
-        os.link(path, partial)
-    except OSError:
-        shutil.copyfile(path, partial)
-    os.replace(partial, name)
-    partial.unlink(missing_ok=True)  # still there where both were the same file already
 
 
 def suffixed(path: Path, suffix: str) -> Path:
@@ -173,42 +192,70 @@ def remove_partial(path: Path) -> None:
 
 
 def _runs(process: int) -> bool:
+    if os.name == "nt":  # where asking would end it
+        return True
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's
-        return True
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)  # else it is another user's
     return True
-
-
-@contextlib.contextmanager
-def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold an advisory lock on a file or folder that is there; it ends with the process, however that ends.
-
-    Nothing is written beside it: the lock is the kernel's.
-
-    Args:
-        path: what to lock; only programs that ask for its lock, too, are kept out.
-        wait: until another program has released it.
-
-    Raises:
-        BlockingIOError: another program holds it and `wait` is False, or has removed it meanwhile.
-    """
-    if fcntl is None:
-        yield
-        return
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        if not (path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())):
-            raise BlockingIOError(f"{path}: removed by another program meanwhile; run the command again.")
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def named(error: Exception, source: Path) -> ValueError:
     """An error that a reader met, with the file named."""
     text = str(error) or type(error).__name__
     return ValueError(text if source.name in text else f"{source}: {text}")
+
+
+def entry_of(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
+    """An entry of a JSON object; `absent` where there is none.
+
+    Raises:
+        ValueError: it is of another type; the message begins with `where` and ends with the remedy.
+    """
+    value = document.get(key, absent) if isinstance(document, dict) else None
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise ValueError(f"{where}'{key}' is {json.dumps(value)[:60]}, expected {_KINDS[kind]}; {remedy}.")
+    return value
+
+
+_KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}
+
+
+def as_text(value: Any) -> Any:
+    r"""A text, or a document with all of its texts, in which lone surrogates are escaped, as \udcff."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {as_text(key): as_text(each) for key, each in value.items()}
+    return [as_text(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def path_of(text: str) -> Path:
+    """The path that `as_text` made a text of, if it is there; else that of the text itself."""
+    path = Path(re.sub(r"\\udc([89a-f][0-9a-f])", lambda escaped: chr(0xDC00 + int(escaped[1], 16)), text))
+    return path if os.path.lexists(path) else Path(text)
+
+
+def safe_name(name: str) -> str:
+    """A name that can be printed and drawn, of NAME_BYTES bytes at most; others get a digest of what they were.
+
+    Control characters, line ends and bytes that are no text (lone surrogates) become underscores.
+    """
+    return _marked("".join("_" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in name), name)
+
+
+def file_name(task: str) -> str:
+    """A task's name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
+
+    It has NAME_BYTES bytes at most; one that differs from the task's name ends with a digest of that.
+    """
+    return _marked("".join(c if c.isalnum() or c in "._-" else "_" for c in task).lstrip(".") or "task", task)
+
+
+def _marked(safe: str, name: str) -> str:
+    """`safe` where it is the name itself and short, else with a digest of the name."""
+    if safe == name and len(safe.encode()) <= NAME_BYTES:
+        return safe
+    mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
+    return f"{safe.encode()[: NAME_BYTES - 7].decode(errors='ignore')}-{mark}"

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
+import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,11 +24,18 @@ from safetensors.torch import save
 
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import PARTIAL, naming, partial_path, read_bytes, write_atomically
-from metapp.storage.records import finite
-from metapp.storage.tensors import read_tensors
-from metapp.storage.text import as_text, file_name
+from metapp.storage.files import (
+    PARTIAL,
+    as_text,
+    file_name,
+    naming,
+    partial_path,
+    read_bytes,
+    read_tensors,
+    write_atomically,
+)
 
+Record = Document  # of a task
 RECORD, PARAMS = "record.json", "params.safetensors"
 FIT = ("error", "seconds")  # entries of a fit's record, beside its name
 TEXTS = ("name", "source", "content")  # entries that are texts, where a record has them
@@ -209,3 +218,28 @@ class Fits(NamedTuple):
         records = read_fits(self.path, ("source", "settings", *self.entries))
         alone = [record for record in records if record.get("batch", 1) == 1 and self.hold(record)]
         return {record["source"]: record | {"name": record["source"]} for record in alone}
+
+
+def finite(value: object) -> object:
+    """A document with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def summary(records: Sequence[Document]) -> dict[str, float | None]:
+    """Mean error, as the table prints it, and median inference time of a task, of those that have one."""
+    errors = [record["error"] for record in records if record["error"] is not None]
+    seconds = [record["seconds"] for record in records if "seconds" in record]
+    return {
+        "error": statistics.fmean(errors) if errors else None,
+        "seconds": statistics.median(seconds) if seconds else None,
+    }
+
+
+def guarded(records: Sequence[Document]) -> int | None:
+    """On how many tasks the guard of a learned rule acted; None where fits have none."""
+    flags = [record["guarded"] for record in records if "guarded" in record]
+    return sum(map(bool, flags)) if flags else None

@@ -22,9 +22,16 @@ from safetensors.torch import save
 
 from metapp.learning.task import Task, TensorSpec, problems_of
 from metapp.storage import Document
-from metapp.storage.files import PARTIAL, locked, naming, open_regular, partial_path, read_bytes, write_atomically
-from metapp.storage.tensors import read_tensors
-from metapp.storage.text import entry_of
+from metapp.storage.files import (
+    PARTIAL,
+    entry_of,
+    naming,
+    open_regular,
+    partial_path,
+    read_bytes,
+    read_tensors,
+    write_atomically,
+)
 
 SCHEMA = 1
 MANIFEST, SUFFIX = "manifest.json", ".safetensors"
@@ -330,19 +337,32 @@ class ShardWriter:
 
 @contextlib.contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder that data are written to.
+    """Hold the lock of a folder that data are written to: the kernel's, which ends with the process.
+
+    Only programs that ask for it, too, are kept out; on Windows nobody is.
 
     Raises:
-        ValueError: another program holds it.
+        ValueError: another program holds it, or has removed the folder meanwhile.
     """
-    with contextlib.ExitStack() as stack:
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
         try:
-            stack.enter_context(locked(folder, wait=False))
-        except BlockingIOError:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = os.path.samestat(os.fstat(descriptor), folder.stat())
+        except (BlockingIOError, FileNotFoundError):
+            held = False
+        if not held:
             raise ValueError(
                 f"{folder}: another program is writing data there; wait until it is done, or choose another folder."
-            ) from None
+            )
         yield
+    finally:
+        os.close(descriptor)
 
 
 def read_shard(

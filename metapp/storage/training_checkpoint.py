@@ -21,9 +21,8 @@ from metapp.learning.learn import MetaParameters, Step
 from metapp.learning.progress import TrainState
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import remove_partial, write_atomically
-from metapp.storage.records import digest, tensor_digest
-from metapp.storage.tensors import opened_tensors
+from metapp.storage.checkpoints import digest, tensor_digest
+from metapp.storage.files import opened_tensors, remove_partial, write_atomically
 
 SECONDS = 60.0  # between two writes; METAPP_CHECKPOINT_SECONDS is another number, for tests
 SCHEMA = 2

@@ -13,7 +13,7 @@ from data_tools.synthetic.interfaces import rough_reflectance
 from metapp.appearance.geometry import above_horizon, cosines
 from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe
 from metapp.appearance.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
-from metapp.storage import tensors
+from metapp.storage import cache as cache_files
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)
@@ -89,12 +89,12 @@ def test_what_is_kept_is_made_once_and_anew_where_its_file_is_damaged_or_of_othe
         return {"mask": torch.ones(3, dtype=torch.bool), "angles": torch.arange(6.0).reshape(2, 3).T}
 
     def same() -> None:
-        found = tensors.kept("some", [__file__], make)
+        found = cache_files.cached_tensors("some", [__file__], make)
         assert all(torch.equal(value, found[key]) and value.dtype == found[key].dtype for key, value in made.items())
 
     with monkeypatch.context() as patch:
-        patch.setattr(tensors, "_maker", lambda sources: "of another version")
-        made = tensors.kept("some", [__file__], make)
+        patch.setattr(cache_files, "_maker", lambda sources: "of another version")
+        made = cache_files.cached_tensors("some", [__file__], make)
     for expected in (2, 3):
         for _ in range(2):
             same()

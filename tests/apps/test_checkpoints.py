@@ -12,7 +12,7 @@ from metapp.apps import app_names, protocols_of, recipes_of
 from metapp.learning.learn import MetaParameters
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import FULL, QUICK, shipped_path, ships
-from metapp.storage.records import load_checkpoint, tensor_digest
+from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 from tests.quick import app_by
 
 PACKAGE = shipped_path("brdf", "general").parent.parent

@@ -28,7 +28,7 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import shipped_path
-from metapp.storage.records import load_checkpoint
+from metapp.storage.checkpoints import load_checkpoint
 from tests.marked import long
 from tests.quick import app_by
 

@@ -12,8 +12,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save, save_file
 
+from metapp.storage.checkpoints import SCHEMA, load_checkpoint, save_checkpoint
 from metapp.storage.fits import FIT, PARAMS, RECORD, read_fits, read_params, write_fit
-from metapp.storage.records import SCHEMA, load_checkpoint, save_checkpoint
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

@@ -18,8 +18,8 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
+from metapp.storage.checkpoints import digest, load_checkpoint
 from metapp.storage.fits import RECORD, marked_name, read_fits, read_params
-from metapp.storage.records import digest, load_checkpoint
 from tests.conftest import Result
 
 STEPS = ("--train", "--train-steps", "3")

@@ -12,7 +12,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.tables.results import closing
-from metapp.storage.records import load_checkpoint
+from metapp.storage.checkpoints import load_checkpoint
 from tests.quick import app_by
 
 SVBRDF = "svbrdf_nonstationary"

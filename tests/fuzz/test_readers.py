@@ -112,8 +112,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """As a table, which shows all finished tasks."""
-    from metapp.storage.fits import FIT, Fits
-    from metapp.storage.records import summary
+    from metapp.storage.fits import FIT, Fits, summary
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)

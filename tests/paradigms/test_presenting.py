@@ -15,7 +15,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Paradigm
-from metapp.storage.text import file_name
+from metapp.storage.files import file_name
 from tests.paradigms.small import rng
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks

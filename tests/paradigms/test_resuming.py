@@ -20,7 +20,7 @@ from metapp.paradigms import Paradigm, tuning
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.validation import split_validation
-from metapp.storage.records import save_checkpoint
+from metapp.storage.checkpoints import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, rng, untrained

@@ -22,7 +22,7 @@ import metapp as api
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.rendering.variant import load_mitsuba
 from metapp.runs.outputs.pictures import to_srgb
-from metapp.storage.tensors import read_tensors
+from metapp.storage.files import read_tensors
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import OBJ

@@ -12,7 +12,7 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
 from metapp.runs.recipes import shipped_path
 from metapp.runs.run import Run
-from metapp.storage.records import load_checkpoint, save_checkpoint
+from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
 
 APPS = [
     ("illumination", "reference"),

@@ -6,8 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from metapp.storage.files import read_text, remove_partial, write_atomically
+from metapp.storage.files import file_name, read_text, remove_partial, safe_name, write_atomically
 
 
 def test_a_text_has_line_ends_of_one_kind(tmp_path: Path) -> None:
@@ -116,3 +118,30 @@ def test_what_dead_programs_left_is_removed(tmp_path: Path) -> None:
         each.touch()
     remove_partial(path)
     assert sorted(tmp_path.iterdir()) == sorted([running, other])
+
+
+# Names
+
+ANY = st.characters(exclude_categories=["Zs"]) | st.sampled_from(" ./\\\ud800\x1b\u2028")
+ODD = ["größe" * 60, "日" * 200, "\x1b[31mred", "caf\udce9", "a\u2028b", "x" * 101]
+APART = ["gold", "a b", "a_b", "a/b", "a\\b", "..", ".", "", "/", ".hidden", "hidden", "a\0b", "-x", "task", *ODD]
+
+
+@settings(max_examples=200, derandomize=True, database=None, deadline=None)
+@given(st.text(ANY, max_size=150))
+def test_names_of_files_and_tasks_are_safe_and_short(name: str) -> None:
+    for make in (safe_name, file_name):
+        safe = make(name)
+        assert len(safe.encode()) <= 100
+        assert safe.isprintable()
+        assert make(safe) == safe
+    assert file_name(name)[0] != "."
+    assert not set(file_name(name)) & set('/\\:*?"<>| \0')
+
+
+def test_other_names_are_other_files_and_good_names_stay() -> None:
+    assert len({file_name(name) for name in APART}) == len(APART)
+    assert file_name("gold-1.5_x") == "gold-1.5_x"
+    assert safe_name("x" * 101) != safe_name("x" * 102)
+    for name in ("gold", "red felt/2", "größe", "x" * 100, ""):
+        assert safe_name(name) == name

@@ -13,6 +13,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from metapp.storage.files import as_text, file_name
 from metapp.storage.fits import (
     FIT,
     PARAMS,
@@ -24,8 +25,7 @@ from metapp.storage.fits import (
     read_params,
     write_fit,
 )
-from metapp.storage.text import as_text, file_name
-from tests.storage.test_records import ODD
+from tests.storage.test_files import ODD
 
 THETA = {"w": torch.arange(3.0)}
 

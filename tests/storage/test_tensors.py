@@ -10,10 +10,10 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Task
+from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
+from metapp.storage.files import read_tensors
 from metapp.storage.fits import read_fits, read_params, write_fit
-from metapp.storage.records import load_checkpoint, save_checkpoint
 from metapp.storage.shards import ShardWriter, read_shard
-from metapp.storage.tensors import read_tensors
 
 VALUES = torch.arange(6.0).reshape(2, 3)
 

@@ -23,7 +23,7 @@ from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import CLIPPED, DARK
 from metapp.learning.task import Batch, Params
 from metapp.networks.layers import dense
-from metapp.storage.tensors import read_tensors
+from metapp.storage.files import read_tensors
 
 ROWS, COLUMNS = 16, 32
 HIDDEN = (24, 16)

@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from metapp.appearance import latlong, reflection
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
-from metapp.storage.tensors import kept
+from metapp.storage.cache import cached_tensors
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 
@@ -20,7 +20,7 @@ FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffu
 def surfaces(height: int, width: int, device: torch.device) -> Tensor:
     """Transport of light to surfaces [FACED + MIRRORED, height * width], evenly spread: facing, then mirroring."""
     name, sources = f"surfaces-{height}x{width}", (__file__, latlong.__file__, reflection.__file__)
-    return kept(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"].to(device)
+    return cached_tensors(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"].to(device)
 
 
 def _surfaces(height: int, width: int) -> Tensor:

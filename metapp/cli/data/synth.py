@@ -13,11 +13,10 @@ from metapp.cli import completion
 from metapp.cli.data.convert import Quiet, check_folder, report
 from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
 from metapp.options import Option
-from metapp.registry import load, registry
+from metapp.registry import did_you_mean, load, registry
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, split_counts
 from metapp.runs.reporter import progress
-from metapp.storage.text import meant
 
 SHARDS = "shards"
 _SETS = registry().synthetic
@@ -96,7 +95,7 @@ def synth(
     apps = embedded_apps()
     if name not in apps:
         raise typer.BadParameter(
-            f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{meant(name, apps)}",
+            f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{did_you_mean(name, apps)}",
             param_hint="APP",
         )
     if form == SHARDS:

@@ -20,7 +20,7 @@ from metapp.paradigms.quickft import QuickFT
 from metapp.runs.naming import caption_of
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.run import Checkpoint
-from metapp.storage.records import tensor_digest
+from metapp.storage.checkpoints import tensor_digest
 
 
 class RuleAlone(Meta):

@@ -21,8 +21,8 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fitting import rng_of
 from metapp.runs.naming import observe_of
 from metapp.runs.run import Run
-from metapp.storage.fits import read_params
-from metapp.storage.records import Record, digest
+from metapp.storage.checkpoints import digest
+from metapp.storage.fits import Record, read_params
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)

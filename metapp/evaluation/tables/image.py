@@ -13,8 +13,8 @@ from metapp.evaluation.subject import Subject
 from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.storage.fits import read_params
-from metapp.storage.records import Record, digest
+from metapp.storage.checkpoints import digest
+from metapp.storage.fits import Record, read_params
 
 
 def fits_of(subject: Subject) -> dict[str, Cell]:

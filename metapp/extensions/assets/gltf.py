@@ -21,7 +21,7 @@ from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.pictures import write_plane
 from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import read_bytes, suffixed, write_atomically
-from metapp.storage.records import finite
+from metapp.storage.fits import finite
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC
 BITS = 8  # more is not decoded by browsers

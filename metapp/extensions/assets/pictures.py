@@ -31,7 +31,7 @@ from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Plane, Surface, f
 from metapp.extensions.assets.planes import all_planes
 from metapp.storage import images
 from metapp.storage.files import write_atomically
-from metapp.storage.records import finite
+from metapp.storage.fits import finite
 
 PREVIEW = 256  # px, of the longer side
 SCHEMA = 1

@@ -19,7 +19,6 @@ from metapp.options import FIT, INPUT, OUTPUT, BadOption, Declared, declared
 from metapp.registry import registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import progress, say
-from metapp.storage.text import meant
 
 TAKEN = ("data", "observe", "recipe", "seed", "out", "quiet")  # of the options of fits
 
@@ -75,7 +74,7 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     methods = {baseline.name: baseline for baseline in baselines_of(app)}
     if method not in methods:
         names = ", ".join(methods) or f"another application: {app.name} has no method"
-        raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{meant(method, methods)}")
+        raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{did_you_mean(method, methods)}")
     baseline, (sources, label) = methods[method], sources_to_fit(planned)
     tasks = read_tasks(sources)
     if baseline.learns and training_folder(planned, baseline) is None:

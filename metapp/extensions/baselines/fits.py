@@ -23,7 +23,7 @@ from metapp.runs.naming import observe_of
 from metapp.runs.outputs.pictures import PICTURE
 from metapp.runs.run import Run
 from metapp.runs.surroundings import versions
-from metapp.storage.records import Record
+from metapp.storage.fits import Record
 from metapp.storage.shards import read_manifest, read_shard
 
 ENTRIES = ("error", "numbers", "size", "shared")  # of a record

@@ -25,8 +25,7 @@ from metapp.learning.task import Params, Task
 from metapp.runs.naming import caption_of, name_of
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import say
-from metapp.storage.fits import PARAMS
-from metapp.storage.records import Record
+from metapp.storage.fits import PARAMS, Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them

@@ -18,8 +18,7 @@ from metapp.runs.reporter import progress
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
-from metapp.storage.fits import PARAMS
-from metapp.storage.records import summary
+from metapp.storage.fits import PARAMS, summary
 
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
 TOLD = (

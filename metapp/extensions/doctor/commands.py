@@ -94,7 +94,7 @@ def _vgg() -> str:
     from safetensors import SafetensorError
 
     from metapp.appearance.features import weights_path
-    from metapp.storage.tensors import opened_tensors
+    from metapp.storage.files import opened_tensors
 
     if not weights_path().is_file():
         return "not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg"

@@ -13,9 +13,8 @@ from metapp.cli import completion
 from metapp.cli.console import out, print_json
 from metapp.cli.data.convert import check_folder
 from metapp.cli.options import Json
-from metapp.registry import left_out_with, load, registry
+from metapp.registry import did_you_mean, left_out_with, load, registry
 from metapp.runs.reporter import say
-from metapp.storage.text import meant
 
 FOLDER = Path("example-inputs")  # of the input files that commands name
 
@@ -60,7 +59,8 @@ def command(
     """
     applications = {name: application_of(name) for name in app_names() if application_of(name).examples}
     if app and app not in applications:
-        raise typer.BadParameter(f"'{app}': expected one of {', '.join(applications)}.{meant(app, applications)}")
+        expected = f"expected one of {', '.join(applications)}.{did_you_mean(app, applications)}"
+        raise typer.BadParameter(f"'{app}': {expected}")
     apps, files = [app] if app else list(applications), list[Path]()
     for name in apps if folder else ():
         files += load(applications[name].files)(name, folder) if applications[name].files else []

@@ -11,8 +11,8 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
+from metapp.registry import did_you_mean
 from metapp.runs.reporter import say
-from metapp.storage.text import meant
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def plan(options: Options) -> None:
 
     out = options.out
     if options.app != "brdf":
-        whole = f"expected brdf; of other applications a fit takes whole pictures.{meant(options.app, ['brdf'])}"
+        whole = f"expected brdf; of other applications a fit takes whole pictures.{did_you_mean(options.app, ['brdf'])}"
         raise typer.BadParameter(f"'{options.app}': {whole}")
     for path in (out, out.with_suffix(".png")):
         check_new(path, options.overwrite)

@@ -18,7 +18,7 @@ from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.network import shapes_of
 from metapp.apps.brdf.networks import network_of
 from metapp.learning.task import Params
-from metapp.storage.tensors import read_tensors
+from metapp.storage.files import read_tensors
 
 
 class Material(NamedTuple):

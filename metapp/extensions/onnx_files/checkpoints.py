@@ -14,8 +14,8 @@ from metapp.runs.options import FitOptions, check_new_files, fit_options
 from metapp.runs.recipes import FULL
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
+from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.files import write_atomically
-from metapp.storage.records import load_checkpoint
 
 APP, PAGE = "svbrdf_nonstationary", "onnx-page"
 

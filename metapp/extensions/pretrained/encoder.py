@@ -26,7 +26,7 @@ from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
 from metapp.runs.recipes import FULL, shipped_path
-from metapp.storage.records import load_checkpoint
+from metapp.storage.checkpoints import load_checkpoint
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
 WIDTHS = (32, 64, 96, 128)  # channels of the levels, the finest first

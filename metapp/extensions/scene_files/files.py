@@ -8,7 +8,7 @@ import struct
 from pathlib import Path
 
 from metapp.storage.files import open_regular
-from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
+from metapp.storage.images import check_memory, check_pixels, error_of, reason_of, silent
 
 _VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
 _BOX_BYTES = 24

@@ -20,8 +20,7 @@ from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.cache import download
-from metapp.storage.files import open_regular, write_atomically
-from metapp.storage.tensors import opened_tensors
+from metapp.storage.files import open_regular, opened_tensors, write_atomically
 
 TORCHVISION = "vgg16-397923af.pth"
 TORCHVISION_SHA256 = "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0"

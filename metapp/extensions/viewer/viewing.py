@@ -24,9 +24,9 @@ from metapp.runs.reporter import number, progress, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
+from metapp.storage.files import file_name
 from metapp.storage.fits import read_params
 from metapp.storage.html import write_page
-from metapp.storage.text import file_name
 
 if TYPE_CHECKING:
     from metapp.runs.fit import Fit

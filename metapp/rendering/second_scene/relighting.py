@@ -24,8 +24,7 @@ from metapp.appearance import latlong
 from metapp.rendering.second_scene.geometry import HEIGHT, WIDTH
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import write_atomically
-from metapp.storage.tensors import read_tensors
+from metapp.storage.files import read_tensors, write_atomically
 
 VERSION = 1  # of the scene and its matrix, in the name of the cached file
 SAMPLES = 16384  # paths from each pixel to the light, spread over the texels

@@ -19,10 +19,9 @@ from metapp.registry import WITHOUT, registry
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.storage.files import check_readable, named
+from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
 from metapp.storage.fits import marked_name
 from metapp.storage.shards import fingerprint, read_shard
-from metapp.storage.text import as_text, file_name, safe_name
 
 FILES, MEMORY = "files", "memory"  # as records call data that are no data set
 

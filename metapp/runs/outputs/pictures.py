@@ -18,9 +18,8 @@ from metapp.learning.task import Params, Task
 from metapp.runs.naming import factor_of, title_of
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
-from metapp.storage.fits import read_params
+from metapp.storage.fits import read_params, summary
 from metapp.storage.images import in_8_bits
-from metapp.storage.records import summary
 
 if TYPE_CHECKING:
     from PIL.Image import Image

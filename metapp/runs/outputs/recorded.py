@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from metapp.learning.app import App
 from metapp.learning.task import Task
+from metapp.registry import did_you_mean
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_of_data
 from metapp.runs.options import check_export, check_name, fit_options
@@ -18,9 +19,8 @@ from metapp.runs.outputs.files import export_fit, export_path
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.files import PARTIAL
+from metapp.storage.files import PARTIAL, entry_of, path_of
 from metapp.storage.fits import FIT, RECORD, read_fit, read_fits, read_params
-from metapp.storage.text import entry_of, meant, path_of
 
 # settings that plans are made of, and what they are where records lack them
 TEXTS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
@@ -56,7 +56,7 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
     names = [record["name"] for record in records]
     if task and task not in names:
         some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
-        raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{meant(task, names)}")
+        raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{did_you_mean(task, names)}")
     chosen = [records[names.index(task)]] if task else records
     for record in chosen:
         _check_settings(record)

@@ -14,8 +14,7 @@ from metapp.evaluation.cell import Cell, run_cells
 from metapp.learning.task import Task
 from metapp.runs.reporter import Bar
 from metapp.runs.surroundings import find_device, threads_of
-from metapp.storage.fits import Fits
-from metapp.storage.records import Record
+from metapp.storage.fits import Fits, Record
 from tests.quick import app_by
 
 Make = Callable[..., Cell]

@@ -23,7 +23,7 @@ from metapp.extensions.pretrained.encoder import (
     overview_of,
     patch_of,
 )
-from metapp.storage.records import tensor_digest
+from metapp.storage.checkpoints import tensor_digest
 from tests.extensions.pretrained.conftest import APP
 
 DIGEST = "f6bf608fb21e"  # the digest of General by "full" that the checkpoint's was trained beside

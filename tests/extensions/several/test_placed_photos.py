@@ -28,7 +28,7 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
 from metapp.runs.recipes import FULL, chosen_recipe, recipe_of_tasks, shipped_path
 from metapp.runs.run import Run
-from metapp.storage.records import load_checkpoint, tensor_digest
+from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 from metapp.storage.shards import ShardWriter
 
 APP = "svbrdf_nonstationary"

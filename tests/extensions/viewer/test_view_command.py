@@ -20,7 +20,7 @@ from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT, registry
 from metapp.runs import api
 from metapp.runs.inputs.sources import Source
-from metapp.storage.text import file_name
+from metapp.storage.files import file_name
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 2

@@ -26,7 +26,7 @@ from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.runs.surroundings import threads
 from metapp.storage import Document
-from metapp.storage.tensors import kept
+from metapp.storage.cache import cached_tensors
 
 SIZE = 256  # px of a side
 SECONDS, REFERENCE_SECONDS = 3.0, 10.0  # of CPU: for regular and guided paths each, for the reference
@@ -92,7 +92,7 @@ def _kept(what: str, of: Sequence[Tensor], make: Callable[[], dict[str, Tensor]]
     settings = repr((SIZE, SECONDS, REFERENCE_SECONDS)).encode()
     digest = hashlib.sha256(settings + b"".join(each.detach().cpu().numpy().tobytes() for each in of)).hexdigest()
     sources = [str(module.__file__) for module in (guide, images, path_space)]
-    return kept(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
+    return cached_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
 
 
 def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:

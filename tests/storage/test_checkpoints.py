@@ -1,4 +1,4 @@
-"""Trained starts and run folders on disk."""
+"""Trained checkpoints on disk."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from safetensors.torch import save
 
 from metapp.learning.learn import MetaParameters
-from metapp.storage.records import SCHEMA, digest, load_checkpoint, save_checkpoint, tensor_digest
-from metapp.storage.text import file_name, safe_name
+from metapp.storage.checkpoints import SCHEMA, digest, load_checkpoint, save_checkpoint, tensor_digest
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
@@ -82,30 +79,3 @@ def test_digest(tmp_path: Path) -> None:
     before = digest(tmp_path / "x")
     (tmp_path / "x").write_bytes(b"2")
     assert digest(tmp_path / "x") != before
-
-
-# Names
-
-ANY = st.characters(exclude_categories=["Zs"]) | st.sampled_from(" ./\\\ud800\x1b\u2028")
-ODD = ["größe" * 60, "日" * 200, "\x1b[31mred", "caf\udce9", "a\u2028b", "x" * 101]
-APART = ["gold", "a b", "a_b", "a/b", "a\\b", "..", ".", "", "/", ".hidden", "hidden", "a\0b", "-x", "task", *ODD]
-
-
-@settings(max_examples=200, derandomize=True, database=None, deadline=None)
-@given(st.text(ANY, max_size=150))
-def test_names_of_files_and_tasks_are_safe_and_short(name: str) -> None:
-    for make in (safe_name, file_name):
-        safe = make(name)
-        assert len(safe.encode()) <= 100
-        assert safe.isprintable()
-        assert make(safe) == safe
-    assert file_name(name)[0] != "."
-    assert not set(file_name(name)) & set('/\\:*?"<>| \0')
-
-
-def test_other_names_are_other_files_and_good_names_stay() -> None:
-    assert len({file_name(name) for name in APART}) == len(APART)
-    assert file_name("gold-1.5_x") == "gold-1.5_x"
-    assert safe_name("x" * 101) != safe_name("x" * 102)
-    for name in ("gold", "red felt/2", "größe", "x" * 100, ""):
-        assert safe_name(name) == name

@@ -1,12 +1,9 @@
-"""Trained checkpoints on disk, digests, and what records of fits say together."""
+"""Trained checkpoints on disk, and the digests by which records name them."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
-import statistics
-from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -16,10 +13,8 @@ from safetensors.torch import save
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import read_bytes, write_atomically
-from metapp.storage.tensors import opened_tensors
+from metapp.storage.files import opened_tensors, read_bytes, write_atomically
 
-Record = Document  # of a task
 SCHEMA = 1
 FLOATS = (torch.half, torch.float32, torch.float64)
 
@@ -112,28 +107,3 @@ def tensor_digest(params: Params) -> str:
     for key in sorted(params):
         total.update(key.encode() + params[key].detach().cpu().contiguous().numpy().tobytes())
     return total.hexdigest()[:12]
-
-
-def finite(value: object) -> object:
-    """A document with None for every number that is not finite."""
-    if isinstance(value, dict):
-        return {key: finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def summary(records: Sequence[Document]) -> dict[str, float | None]:
-    """Mean error, as the table prints it, and median inference time of a task, of those that have one."""
-    errors = [record["error"] for record in records if record["error"] is not None]
-    seconds = [record["seconds"] for record in records if "seconds" in record]
-    return {
-        "error": statistics.fmean(errors) if errors else None,
-        "seconds": statistics.median(seconds) if seconds else None,
-    }
-
-
-def guarded(records: Sequence[Document]) -> int | None:
-    """On how many tasks the guard of a learned rule acted; None where fits have none."""
-    flags = [record["guarded"] for record in records if "guarded" in record]
-    return sum(map(bool, flags)) if flags else None
