@@ -22,7 +22,7 @@ from metapp.rendering.variant import THREADS, choose_llvm, own_plugins_only
 
 _CPU_SECONDS = 300  # the largest public scenes load in half a minute
 _MEMORY_BYTES = 2**35  # of addresses; damaged counts ask for more
-_REFUSED = 3  # exit code
+_REFUSED, _KILLED = 3, -9  # exit codes
 
 
 def try_scene(scene: dict[str, Json], variant: str) -> None:
@@ -50,7 +50,7 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
         )
         code, problem = done.returncode, done.stdout.decode(errors="replace")
     except subprocess.TimeoutExpired:
-        code, problem = -signal.SIGKILL, ""
+        code, problem = _KILLED, ""
     if code == _REFUSED:
         raise ValueError(f"no scene that Mitsuba can load: {one_line(problem)}")
     if code:
@@ -63,19 +63,28 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
 def _ended(code: int) -> str:
     if code > 0:
         return f"an error (exit code {code})"
-    if -code in (signal.SIGXCPU, signal.SIGKILL):
+    if code == _KILLED or signal.Signals(-code).name == "SIGXCPU":
         return f"no end within {_CPU_SECONDS} s, or no memory left,"
     return f"the process died ({signal.Signals(-code).name})"
 
 
-def _load(variant: str) -> None:
-    import resource
-
+def _limit(memory: bool) -> None:
+    """Limit the process, where the system can: Windows cannot, and macOS not the memory."""
+    try:
+        import resource
+    except ImportError:
+        return
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_SECONDS, _CPU_SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if variant.startswith("llvm"):
-        with contextlib.suppress(ValueError, OSError):  # macOS has none; CUDA reserves more than there is
+    if memory:
+        with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+
+
+def _load(variant: str) -> None:
+    is_llvm = variant.startswith("llvm")
+    _limit(is_llvm)  # CUDA reserves more memory than there is
+    if is_llvm:
         choose_llvm()
     import drjit
     import mitsuba
