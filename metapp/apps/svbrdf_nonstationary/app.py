@@ -14,8 +14,7 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_nonstationary.confidence import PARTS, deviations, surprise, unknown, unsure
-from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.encoder import PARTS, Encoder, surprise, unknown
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED,
     FLASH,
@@ -46,7 +45,7 @@ LEVEL = 0.01  # sine of an angle that hardly shows
 MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 STEEP, HIDDEN = 0.2, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
-SURE = 0.03  # and of how sure General is of its maps, which moves nothing but that
+SURE = 0.03  # and of the error that General predicts of its maps, which moves nothing but that
 CELLS = 8  # a side, in which normals are as steep on average as they should be
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
@@ -55,7 +54,6 @@ FINER, FINEST_SHOT = 2, 256  # how many times as fine as their maps augmented ma
 INPUTS = 8
 FINEST = 2048  # px a side of a user's photograph, and of the maps that are written
 LARGEST = 256  # px of the maps that are shown
-LOOSE = 0.25  # the deviation of a map that is white in its picture
 
 
 def field_of(side: int, hidden: int) -> LocalField:
@@ -88,7 +86,7 @@ class SvbrdfNonstationary(CodedApp):
         encoder_width: channels of the encoder's level of 64 texels.
         encoder_size: side of the photograph that the encoder reads, 0 for the network's.
         encoder_finer: channels of the encoder's levels above that.
-        sure: whether General says how sure it is of its maps.
+        sure: whether General predicts the error of its maps, too; fits then warn of clipped photographs.
     """
 
     encoder_width: int = 16
@@ -266,12 +264,12 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Clipped highlights, and maps that General is not sure of; only of photographs, where it says so."""
+        """Highlights that clip in all photographs of a fit; only where General knows the error of its maps."""
         if not self.sure or self.protocol != "photo":
             return [[] for _ in range(len(tasks))]
         photos = all_photos(self.condition(tasks, Generator()))
         photos = (255 * (photos.amin(1) if photos.ndim > 4 else photos)).floor()  # what clips in all of them
-        return [of_highlight(photo) + doubt for photo, doubt in zip(photos, unsure(theta), strict=True)]
+        return [of_highlight(photo) for photo in photos]
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -330,8 +328,8 @@ class SvbrdfNonstationary(CodedApp):
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights.
 
-        And where General says how sure it is, how far off each map may be: 0 black, LOOSE or more white. Of several
-        photographs also what the maps look like in each, `photo_1` and so on, from where the fit believes it was taken.
+        Of several photographs also what the maps look like in each, `photo_1` and so on, from where the fit believes it
+        was taken.
         """
         maps = self._whole(theta, task)
         pictures = pictures_of(maps)
@@ -339,9 +337,6 @@ class SvbrdfNonstationary(CodedApp):
             for number, flash in enumerate(self.flashes(theta, task), 1):
                 radiance = photographed(maps, Flash(*(part[None] for part in flash)))[0]
                 pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
-        if self.sure:
-            for name, part in deviations({"deviation": theta["deviation"][None]}).items():
-                pictures[f"deviation_{name}"] = Picture((part[0, ..., None] / LOOSE).clamp(0, 1), "data")
         return pictures
 
     def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:

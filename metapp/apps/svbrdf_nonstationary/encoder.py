@@ -1,8 +1,13 @@
-"""General's encoder: a U-Net from the flash photograph of a material to the code of its field, and to its flash."""
+"""General's encoder: a U-Net from the flash photograph of a material to the code of its field, and to its flash.
+
+It may predict the error of its maps, too: Laplace's scale of each in each place, by maximum likelihood (Kendall & Gal
+2017). Training weighs it, and the extension `pretrained` weighs normals by it; no output shows it.
+"""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -17,6 +22,8 @@ SLOPE = 0.1
 BASE = 64  # texels a side of the level that all others are counted from
 LOOKED = 4  # cells a side of the coarsest level that the flash is looked for in
 MOST = 8  # times the finest level's channels, at the coarsest
+PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `differences`
+SMALLEST_SCALE, UNKNOWN_LOG = 0.01, 10.0  # of a predicted error; the log of one that says nothing
 
 
 class Encoder(NamedTuple):
@@ -132,3 +139,24 @@ def block(encoder: Params, name: str, x: Tensor) -> Tensor:
     first = leaky_relu(convolved(encoder, f"{name}.first", x), SLOPE)
     mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))
     return first + leaky_relu(convolved(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)
+
+
+def unknown(count: int, device: torch.device) -> Params:
+    """`deviation` [count, 4, BASE, BASE] of fits whose maps' errors nothing is known of; no step moves it."""
+    return {"deviation": torch.full((count, len(PARTS), BASE, BASE), UNKNOWN_LOG, device=device)}
+
+
+def scales(theta: Params) -> Tensor:
+    """Laplace's scale of the error of each map, mean over its channels, [T, 4, BASE, BASE]."""
+    return SMALLEST_SCALE + theta["deviation"].exp()
+
+
+def surprise(apart: Sequence[Tensor], theta: Params) -> Tensor:
+    """Negative log likelihood of errors of maps, as of `differences`, but for a constant, [T].
+
+    Only `deviation` has a gradient of it.
+    """
+    scale = scales(theta)
+    size = (scale.shape[-2], scale.shape[-1])  # BASE, or that of a part of the maps
+    off = [adaptive_avg_pool2d(part.detach(), size).abs().mean(1, keepdim=True) for part in apart]
+    return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))

@@ -18,7 +18,7 @@ from metapp.apps.svbrdf_nonstationary.app import (
     SvbrdfNonstationary,
     blots,
 )
-from metapp.apps.svbrdf_nonstationary.confidence import PARTS, scales, surprise
+from metapp.apps.svbrdf_nonstationary.encoder import PARTS, scales, surprise
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
 from metapp.extensions.pretrained.encoder import SMALLER, FeatureEncoder, beside_smaller, halves_of

@@ -19,8 +19,7 @@ from metapp.appearance.features import load_features, weights_path
 from metapp.appearance.flash import positions
 from metapp.appearance.precision import in_bfloat16
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.confidence import PARTS
-from metapp.apps.svbrdf_nonstationary.encoder import SLOPE, block, pointwise, twice
+from metapp.apps.svbrdf_nonstationary.encoder import PARTS, SLOPE, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED, RAW
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params

@@ -9,7 +9,7 @@ from torch import Generator
 from metapp.appearance.flash import positions
 from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.confidence import PARTS
+from metapp.apps.svbrdf_nonstationary.encoder import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
 from metapp.extensions.pretrained.encoder import (
