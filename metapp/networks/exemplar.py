@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.detail import detail, softness
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
-from metapp.learning.app import App
+from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.pictures import Visible
 from metapp.learning.recipe import Recipe
@@ -178,17 +178,22 @@ class ExemplarApp(App):
         if self.finer and image.shape[-1] < side:
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = self.exemplar(image[None].float() / 255)
-        described = self.describe(exemplar) | self.laid_out(exemplar) | _fine(self, exemplar)
-        return {"image": image} | {key: value[0] for key, value in described.items()}
+        return {"image": image} | {key: value[0] for key, value in self.targets(exemplar).items()}
 
-    def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
-        """`layout` [B, 3, h, w] of exemplars [B, 3, H, W]: a coarse picture of each that tiles; {} without layouts.
+    def targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """All that fits compare with, of exemplars [B, 3, h, w]: `describe` and, where networks read layouts, two more.
 
-        It is quilted of the exemplar itself.
+        `layout` [B, 3, h, w] is a coarse picture that tiles, quilted of the exemplar; `detail` [B, 3, N].
         """
+        described = self.describe(exemplars, octave)
         if not self.has_layout:
-            return {}
-        return {"layout": torch.stack([quilted_layout(each, self.layout_size) for each in exemplars])}
+            return described
+        layouts = [quilted_layout(each, self.layout_size) for each in self.evenly_lit(exemplars)]
+        return described | {"layout": torch.stack(layouts), "detail": detail(exemplars)}
+
+    def evenly_lit(self, exemplars: Tensor) -> Tensor:
+        """Exemplars [B, 3, H, W] as if the light were the same everywhere; here as they are."""
+        return exemplars
 
     def known(self, tasks: Tasks) -> Params:
         """The layouts, where the network reads one."""
@@ -222,6 +227,36 @@ class ExemplarApp(App):
         """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
         size = (self.height >> octave, self.width >> octave)
         return normal(rng, tasks, count, self.network.noise, *size)
+
+    def fixed_noise(self, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
+        """Noise that is the same for all tasks and no fit draws, [tasks, count, C, h, w].
+
+        Args:
+            like: a tensor with one entry a task, on the device that noise is to be on.
+            count: of pictures of each task.
+            seed: of the draw.
+            octave: that pictures are as large as, 0 for the whole size.
+        """
+        rng = Generator(like.device).manual_seed(seed)
+        return self.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
+
+    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Answer:
+        """The pictures or maps [T, B, ...] that `errors_of` judges, from noise [T, B, C, H, W] of an octave's size."""
+        raise NotImplementedError
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """`errors_of` what is generated from noise that no fit draws, the same for all."""
+        return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED)), tasks)
+
+    def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
+        """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
+
+        0 of pictures of coarser octaves, and where networks read no layout.
+        """
+        if not self.has_layout or self.octave(batch):
+            return pictures.new_zeros(len(pictures))
+        return SOFTNESS * softness(detail(pictures), batch["detail"][:, None]).mean(1)
 
     def init_encoder(self, rng: Generator) -> Params:
         encoder = encoder_of({}, self.network.init(rng, 1), ("z",))
@@ -258,8 +293,7 @@ class ExemplarApp(App):
         channels = uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        described = self.describe(images, octave) | self.laid_out(images) | _fine(self, images)
-        return tasks.variants(described | self.carried(tasks, channels[..., 0, 0]))
+        return tasks.variants(self.targets(images, octave) | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """Further data of these exemplars, once their channels are those [T, 3] of before."""
@@ -285,32 +319,3 @@ class ExemplarApp(App):
         one = {key: value[None] for key, value in theta.items()}
         rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.network.noise
         return make(one, normal(rng, 1, 1, channels, *(size or (self.height, self.width))))
-
-
-def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
-    """Noise that is the same for all tasks and no fit draws, [tasks, count, C, h, w].
-
-    Args:
-        app: whose network reads it.
-        like: a tensor with one entry a task, on the device that noise is to be on.
-        count: of pictures of each task.
-        seed: of the draw.
-        octave: that pictures are as large as, 0 for the whole size.
-    """
-    rng = Generator(like.device).manual_seed(seed)
-    return app.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
-
-
-def _fine(app: ExemplarApp, exemplars: Tensor) -> dict[str, Tensor]:
-    """`detail` [B, 3, N] of exemplars [B, 3, H, W]; {} without layouts."""
-    return {"detail": detail(exemplars)} if app.has_layout else {}
-
-
-def softness_of(app: ExemplarApp, pictures: Tensor, batch: Batch) -> Tensor:
-    """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
-
-    0 of pictures of coarser octaves, and where networks read no layout.
-    """
-    if not app.has_layout or app.octave(batch):
-        return pictures.new_zeros(len(pictures))
-    return SOFTNESS * softness(detail(pictures), batch["detail"][:, None]).mean(1)

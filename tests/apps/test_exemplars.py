@@ -18,7 +18,7 @@ from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import SOFTNESS, ExemplarApp, softness_of
+from metapp.networks.exemplar import SOFTNESS, ExemplarApp
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
@@ -98,14 +98,14 @@ def test_softness_counts_at_the_finest_octave_and_by_each_exemplar(app: Exemplar
     """0 of the exemplar itself; weighted, about ln 2 of one whose detail is half as strong."""
     exemplars = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
-    torch.testing.assert_close(softness_of(app, exemplars[:, None], batch), torch.zeros(3))
+    torch.testing.assert_close(app.softness(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
     ratio = (detail(exemplars) + FAINTEST) / (detail(exemplars) / 2 + FAINTEST)
-    torch.testing.assert_close(softness_of(app, half[:, None], batch), SOFTNESS * ratio.log().mean((1, 2)))
+    torch.testing.assert_close(app.softness(half[:, None], batch), SOFTNESS * ratio.log().mean((1, 2)))
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
-    assert (softness_of(app, mixed, batch) > 0.05).tolist() == [False, True, False]
+    assert (app.softness(mixed, batch) > 0.05).tolist() == [False, True, False]
     coarse = app.sample(app.stage(tasks, 0.0), Generator().manual_seed(0), 1)
-    assert softness_of(app, half[:, None], coarse).tolist() == [0, 0, 0]
+    assert app.softness(half[:, None], coarse).tolist() == [0, 0, 0]
 
 
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:

@@ -25,7 +25,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     oblique_pairs,
     photographed,
 )
-from metapp.apps.svbrdf_nonstationary.pictures import relit
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROPPED,
     _cropped,
@@ -37,6 +36,7 @@ from metapp.apps.svbrdf_nonstationary.variants import (
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Tasks
 from metapp.networks import field as fields
+from metapp.networks.map_pictures import map_pictures
 
 SIDE = 16
 REFERENCE = SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="reference")
@@ -266,11 +266,12 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     photo = torch.rand(1, 3, 150, 150, generator=Generator().manual_seed(1), dtype=torch.float64)
     field = app.network._replace(height=150, width=150)
     whole = decoded(field(theta, inputs_of(photo)))
-    pictures = relit(whole)
+    one = Maps(*(part[0] for part in whole))
+    pictures = map_pictures(one)
     monkeypatch.setattr(fields, "TEXELS", 150 * 64)
     for found, wanted in zip(app.fine_maps(theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
-    assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
+    assert all(torch.allclose(found.pixels, pictures[name].pixels) for name, found in map_pictures(one).items())
 
 
 def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -> None:

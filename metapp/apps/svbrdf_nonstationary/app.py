@@ -10,8 +10,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
-from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.encoder import PARTS, Encoder, surprise, unknown
@@ -32,13 +32,13 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
-from metapp.apps.svbrdf_nonstationary.pictures import photo_of, pictures_of, sheet
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
 from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.doubts import of_highlight
 from metapp.networks.field import LocalField, field_by_rows
+from metapp.networks.map_pictures import map_pictures, photograph
 
 DARK = 0.1  # of white: the log of radiance is flat below
 LEVEL = 0.01  # sine of an angle that hardly shows
@@ -308,12 +308,12 @@ class SvbrdfNonstationary(CodedApp):
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
-        photo = photo_of(task, LARGEST)
-        sheets = {"fit": sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
+        photo = _photo_of(task, LARGEST)
+        fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
+        target = {}
         if "maps" in task.data:
-            target = unpack(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
-            sheets = {"reference": sheet(target, photo)} | sheets
-        return sheets
+            target = {"reference": _sheet(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))}
+        return target | {"fit": _sheet(fit)}
 
     @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared | None:
@@ -332,26 +332,28 @@ class SvbrdfNonstationary(CodedApp):
         was taken.
         """
         maps = self._whole(theta, task)
-        pictures = pictures_of(maps)
+        pictures = map_pictures(maps)
         if "places" in task.data and self.protocol == "photo":
             for number, flash in enumerate(self.flashes(theta, task), 1):
-                radiance = photographed(maps, Flash(*(part[None] for part in flash)))[0]
+                one = Maps(*(part[None] for part in maps))
+                radiance = photographed(one, Flash(*(part[None] for part in flash)))[0]
                 pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
         return pictures
 
     def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
         """The same of maps [1, C, H, W], of their size."""
-        return pictures_of(answer)
+        return map_pictures(Maps(*(part[0] for part in answer)))
 
     @torch.no_grad()
     def surface(self, theta: Params, task: Task) -> Surface:
         maps = self._whole(theta, task)
-        return Surface(maps.diffuse[0], False, Maps(*(part[0] for part in maps)))
+        return Surface(maps.diffuse, False, maps)
 
     def _whole(self, theta: Params, task: Task) -> Maps:
-        """The maps [1, ...] of the size of files."""
+        """The maps [C, H, W] of the size of files."""
         one = {key: value[None] for key, value in theta.items()}
-        return self.once(theta, task, lambda: self.fine_maps(one, photo_of(task, FINEST)))
+        whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, FINEST)))
+        return Maps(*(part[0] for part in whole))
 
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
         """The maps [T, C, H, W] that fields make of linear photographs [T, 3, H, W], at these photographs' size.
@@ -376,6 +378,21 @@ class SvbrdfNonstationary(CodedApp):
         if self.protocol == "photo":
             return Visible(1 + len(task.data.get("others", ())), task.data["photo"].nbytes, 1)
         return Visible(1, task.data["maps"].nbytes, 0)
+
+
+def _photo_of(task: Task, largest: int) -> Tensor:
+    """The photograph, linear [1, 3, S, S], as fine as it is, but no finer than `largest` px a side."""
+    side = min(largest, task.data["photo"].shape[-1])
+    return adaptive_avg_pool2d(linear(task.data["photo"])[None], side)
+
+
+def _sheet(maps: Maps) -> Tensor:
+    """One linear picture [2 H, 4 W, 3]: four maps [C, H, W]; below, the photograph's light and three others."""
+    pictures, eye = map_pictures(maps), camera(device=maps.diffuse.device)
+    flash = photograph(maps, eye, eye).permute(1, 2, 0)
+    above = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
+    below = [flash, *(picture.pixels for picture in pictures.values())]
+    return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (above, below)]))
 
 
 def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
 
+from metapp.appearance.colour import srgb_to_linear, stretched
 from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
     GAMMA,
@@ -26,12 +27,12 @@ from metapp.appearance.flash import (
 from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_stationary.pictures import pictures_of, preview_of
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_blobs, of_highlight, of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise, softness_of
+from metapp.networks.exemplar import SHOWN, ExemplarApp
 from metapp.networks.layout import astray
+from metapp.networks.map_pictures import map_pictures
 
 GRID = 3  # windows along a side
 DRAWN = 3
@@ -133,8 +134,8 @@ class SvbrdfStationary(ExemplarApp):
     def _expected(self, theta: Params) -> Tensor:
         """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
         coarsest = self.octaves - 1
-        noise = same_noise(self, theta["z"], 1, octave=coarsest)
-        return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
+        noise = self.fixed_noise(theta["z"], 1, octave=coarsest)
+        return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.generate(theta, noise, coarsest))], -1)
 
     def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
@@ -170,7 +171,7 @@ class SvbrdfStationary(ExemplarApp):
 
         And how unusual the maps are, by `prior`.
         """
-        maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
+        maps = self.generate(theta, batch["noise"], self.octave(batch))
         loss = torch.stack(list(self._distances(theta, maps, batch).values())).sum(0)
         return loss + self.prior * _unusual(maps, theta["gloss"]) if self.prior else loss
 
@@ -181,7 +182,7 @@ class SvbrdfStationary(ExemplarApp):
         flash photo does not say what is diffuse, what specular and what relief.
         """
         octave = self.octave(batch)
-        maps, _ = self.maps(theta, batch["noise"], octave)
+        maps = self.generate(theta, batch["noise"], octave)
         distances = self._distances(theta, maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
@@ -204,12 +205,14 @@ class SvbrdfStationary(ExemplarApp):
             distances["colour"] = COLOUR * colours.mean((1, 2))
             even, times = evenly_lit(pictures, batch["light"][:, None]), self.layout_ratio(self.octave(batch))
             distances["astray"] = astray(theta, batch["noise"], even, times)
-            distances["softness"] = softness_of(self, pictures, batch)
+            distances["softness"] = self.softness(pictures, batch)
         return distances
 
-    def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
-        """Layouts of photos as if the light were the same everywhere."""
-        return super().laid_out(evenly_lit(exemplars, self.light_of(exemplars))) if self.has_layout else {}
+    def evenly_lit(self, exemplars: Tensor) -> Tensor:
+        return evenly_lit(exemplars, self.light_of(exemplars))
+
+    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Maps:
+        return self.maps(theta, noise, octave)[0]
 
     def _distances_of(self, pictures: Tensor, batch: Batch, *, cropped: bool = False) -> dict[str, Tensor]:
         """Of pictures [T, S, 3, H, W]; `cropped`: of their finest octave the first window alone, not its spectra."""
@@ -237,19 +240,11 @@ class SvbrdfStationary(ExemplarApp):
         }
 
     @torch.no_grad()
-    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """`error` and its companions, on materials from noise that no fit has seen, the same for all.
-
-        `relit` is the error under other lights and from elsewhere, where the data set has references of that.
-        """
-        noise = same_noise(self, tasks.rows, JUDGED)
-        return self.errors_of(self.maps(theta, noise)[0], tasks)
-
-    @torch.no_grad()
     def errors_of(self, answer: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of maps [T, B, ...] of the exemplar's size, or of photographs [T, B, 3, H, W] of them, sRGB in [0, 1].
 
-        Photographs are under the exemplar's light and have no `relit`.
+        `relit` is the error under other lights and from elsewhere, where the data set has references of that.
+        Photographs are under the exemplar's light and have none.
         """
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
         light = tasks.data["light"][tasks.rows][:, None]
@@ -268,10 +263,10 @@ class SvbrdfStationary(ExemplarApp):
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Regular structure that was lost, clipped highlights, blobs; only where networks read layouts."""
         if not self.has_layout:
-            return [[] for _ in range(len(tasks))]
+            return super().doubts(theta, tasks)
         images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
-        noise = same_noise(self, tasks.rows, 1, seed=SHOWN)
-        maps = Maps(*(part[:, 0] for part in self.maps(theta, noise)[0]))
+        noise = self.fixed_noise(tasks.rows, 1, seed=SHOWN)
+        maps = Maps(*(part[:, 0] for part in self.generate(theta, noise)))
         photos = evenly_lit(self.exemplar(images.float() / 255), light)
         made = evenly_lit(self.photograph(maps, light, light), light)
         return [
@@ -300,7 +295,10 @@ class SvbrdfStationary(ExemplarApp):
         light = self.light_of(photo)
         maps, height = self._material(theta)
         fit = self.photograph(maps, light[0], light[0])
-        return preview_of(photo[0], fit, pictures_of(maps, height, self.photograph))
+        displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
+        displayed |= {name: picture.pixels for name, picture in map_pictures(maps, height, falloff=FALLOFF).items()}
+        displayed["height"] = stretched(displayed["height"])[0]
+        return {name: srgb_to_linear(picture).expand(-1, -1, 3) for name, picture in displayed.items()}
 
     @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared:
@@ -313,14 +311,14 @@ class SvbrdfStationary(ExemplarApp):
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
-        return pictures_of(*self._whole(theta, task), self.photograph)
+        return map_pictures(*self._whole(theta, task), falloff=FALLOFF)
 
     def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
         """The same of the first of the maps [1, B, ...], which tile, of their size; or the first photograph."""
         if not isinstance(answer, Maps):
             return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
         maps = Maps(*(part[0, 0] for part in answer))
-        return pictures_of(maps, height_from_normal(maps.normal, periodic=True), self.photograph)
+        return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FALLOFF)
 
     def surface(self, theta: Params, task: Task) -> Surface:
         maps, height = self._whole(theta, task)

@@ -14,7 +14,7 @@ from metapp.learning.draws import uniform
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, Crop, ExemplarApp, same_noise, softness_of
+from metapp.networks.exemplar import SHOWN, Crop, ExemplarApp
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -56,7 +56,7 @@ class Texture(ExemplarApp):
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
         apart = self._distance(images, batch, self._strip)
-        return apart + astray(theta, noise, images, self.layout_ratio(octave)) + softness_of(self, images, batch)
+        return apart + astray(theta, noise, images, self.layout_ratio(octave)) + self.softness(images, batch)
 
     def _strip(self, images: Tensor) -> Tensor:
         """As many rows as the coarsest octave has; noise and layouts are moved at each step, and so what they show."""
@@ -68,12 +68,6 @@ class Texture(ExemplarApp):
         return distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
 
     @torch.no_grad()
-    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """On pictures from noise that no fit draws, the same for all."""
-        noise = same_noise(self, tasks.rows, JUDGED)
-        return self.errors_of(self.generate(theta, noise, 0), tasks)
-
-    @torch.no_grad()
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1]."""
         return {"error": self._distance(answer, self._targets(tasks))}
@@ -82,9 +76,9 @@ class Texture(ExemplarApp):
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Regular structure that the picture of tables has lost; only where networks read layouts."""
         if not self.has_layout:
-            return [[] for _ in range(len(tasks))]
+            return super().doubts(theta, tasks)
         exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
-        made = self.generate(theta, same_noise(self, tasks.rows, 1, seed=SHOWN))[:, 0]
+        made = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN))[:, 0]
         return [of_order(self.name, *pair) for pair in zip(exemplars, made, strict=True)]
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
