@@ -13,7 +13,7 @@ from torch import Tensor
 import metapp
 from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo, conserving, quadrature
-from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.network import network_of
 
 
 def grey(value: Tensor) -> Tensor:

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf.network import BrdfNetwork, shapes_of
-from metapp.apps.brdf.networks import network_of, networks
+from metapp.apps.brdf.network import BrdfNetwork, network_of, shapes_of
+from metapp.registry import registry
 
-each_network = pytest.mark.parametrize("network", networks(), ids=repr)
+each_network = pytest.mark.parametrize("network", registry().loaded("networks", "brdf").values(), ids=repr)
 
 
 @each_network

@@ -238,21 +238,21 @@ def test_a_picture_depends_on_the_seed_alone() -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
-    first = render(scene, 4, 16, 7, sloped())
+    first = render(Tracer(scene), 4, 16, 7, sloped())
     assert torch.equal(torch.rand(3), expected)  # of others
     assert first.shape == (3, 16, 16)
     assert first.dtype is torch.float32
-    assert torch.equal(first, render(scene_of(scene_bytes(scene)), 4, 16, 7, sloped()))
-    assert not torch.equal(first, render(scene, 4, 16, 8, sloped()))
+    assert torch.equal(first, render(Tracer(scene_of(scene_bytes(scene))), 4, 16, 7, sloped()))
+    assert not torch.equal(first, render(Tracer(scene), 4, 16, 8, sloped()))
     for spp, size in ((0, 8), (1, 0)):
         with pytest.raises(ValueError, match="expected 1 or more of both"):
-            render(scene, spp, size)
+            render(Tracer(scene), spp, size)
 
 
 @needs_mitsuba
 def test_pixels_are_where_they_belong() -> None:
     # the light hangs below the ceiling, in the upper half; a picture in pieces is the picture
-    picture = render(random_scene(1), 16, 32, 0)
+    picture = render(Tracer(random_scene(1)), 16, 32, 0)
     brightest = int(picture.sum(0).argmax())
     assert brightest // 32 < 12
     light = torch.tensor(random_scene(1)["light"]["to_world"])[:3, 3]

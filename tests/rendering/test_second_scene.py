@@ -99,7 +99,7 @@ def test_the_matrix_is_built_once_and_again_where_the_file_is_damaged(
 ) -> None:
     calls: list[tuple[int, int]] = []
     made = torch.rand(6, 8)
-    monkeypatch.setattr(relighting, "_build", lambda height, width, report: calls.append((height, width)) or made)
+    monkeypatch.setattr(relighting, "_build", lambda height, width: calls.append((height, width)) or made)
     for size in ((2, 4), (2, 4), (4, 2)):
         assert torch.equal(transfer(*size), made)
     assert calls == [(2, 4), (4, 2)]

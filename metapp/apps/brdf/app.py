@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.colour import to_srgb
 from metapp.appearance.geometry import half_difference_incident, spread_angles
 from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
@@ -19,15 +21,14 @@ from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
-from metapp.apps.brdf.network import BrdfNetwork, samples_at
-from metapp.apps.brdf.networks import network_of
-from metapp.apps.brdf.pictures import dots, on_white
+from metapp.apps.brdf.network import BrdfNetwork, network_of, samples_at
 from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted, Visible
 from metapp.learning.task import Batch, Linear, Params, Task, Tasks, TensorSpec
 
 CONDITION = 1024  # samples that General's encoder reads
 DOTS = 1024  # samples that are drawn in pictures, at most
+SIDE, DOT = 96, 3  # px, of a picture of samples and of a sample
 EXCESSIVE = 1.01  # the share of light that a fit may be said to reflect without a note
 SPARSE = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
@@ -198,7 +199,7 @@ class Brdf(App):
             return {"reference": task.data["render"], "fit": fit}
         angles, reflectance = task.data["angles"][-DOTS:], task.data["reflectance"][-DOTS:]  # those held out
         four = torch.cat([angles, task.data["phi_h"][-DOTS:, None]], 1) if "phi_h" in task.data else angles
-        return {"samples": dots(angles, reflectance), "predicted": dots(angles, evaluate(four)), "fit": fit}
+        return {"samples": _dots(angles, reflectance), "predicted": _dots(angles, evaluate(four)), "fit": fit}
 
     def compared(self, theta: Params, task: Task) -> Compared | None:
         """The sphere under the environment map; None where a data set was made before it had such pictures."""
@@ -206,7 +207,7 @@ class Brdf(App):
             return None
         scene = environment_scene(azimuths="phi_h" in task.data)
         fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
-        return Compared(on_white(fit), on_white(task.data["environment"]), scene.mask)
+        return Compared(_on_white(fit), _on_white(task.data["environment"]), scene.mask)
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """SSIM, mean over the pixels that the sphere touches."""
@@ -220,3 +221,27 @@ class Brdf(App):
         """The first half of the samples, three angles and a colour each."""
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION)
+
+
+def _dots(angles: Tensor, reflectance: Tensor) -> Tensor:
+    """Draw samples in the half-vector plane: theta_h from left to right, by its root, theta_d from the bottom up.
+
+    Args:
+        angles: theta_h, theta_d, phi_d [N, 3] in rad.
+        reflectance: linear RGB [N, 3] in 1/sr.
+
+    Returns:
+        [SIDE, SIDE, 4], pi f as linear RGB on black, and coverage.
+    """
+    picture = reflectance.new_zeros(SIDE, SIDE, 4)
+    shares = angles[:, :2] / (math.pi / 2)
+    x, y = ((SIDE - DOT) * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, SIDE - DOT)
+    colour = torch.cat([math.pi * reflectance, torch.ones_like(reflectance[:, :1])], 1)
+    for row, column in itertools.product(range(DOT), repeat=2):
+        picture[y + row, x + column] = colour
+    return picture
+
+
+def _on_white(linear: Tensor) -> Tensor:
+    """Linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
+    return torch.from_numpy(to_srgb(linear)).to(linear).permute(2, 0, 1)[None]

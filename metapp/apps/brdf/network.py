@@ -1,4 +1,4 @@
-"""The base class of the networks that BRDFs are fitted with, which know their own parameters."""
+"""Networks of BRDFs: their base class, and which of them parameters belong to."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_incident
 from metapp.learning.task import Batch, Params, Tasks
+from metapp.registry import registry
 
 
 class Folded(NamedTuple):
@@ -115,3 +116,17 @@ def samples_at(tasks: Tasks, rows: Tensor) -> Batch:
 def shapes_of(network: BrdfNetwork) -> dict[str, tuple[int, ...]]:
     """The shape of each parameter of one task; their names tell its parameters from another network's."""
     return {name: tuple(value.shape[1:]) for name, value in network.init(Generator().manual_seed(0), 1).items()}
+
+
+def network_of(theta: Params) -> BrdfNetwork:
+    """The network that parameters belong to, by their names.
+
+    Raises:
+        ValueError: they are of none.
+    """
+    for network in registry().loaded("networks", "brdf").values():
+        if shapes_of(network).keys() == theta.keys():
+            result: BrdfNetwork = network
+            return result
+    names = ", ".join(sorted(theta)) or "none"
+    raise ValueError(f"parameters {names[:80]}, expected those of a BRDF fit.")

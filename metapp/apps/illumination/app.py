@@ -9,16 +9,15 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, relu, softmax
+from torch.nn.functional import avg_pool2d, interpolate, relu, softmax
 
-from metapp.appearance.colour import tone_map
+from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.confidence import Weibull, deviations, features, hatched, spread_of
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, photographed, resampled, seen_loss
-from metapp.apps.illumination.pictures import overview
 from metapp.apps.illumination.spheres import SPHERES, sphere_errors
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, surfaces
@@ -260,7 +259,7 @@ class Illumination(CodedApp):
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
         maps, photo = self._both_maps(theta, task)
-        return {name: overview(each, photo) for name, each in maps.items()}
+        return {name: _overview(each, photo) for name, each in maps.items()}
 
     @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared | None:
@@ -322,6 +321,18 @@ class Illumination(CodedApp):
 
 def _radiance(maps: Tensor, task: Task) -> Picture:
     return Picture((maps * task.data.get("scale", torch.ones(())))[0].permute(1, 2, 0), "radiance")
+
+
+def _overview(maps: Tensor, photo: Tensor) -> Tensor:
+    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
+    lit = tone_map(relighting.relight(maps))[0]
+    height, width = lit.shape[1:]
+    across = width // 3
+    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
+    column = torch.ones(3, height, across)
+    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
+    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
+    return srgb_to_linear(pictures).permute(1, 2, 0)
 
 
 def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float) -> Tensor:

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps import app_of, recipes_of
-from metapp.apps.brdf.network import shapes_of
-from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.network import network_of, shapes_of
 from metapp.learning.task import Params
 from metapp.storage.files import read_tensors
 

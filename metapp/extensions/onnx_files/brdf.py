@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.geometry import directions_to_four_angles, half_difference_incident
-from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.network import network_of
 from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
 from metapp.storage.files import suffixed, write_atomically

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metapp.appearance.lobes import fit_lobes
-from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.network import network_of
 from metapp.extensions.shaders.languages import LANGUAGES, translated
 from metapp.extensions.shaders.source import source_of
 from metapp.learning.task import Params

@@ -240,20 +240,19 @@ class Guide(NamedTuple):
     density: Callable[[Tensor, Tensor], Tensor]
 
 
-def render(scene: SceneDict | Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
+def render(tracer: Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
     """A picture [3, size, size], linear RGB radiance, of so many paths a pixel.
 
     Args:
-        scene: a scene as `load_scene` takes it, or a tracer of one, which saves loading it again.
+        tracer: of the scene.
         spp: paths a pixel; every fourth is not guided.
         size: side of the picture, px.
         seed: of all draws; torch's global generator stays as it was.
         guide: of directions; None is Mitsuba's own sampling of each material, the baseline.
 
     Raises:
-        ValueError: as `load_scene`; spp or size below 1.
+        ValueError: spp or size below 1.
     """
-    tracer = scene if isinstance(scene, Tracer) else Tracer(scene)
     rng = Generator().manual_seed(seed)
 
     def radiance(film: Tensor, first: int) -> Tensor:
@@ -269,12 +268,11 @@ def render(scene: SceneDict | Tracer, spp: int, size: int, seed: int = 0, guide:
         return _picture(radiance, spp, size, rng)
 
 
-def reference(scene: SceneDict | Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
+def reference(tracer: Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
     """The picture that `render` tends to, with less noise: Mitsuba's `path`, which has next-event estimation.
 
     Arguments and result are those of `render`; 64 px take 7 s on one core.
     """
-    tracer = scene if isinstance(scene, Tracer) else Tracer(scene)
     mi, rng = tracer.mi, Generator().manual_seed(seed)
     integrator = mi.load_dict({"type": "path", "max_depth": tracer.depth, "rr_depth": tracer.depth + 1})
 

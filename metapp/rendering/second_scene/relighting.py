@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -31,17 +30,13 @@ SAMPLES = 16384  # paths from each pixel to the light, spread over the texels
 
 _BOUNCES = 4  # between patches; what is left out is 0.1 % of the light
 
-Report = Callable[[int, int], object]
-"""Called with how many passes are done, and how many there are."""
 
-
-def transfer(height: int = 32, width: int = 64, *, report: Report = lambda done, total: None) -> Tensor:
+def transfer(height: int = 32, width: int = 64) -> Tensor:
     """The scene as a matrix, from the cache, or else built now, in about 20 s on one core.
 
     Args:
         height: rows of the maps, even.
         width: their columns.
-        report: told of the progress where it is built.
 
     Returns:
         [P, N] float32, >= 0, with the pixels P and the texels N in row-major order, the same for each colour:
@@ -55,7 +50,7 @@ def transfer(height: int = 32, width: int = 64, *, report: Report = lambda done,
     path = matrix_path(height, width)
     with suppress(OSError, SafetensorError, KeyError):  # not there, or damaged
         return _load(path, path.stat().st_mtime_ns)
-    matrix = _build(height, width, report)
+    matrix = _build(height, width)
     write_atomically(path, lambda partial: partial.write_bytes(save({"matrix": matrix})))
     return matrix
 
@@ -83,7 +78,7 @@ def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
     return result
 
 
-def _build(height: int, width: int, report: Report) -> Tensor:
+def _build(height: int, width: int) -> Tensor:
     """The matrix of `transfer`: what the map lights, and what sees patches that are lit."""
     load_mitsuba()
     from metapp.rendering.second_scene.paths import PIXELS, ROWS, Paths
@@ -93,7 +88,6 @@ def _build(height: int, width: int, report: Report) -> Tensor:
     lit = torch.zeros(ROWS, height // 2 * width)
     for number in range(passes):
         lit += paths.to_texels(height, width, number) / passes
-        report(number + 1, passes)
     from_patches, total = paths.to_patches(), lit
     for _ in range(_BOUNCES):
         total = lit + torch.sparse.mm(from_patches, total[PIXELS:])

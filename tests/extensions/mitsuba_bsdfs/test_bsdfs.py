@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from metapp.apps.brdf.networks import network_of
 from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
@@ -20,7 +21,7 @@ from torch import Tensor
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.network import network_of
 from metapp.storage.files import read_tensors
 from tests import anisotropic
 from tests.bsdfs import assert_sampled_as_densely_as_it_says, directions, mirrored_pairs, seen_from

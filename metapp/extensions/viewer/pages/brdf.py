@@ -15,7 +15,7 @@ from metapp.appearance.lobes import fit_lobes
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
 from metapp.apps.brdf import anisotropic, featured
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.networks import network_of
+from metapp.apps.brdf.network import network_of
 from metapp.extensions.viewer.pages import anisotropic_residual
 from metapp.extensions.viewer.surface import light_map
 from metapp.extensions.viewer.view import View, thumbnail
