@@ -29,7 +29,7 @@ from metapp.appearance.metrics import mape
 from metapp.extensions.guided import rendering
 from metapp.extensions.guided.integrator import FEWEST
 from metapp.extensions.scene_files.reading import read_scene
-from metapp.rendering.paths.path_space import DEPTH
+from metapp.rendering.paths.path_space import DEPTH_EDGES
 from metapp.rendering.pictures import rendered
 from metapp.rendering.scenes.loading import load_scene
 
@@ -56,7 +56,7 @@ class Bench:
         self.mi, self.scene, _ = load_scene(options.known[name])
         rendering.resize(self.scene, options.size)
         self.width, self.height = (int(n) for n in self.scene.sensors()[0].film().size())
-        self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH})
+        self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH_EDGES})
         file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"
         if not file.exists():
             torch.save(torch.stack([self._half(options, seed) for seed in (1, 2)]), file)
@@ -122,7 +122,7 @@ class Bench:
     def _picture(self, name: str, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
         """A picture, and seconds of CPU by what they were spent on."""
         begin = time.process_time()
-        integrator = self.mi.load_dict(METHODS[name] | {"max_depth": DEPTH})
+        integrator = self.mi.load_dict(METHODS[name] | {"max_depth": DEPTH_EDGES})
         picture = rendered(self.scene, integrator, spp, seed)
         spent, total = dict(getattr(integrator, "spent", {})), time.process_time() - begin
         rest = "all else" if spent else "regular samples"  # where `path` rendered instead

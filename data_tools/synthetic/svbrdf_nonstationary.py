@@ -34,11 +34,11 @@ from data_tools.synthetic.nonstationary.worn import (
 from data_tools.synthetic.stationary.families import Split, turns
 from data_tools.synthetic.svbrdf_stationary import FLAT
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera, camera_distance
-from metapp.appearance.several import MOST, held_places
+from metapp.appearance.several import held_places
 from metapp.learning.task import Task
 
 VERSION = 2
-MOST_PHOTOS = MOST
+MOST_PHOTOS = 9
 UNITS = {
     **svbrdf_task.UNITS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
@@ -96,7 +96,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
     Returns:
         Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
         `maps` float16 [10, size, size] and `photo` uint8 [3, size, size]; of several photos `others` uint8
-        [photos - 1, 3, size, size] and `places` [photos, 2, 3], too, off by `metapp.appearance.several.ERROR`.
+        [photos - 1, 3, size, size] and `places` [photos, 2, 3], too, off by `metapp.appearance.several.PLACE_ERROR`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, conv2d
 
-SIDE = 4  # px of the squares whose cosine waves are looked at
-APART = 3  # px from one square to the next; odd, so that they see both phases of waves of 2 px
-NARROW = 8  # px of the windows in which waves of 2 px are summed with their signs
-FAINTEST = 0.003  # display values; what is weaker is noise
+SQUARE_PX = 4  # px of the squares whose cosine waves are looked at
+STRIDE_PX = 3  # px from one square to the next; odd, so that they see both phases of waves of 2 px
+WINDOW_PX = 8  # px of the windows in which waves of 2 px are summed with their signs
+FAINTEST_WAVE = 0.003  # display values; what is weaker is noise
 
 
 def detail(pictures: Tensor) -> Tensor:
@@ -25,23 +25,23 @@ def detail(pictures: Tensor) -> Tensor:
         [..., C, 18].
     """
     images = pictures.reshape(-1, 1, *pictures.shape[-2:])
-    powers = [conv2d(images, _waves().to(images), stride=APART).square().mean((-1, -2))]
+    powers = [conv2d(images, _waves().to(images), stride=STRIDE_PX).square().mean((-1, -2))]
     rows, columns = (1 - 2 * (torch.arange(side).to(images) % 2) for side in images.shape[-2:])
     for sign in (rows[:, None], columns, rows[:, None] * columns):
-        powers.append(NARROW * avg_pool2d(images * sign, NARROW, NARROW // 2).square().mean((-1, -2)))
+        powers.append(WINDOW_PX * avg_pool2d(images * sign, WINDOW_PX, WINDOW_PX // 2).square().mean((-1, -2)))
     result: Tensor = (torch.cat(powers, 1) + 1e-10).sqrt()  # it has a derivative at 0, too
     return result.reshape(*pictures.shape[:-2], -1)
 
 
 def softness(made: Tensor, wanted: Tensor) -> Tensor:
     """Mean over channels and waves of how far `detail` [..., C, N] is apart, the logarithm of the ratio, [...]."""
-    return ((made + FAINTEST) / (wanted + FAINTEST)).log().abs().mean((-1, -2))
+    return ((made + FAINTEST_WAVE) / (wanted + FAINTEST_WAVE)).log().abs().mean((-1, -2))
 
 
 @lru_cache(maxsize=1)
 def _waves() -> Tensor:
     """Orthonormal cosine waves [15, 1, 4, 4] of squares of 4 px, without the mean."""
-    at = torch.arange(SIDE)
-    waves = torch.cos(math.pi * (at + 0.5) * at[:, None] / SIDE)
+    at = torch.arange(SQUARE_PX)
+    waves = torch.cos(math.pi * (at + 0.5) * at[:, None] / SQUARE_PX)
     waves = waves / waves.norm(dim=1, keepdim=True)
-    return torch.einsum("ai,bj->abij", waves, waves).reshape(-1, 1, SIDE, SIDE)[1:]
+    return torch.einsum("ai,bj->abij", waves, waves).reshape(-1, 1, SQUARE_PX, SQUARE_PX)[1:]

@@ -19,10 +19,10 @@ from metapp.storage.cache import cache_folder
 from metapp.storage.files import open_regular, opened_tensors
 
 # channels of the convolutions of each block of VGG-16 (Simonyan & Zisserman 2015); blocks are parted by max pooling
-BLOCKS = ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3)
+VGG_BLOCKS = ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3)
 # how the SHA-256 begins of files of ImageNet's weights, and of these as the cache keeps them
-KNOWN = ("397923af", "a286e44c", "306c6f39")
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+IMAGENET_DIGESTS = ("397923af", "a286e44c", "306c6f39")
+IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class Features(nn.Module):
@@ -40,8 +40,8 @@ class Features(nn.Module):
         super().__init__()
         self.name = name
         self.stages = nn.ModuleList(stages)
-        self.register_buffer("mean", torch.tensor(MEAN).reshape(3, 1, 1))
-        self.register_buffer("deviation", torch.tensor(DEVIATION).reshape(3, 1, 1))
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).reshape(3, 1, 1))
+        self.register_buffer("deviation", torch.tensor(IMAGENET_DEVIATION).reshape(3, 1, 1))
         self.requires_grad_(False)
 
     def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
@@ -108,11 +108,11 @@ def _origin(path: Path, changed: int) -> str:  # `changed`, its time, is a key o
             digest = (weights.metadata() or {}).get("sha256", "")
     except SafetensorError:
         raise _damaged(path) from None
-    if digest[:8] not in KNOWN:
+    if digest[:8] not in IMAGENET_DIGESTS:
         with open_regular(path) as file:
             file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which names the source
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return "ImageNet" if digest[:8] in KNOWN else f"unknown weights {digest[:8]}"
+    return "ImageNet" if digest[:8] in IMAGENET_DIGESTS else f"unknown weights {digest[:8]}"
 
 
 def _damaged(path: str | Path) -> ValueError:
@@ -166,23 +166,23 @@ def _convolution(path: str, name: str, inputs: int, outputs: int) -> nn.Conv2d:
 def _layers() -> Iterator[tuple[str, str, int, int]]:
     """Convolutions in order: names in files, names of the ReLUs behind them, input and output channels."""
     inputs, count = 3, 0
-    for block, widths in enumerate(BLOCKS, 1):
+    for block, widths in enumerate(VGG_BLOCKS, 1):
         for i, outputs in enumerate(widths, 1):
             yield f"conv{count}", f"relu{block}_{i}", inputs, outputs
             inputs, count = outputs, count + 1
 
 
-RANDOM, SIZE = 96, 7  # filters, and their side in px
+RANDOM_FILTERS, FILTER_PX = 96, 7  # how many, and their side
 
 
 def _random(scales: int) -> Features:
     rng = Generator().manual_seed(0)
     stages = []
     for _ in range(scales):
-        convolution = nn.Conv2d(3, RANDOM, SIZE, padding=SIZE // 2)
+        convolution = nn.Conv2d(3, RANDOM_FILTERS, FILTER_PX, padding=FILTER_PX // 2)
         # unit response to white noise, biases that spread the thresholds
-        convolution.weight.data = torch.randn(RANDOM, 3, SIZE, SIZE, generator=rng) / (3 * SIZE**2) ** 0.5
-        convolution.bias.data = torch.randn(RANDOM, generator=rng) * 0.5  # type: ignore[union-attr]
+        convolution.weight.data = torch.randn(convolution.weight.shape, generator=rng) / (3 * FILTER_PX**2) ** 0.5
+        convolution.bias.data = torch.randn(RANDOM_FILTERS, generator=rng) * 0.5  # type: ignore[union-attr]
         stages.append(nn.Sequential(convolution, nn.ReLU(inplace=True)))
     return RandomFilters("random filters", stages)
 
@@ -190,7 +190,7 @@ def _random(scales: int) -> Features:
 def channels_of(taps: Sequence[str]) -> list[int]:
     """Channels of the maps at each tap."""
     if not weights_path().is_file():
-        return [RANDOM] * len(taps)
+        return [RANDOM_FILTERS] * len(taps)
     return [outputs for _, name, _, outputs in _layers() if name in taps]
 
 
@@ -200,7 +200,7 @@ def moments(maps: Sequence[Tensor]) -> Tensor:
     return torch.cat(parts, 1)
 
 
-BLOCK = 1024  # rows
+BLOCK_ROWS = 1024
 
 
 class _Products(torch.autograd.Function):
@@ -212,7 +212,7 @@ class _Products(torch.autograd.Function):
         if rows.dtype != torch.bfloat16:
             return rows.mT @ rows
         # a product is rounded to bfloat16 at its end: those of blocks are added in float32
-        count = math.gcd(rows.shape[1], max(rows.shape[1] // BLOCK, 1))
+        count = math.gcd(rows.shape[1], max(rows.shape[1] // BLOCK_ROWS, 1))
         blocks: Tensor = rows.unflatten(1, (count, -1))
         return (blocks.mT @ blocks).float().sum(1)
 

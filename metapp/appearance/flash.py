@@ -22,9 +22,9 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 
 FOV_RAD = math.pi / 4  # a phone held upright, along the shorter side of its picture
 # GGX is narrower than a texel there: half vectors of neighbours differ by 0.003 rad in a map of 256.
-SMOOTHEST = 0.04
+LEAST_ROUGHNESS = 0.04
 GAMMA = 2.2  # of displays
-FARTHEST = 0.5  # from the centre of a photo that its flash is searched for
+FARTHEST_HALF_SIDES = 0.5  # from the centre of a photo that its flash is searched for
 # Synthetic photographs: the share whose flash is beside the lens; standard deviations of the others' offsets, sideways
 # in half sides of the patch, of height and brightness in logs; sideways as in the strips of Deschaintre et al. 2018.
 BESIDE_LENS = 0.3
@@ -164,7 +164,7 @@ def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
     """
     # Channels go last for a moment: views, nothing moves in memory.
     at = direction_cosines(*(vectors.movedim(-3, -1) for vectors in (wi, wo, maps.normal)))
-    alpha = maps.roughness.squeeze(-3).clamp_min(SMOOTHEST) ** 2
+    alpha = maps.roughness.squeeze(-3).clamp_min(LEAST_ROUGHNESS) ** 2
     f0 = maps.specular.movedim(-3, -1)
     lobe = microfacet_lobe(at, alpha, lambda cos: fresnel_schlick(cos, f0)).movedim(-1, -3)
     return maps.diffuse * (1 - maps.specular) / math.pi + lobe
@@ -229,9 +229,9 @@ def _radial_models(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
         a + b log(1 + r^2) + c exp(-8 r^2), or of a + b x + c y; and [K, 3], by how much each basis picture falls from
         the centre to r = 1, 0 for the slope.
     """
-    ticks = torch.arange(-12, 13, dtype=torch.float64) * (FARTHEST / 12)
+    ticks = torch.arange(-12, 13, dtype=torch.float64) * (FARTHEST_HALF_SIDES / 12)
     centres = torch.cartesian_prod(ticks, ticks)
-    centres = centres[centres.square().sum(-1) <= FARTHEST**2 + 1e-9]
+    centres = centres[centres.square().sum(-1) <= FARTHEST_HALF_SIDES**2 + 1e-9]
     cells = positions(rows, columns, dtype=torch.float64).flatten(1).T
 
     def profile(squared: Tensor) -> Tensor:
@@ -275,7 +275,7 @@ def _highlight(radiance: Tensor) -> tuple[Tensor, Tensor]:
     share = weights / total.clamp_min(1e-6)
     centre = share @ places
     spread_squared = share @ places.square().sum(-1, keepdim=True) - centre.square().sum(-1, keepdim=True)
-    is_near = centre.square().sum(-1, keepdim=True) < FARTHEST**2
+    is_near = centre.square().sum(-1, keepdim=True) < FARTHEST_HALF_SIDES**2
     return centre, is_near & (total > 3) & (spread_squared < 0.35**2)
 
 

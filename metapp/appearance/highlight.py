@@ -11,10 +11,10 @@ from metapp.appearance.flash import GAMMA, Maps, positions, render
 from metapp.appearance.order import flattened
 
 RINGS = 24
-REACH = 1.5  # half sides of the patch from the flash to the last ring
-CLOSER = 1.5  # power by which rings are closer together near the flash
+REACH_HALF_SIDES = 1.5  # half sides of the patch from the flash to the last ring
+RING_POWER = 1.5  # power by which rings are closer together near the flash
 ROUGHNESSES = tuple(0.08 * 1.12**i for i in range(22))  # 0.08 to 0.86
-CLIPPED, FEW = 0.98, 0.02  # a ring with more than so few px above so much says no more than "at least so bright"
+CLIPPED_VALUE, CLIPPED_SHARE = 0.98, 0.02  # a ring with a larger share of px above says no more than "so bright"
 
 
 class Gloss(NamedTuple):
@@ -43,7 +43,7 @@ def profile(pictures: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
     """
     place = positions(*pictures.shape[-2:], dtype=light.dtype, device=light.device).flatten(1)
     distance = (place - light[..., :2, None]).square().sum(-2).sqrt()
-    at = (distance / REACH).clamp_max(1) ** (1 / CLOSER) * (RINGS - 1)
+    at = (distance / REACH_HALF_SIDES).clamp_max(1) ** (1 / RING_POWER) * (RINGS - 1)
     ring = torch.arange(RINGS, dtype=light.dtype, device=light.device)[:, None]
     belongs = (1 - (at[..., None, :] - ring).abs()).clamp_min(0)
     means = pictures.flatten(-2) @ belongs.mT / belongs.sum(-1).clamp_min(1e-3)[..., None, :]
@@ -79,8 +79,8 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
     means, belongs = profile(photos.clamp(1e-3, 1) ** GAMMA, light)
     display = means.clamp_min(1e-4) ** (1 / GAMMA)
     inside = (belongs.sum(-1) > 2).to(means)[:, None]
-    over = (photos.amax(1, keepdim=True) > CLIPPED).to(means)
-    clipped = (profile(over, light)[0] > FEW).to(means)
+    over = (photos.amax(1, keepdim=True) > CLIPPED_VALUE).to(means)
+    clipped = (profile(over, light)[0] > CLIPPED_SHARE).to(means)
     weight = inside * display / means.clamp_min(1e-4) / GAMMA  # of display values, not of radiance
     body, lobes = _flat(light)
     # what diffuse red, green, blue and F0 add
@@ -111,7 +111,7 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
 def _flat(light: Tensor) -> tuple[Tensor, Tensor]:
     """Radiance by ring of a flat white Lambertian patch [B, RINGS], and of lobes with F0 = 1 [B, K, RINGS]."""
     ring = torch.arange(RINGS, dtype=light.dtype, device=light.device) / (RINGS - 1)
-    place = torch.stack([REACH * ring**CLOSER, torch.zeros_like(ring)])[:, None]
+    place = torch.stack([REACH_HALF_SIDES * ring**RING_POWER, torch.zeros_like(ring)])[:, None]
     above = torch.cat([torch.zeros_like(light[:, :2]), light[:, 2:]], 1)
     one, up = torch.ones_like(ring)[None, None], torch.eye(3).to(light)[2, :, None, None].expand(3, 1, RINGS)
     body = render(Maps(one.expand(3, 1, -1), 0 * one, one, up), place, above, above, falloff=1.0)

@@ -25,8 +25,8 @@ ISOTROPIC = tuple((alpha, alpha) for alpha in ALPHAS)
 # roughness along and across the axes: of highlights that reach farther along the first one, or as far
 ANISOTROPIC = tuple((first, second) for first in ALPHAS[2::2] for second in ALPHAS[2::2])
 LOBES = 2  # of these; the cosine is a further one
-NODES = 24  # angles of the viewer, from the normal to LAST
-LAST = math.radians(89)
+NODES = 24  # angles of the viewer, from the normal to LAST_RAD
+LAST_RAD = math.radians(89)
 LEAST_COSINE = 0.1  # share of the cosine: bounds the weight of a sample where no lobe of the fit reaches
 _DRAWS, _FEW_DRAWS = 128, 48  # directions for each candidate and node, isotropic and anisotropic
 _ROUNDS = 20
@@ -37,7 +37,7 @@ class Lobes(NamedTuple):
 
     Attributes:
         alphas: GGX roughness along two axes, of each lobe beside the cosine.
-        shares: [NODES, 1 + L], of the cosine and each lobe, at angles evenly from 0 to LAST; each row sums to 1.
+        shares: [NODES, 1 + L], of the cosine and each lobe, at angles evenly from 0 to LAST_RAD; each row sums to 1.
         turn: azimuth of the axes in rad.
     """
 
@@ -116,7 +116,7 @@ def _directions(turn: float | None) -> tuple[Tensor, Array, Array]:
 def _drawn(candidates: Sequence[tuple[float, float]], draws: int, azimuths: float) -> tuple[Pair, Array, Array]:
     """Directions to light and viewer, float32, in the axes of lobes, and the rest of `_directions`."""
     rng = np.random.default_rng(0)
-    theta = np.linspace(0, LAST, NODES)[:, None]
+    theta = np.linspace(0, LAST_RAD, NODES)[:, None]
     u = rng.random((2, 1 + len(candidates), NODES, draws))
     phi = azimuths * rng.random((NODES, draws))
     viewer = np.stack(np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1)

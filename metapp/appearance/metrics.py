@@ -10,7 +10,7 @@ from torch.nn.functional import conv2d, pad
 
 from metapp.appearance.colour import tone_map
 
-DARK = 0.01  # of the reference's mean: the least denominator of relative errors
+LEAST_SHARE_OF_MEAN = 0.01  # of the reference's mean: the least denominator of relative errors
 
 
 def mape(pictures: Tensor, references: Tensor) -> Tensor:
@@ -65,7 +65,7 @@ def rgb_angle(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
     return torch.where(one_is_black, math.pi / 2, angle).mean(1) * (180 / math.pi)
 
 
-RADIUS, SIGMA = 5, 1.5  # px, of the Gaussian window about each pixel
+WINDOW_RADIUS_PX, WINDOW_SIGMA_PX = 5, 1.5  # px, of the Gaussian window about each pixel
 C1, C2 = 0.01**2, 0.03**2  # stabilise luminance and contrast
 
 
@@ -77,11 +77,11 @@ def ssim(pictures: Tensor, references: Tensor) -> Tensor:
     Returns:
         [B, C, H, W] in [-1, 1]; the mean over a picture is its SSIM.
     """
-    window = torch.arange(-RADIUS, RADIUS + 1, dtype=pictures.dtype, device=pictures.device)
-    window = torch.exp(-((window / SIGMA) ** 2) / 2)
+    window = torch.arange(-WINDOW_RADIUS_PX, WINDOW_RADIUS_PX + 1, dtype=pictures.dtype, device=pictures.device)
+    window = torch.exp(-((window / WINDOW_SIGMA_PX) ** 2) / 2)
     window = (window / window.sum())[None]
     kernel = (window.T @ window).expand(pictures.shape[1], 1, -1, -1)
-    a, b = (pad(images, (RADIUS,) * 4, mode="reflect") for images in (pictures, references))
+    a, b = (pad(images, (WINDOW_RADIUS_PX,) * 4, mode="reflect") for images in (pictures, references))
     means = conv2d(torch.cat([a, b, a * a, b * b, a * b]), kernel, groups=pictures.shape[1])
     mean_a, mean_b, aa, bb, ab = means.split(len(pictures))
     square_a, square_b, product = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
@@ -93,4 +93,4 @@ def ssim(pictures: Tensor, references: Tensor) -> Tensor:
 
 def _floor(references: Tensor) -> Tensor:
     tiny = torch.finfo(references.dtype).tiny
-    return (DARK * references.mean((1, 2, 3), keepdim=True)).clamp_min(tiny)
+    return (LEAST_SHARE_OF_MEAN * references.mean((1, 2, 3), keepdim=True)).clamp_min(tiny)

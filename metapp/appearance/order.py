@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
-SHORTEST, LONGEST = 6.0, 0.36  # of a lattice vector: texels, and sides of the picture
-LEAST = 0.08  # correlation of a peak
-CANDIDATES = 40  # peaks that bases are sought among
-LENGTH = 0.0006 * 256  # what a vector's length, in sides of the picture, takes off its correlation
-PARALLEL = 0.4  # least sine of the angle between two basis vectors
-ORDERED = 0.15  # least score of an ordered picture
-MOVED = 2  # texels by which a peak may move and still count as kept
+SHORTEST_TEXELS, LONGEST_SIDES = 6.0, 0.36  # of a lattice vector: texels, and sides of the picture
+LEAST_CORRELATION = 0.08  # of a peak
+PEAKS = 40  # that bases are sought among
+LENGTH_COST = 0.0006 * 256  # what a vector's length, in sides of the picture, takes off its correlation
+LEAST_SINE = 0.4  # of the angle between two basis vectors
+LEAST_SCORE = 0.15  # of an ordered picture
+SHIFT_PX = 2  # by which a peak may move and still count as kept
 
 
 class Lattice(NamedTuple):
@@ -103,16 +103,16 @@ def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
     while all(abs(float(part)) * (times + 1) < 0.7 * side for part, side in zip(vector, (height, width), strict=True)):
         times += 1
         row, column = (round(float(part)) for part in vector * times + torch.tensor([height, width]))
-        near = correlation[row - MOVED : row + MOVED + 1, column - MOVED : column + MOVED + 1]
-        if float(near.max()) < LEAST:
+        near = correlation[row - SHIFT_PX : row + SHIFT_PX + 1, column - SHIFT_PX : column + SHIFT_PX + 1]
+        if float(near.max()) < LEAST_CORRELATION:
             break
         down, across = divmod(int(near.argmax()), near.shape[1])
-        row, column = row - MOVED + down, column - MOVED + across
+        row, column = row - SHIFT_PX + down, column - SHIFT_PX + across
         part = torch.stack(
             [_top(correlation[row - 1 : row + 2, column]), _top(correlation[row, column - 1 : column + 2])]
         )
         refined = (torch.tensor([row - height, column - width], dtype=vector.dtype) + part) / times
-        if float((refined - first).abs().max()) > MOVED:  # no peaks, a slope: it would lead to shift 0
+        if float((refined - first).abs().max()) > SHIFT_PX:  # no peaks, a slope: it would lead to shift 0
             break
         vector = refined
     return vector
@@ -132,24 +132,24 @@ def _peaks(correlation: Tensor, size: torch.Size) -> list[tuple[float, int, int]
     for window in ((9, 1), (1, 9)):
         local = max_pool2d(local, window, stride=1, padding=(window[0] // 2, window[1] // 2))
     peaks = []
-    for row, column in ((correlation == local[0, 0]) & (correlation > LEAST)).nonzero().tolist():
+    for row, column in ((correlation == local[0, 0]) & (correlation > LEAST_CORRELATION)).nonzero().tolist():
         y, x = row - height, column - width
-        reaches = abs(y) <= LONGEST * height and abs(x) <= LONGEST * width
-        if (y, x) > (0, 0) and reaches and math.hypot(y, x) >= SHORTEST:
+        reaches = abs(y) <= LONGEST_SIDES * height and abs(x) <= LONGEST_SIDES * width
+        if (y, x) > (0, 0) and reaches and math.hypot(y, x) >= SHORTEST_TEXELS:
             peaks.append((float(correlation[row, column]), y, x))
-    return sorted(peaks, reverse=True)[:CANDIDATES]
+    return sorted(peaks, reverse=True)[:PEAKS]
 
 
 def _basis(peaks: list[tuple[float, int, int]], side: int) -> tuple[float, list[tuple[float, int, int]]]:
     """Score and peaks of the best basis: two strong, short, independent ones, or one."""
     best: tuple[float, list[tuple[float, int, int]]] = (-1.0, [])
     for i, (height, y, x) in enumerate(peaks):
-        alone = height / 2 - LENGTH * math.hypot(y, x) / side
+        alone = height / 2 - LENGTH_COST * math.hypot(y, x) / side
         best = max(best, (alone, [peaks[i]]))
         for other in peaks[i + 1 :]:
             lengths = math.hypot(y, x), math.hypot(*other[1:])
-            if abs(y * other[2] - x * other[1]) >= PARALLEL * math.prod(lengths):
-                score = (height + other[0]) / 2 - LENGTH * sum(lengths) / side
+            if abs(y * other[2] - x * other[1]) >= LEAST_SINE * math.prod(lengths):
+                score = (height + other[0]) / 2 - LENGTH_COST * sum(lengths) / side
                 best = max(best, (score, [peaks[i], other]))
     return best
 
@@ -157,7 +157,7 @@ def _basis(peaks: list[tuple[float, int, int]], side: int) -> tuple[float, list[
 def order_kept(exemplar: Lattice, made: Tensor) -> float:
     """The share of an exemplar's order that a picture [C, H, W] of the same scale keeps.
 
-    The peaks of its autocorrelation at the exemplar's lattice, which may have moved by MOVED texels, over the
+    The peaks of its autocorrelation at the exemplar's lattice, which may have moved by SHIFT_PX, over the
     exemplar's: 1 for as much order, 0 for none; NaN where the exemplar has none.
     """
     correlation, (height, width) = autocorrelation(made.double().cpu()), made.shape[-2:]
@@ -165,6 +165,6 @@ def order_kept(exemplar: Lattice, made: Tensor) -> float:
     for vector, peak in zip(exemplar.vectors, exemplar.heights, strict=True):
         if float(peak) > 0:
             y, x = (round(float(part)) + size for part, size in zip(vector, (height, width), strict=True))
-            near = correlation[y - MOVED : y + MOVED + 1, x - MOVED : x + MOVED + 1]
+            near = correlation[y - SHIFT_PX : y + SHIFT_PX + 1, x - SHIFT_PX : x + SHIFT_PX + 1]
             kept.append(max(0.0, float(near.max() / peak)))
-    return sum(kept) / len(kept) if kept and exemplar.score > ORDERED else math.nan
+    return sum(kept) / len(kept) if kept and exemplar.score > LEAST_SCORE else math.nan

@@ -22,8 +22,8 @@ from metapp.learning.draws import uniform
 from metapp.storage.cache import cached_tensors
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
-SAMPLES = 4  # of a mirror's pixel along each side
-CACHED = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these are kept on disk
+MIRROR_SAMPLES = 4  # of a mirror's pixel along each side
+CACHED_SIZE = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these are kept on disk
 _CHUNK = 16  # pixels at a time: a lobe is sampled in up to 32,768 directions, which then stay in the CPU's cache
 
 
@@ -140,10 +140,10 @@ def mirror(maps: Tensor, size: int) -> Tensor:
         maps: linear radiance.
         size: side of the pictures, px.
     """
-    texels, mask = (part.to(maps.device) for part in _mirrored(size * SAMPLES, *maps.shape[-2:]))
+    texels, mask = (part.to(maps.device) for part in _mirrored(size * MIRROR_SAMPLES, *maps.shape[-2:]))
     seen = maps.flatten(2)[..., texels.flatten()].unflatten(2, texels.shape) * mask
-    shares = avg_pool2d(mask[None].to(maps), SAMPLES).clamp_min(0.5)
-    return avg_pool2d(seen, SAMPLES) / shares * sphere_normals(size, device=maps.device)[1]
+    shares = avg_pool2d(mask[None].to(maps), MIRROR_SAMPLES).clamp_min(0.5)
+    return avg_pool2d(seen, MIRROR_SAMPLES) / shares * sphere_normals(size, device=maps.device)[1]
 
 
 def develop(radiance: Tensor, camera: Camera) -> Tensor:
@@ -200,7 +200,7 @@ def _glossy(size: int, roughness: float) -> Tensor:
         lobes = [glossy_transfer(part, roughness, rows, 2 * rows, samples=samples) for part in parts]
         return {"lobes": torch.cat(lobes)}
 
-    if rows * size < CACHED:
+    if rows * size < CACHED_SIZE:
         return make()["lobes"]
     sources = (__file__, latlong.__file__, reflection.__file__)
     return cached_tensors(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]

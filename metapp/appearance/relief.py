@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-STEEPEST = 0.05  # least z of normals: slopes stay below 20
+LEAST_NORMAL_Z = 0.05  # least z of normals: slopes stay below 20
 
 
 def height_from_normal(normal: Tensor, *, periodic: bool) -> Tensor:
@@ -24,7 +24,7 @@ def height_from_normal(normal: Tensor, *, periodic: bool) -> Tensor:
         periodic: whether the field tiles; otherwise it is mirrored at its edges.
     """
     x, y, z = normal.double().unbind(-3)
-    z = z.clamp_min(STEEPEST)
+    z = z.clamp_min(LEAST_NORMAL_Z)
     along_x, along_row = -x / z, y / z  # rows go down, y goes up
     if not periodic:
         along_x = _mirrored(along_x, -1)

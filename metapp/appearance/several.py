@@ -10,15 +10,11 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import camera_distance
 from metapp.learning.draws import normal, uniform
 
-MOST = 9  # photographs of a drawn material
-ASIDE = 0.6  # half sides, at most, of all photographs but the first
-NEAREST, FARTHEST = (
-    0.8,
-    2.2,
-)  # times the distance at which a camera of 45 degrees sees the patch; a longer lens is farther
+ASIDE_HALF_SIDES = 0.6  # at most, of all photographs but the first
+NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2  # of the distance at which a camera of 45 degrees sees the patch
 # Standard deviation of each coordinate of a measured place, as a share of its height: 1 degree, as of a camera's pose
 # from a sheet of markers.
-ERROR = 0.02
+PLACE_ERROR = 0.02
 
 
 def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Tensor]:
@@ -27,10 +23,10 @@ def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Te
     The first is straight above the patch, at `camera_distance`.
     """
     angle = 2 * math.pi * uniform(rng, materials, photos, 1)
-    aside = ASIDE * uniform(rng, materials, photos, 1).sqrt()
+    aside = ASIDE_HALF_SIDES * uniform(rng, materials, photos, 1).sqrt()
     share = uniform(rng, materials, photos, 1)
-    height = camera_distance() * NEAREST * (FARTHEST / NEAREST) ** share
+    height = camera_distance() * NEAREST_TIMES * (FARTHEST_TIMES / NEAREST_TIMES) ** share
     places = torch.cat([aside * angle.cos(), aside * angle.sin(), height], -1)
     places[:, 0] = places.new_tensor([0.0, 0.0, camera_distance()])
-    off = ERROR * places[..., 2:] * normal(rng, materials, photos, 3)
+    off = PLACE_ERROR * places[..., 2:] * normal(rng, materials, photos, 3)
     return places, off

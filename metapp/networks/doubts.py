@@ -8,15 +8,15 @@ from torch.nn.functional import adaptive_avg_pool2d
 from metapp.appearance.flash import GAMMA, Maps
 from metapp.appearance.order import high_passed, lattice_of, order_kept
 
-KEPT = 0.5  # of the order; quilting keeps 0.68 to 1.0
+LEAST_ORDER = 0.5  # of the order; quilting keeps 0.68 to 1.0
 # Of flat materials whose photos have fewer clipped px the highlight says at least 0.75 of F0, of those with more down
 # to 0.34 (9 in 10 of 136 renderings, roughness 0.16 to 0.6, F0 up to 1).
-CLIPPED = 0.01
+CLIPPED_SHARE = 0.01
 CELLS = 8  # along a side: blobs are of this size or larger, up to a quarter of a side
-NOISE = 0.02  # unevenness that is none: that of an even photo's sensor, and what steps leave in maps
+EVEN_CONTRAST = 0.02  # unevenness that is none: that of an even photo's sensor, and what steps leave in maps
 # General's maps of 12 of 220 synthetic materials have more, 7 of them 2 to 10 times as much as the true maps; the other
 # 5 are rust, whose roughness does vary so.
-BLOBS = 1.1
+BLOB_CONTRAST = 1.1
 
 
 def of_order(app: str, photo: Tensor, made: Tensor) -> list[str]:
@@ -29,14 +29,14 @@ def of_order(app: str, photo: Tensor, made: Tensor) -> list[str]:
     """
     kept = order_kept(lattice_of(photo), made)
     instead = f"`metapp baseline {app} INPUT --method quilting` copies it"
-    return [f"keeps {kept:.2f} of the photo's regular structure ({instead})"] if kept < KEPT else []
+    return [f"keeps {kept:.2f} of the photo's regular structure ({instead})"] if kept < LEAST_ORDER else []
 
 
 def of_highlight(photo: Tensor) -> list[str]:
     """A highlight that is clipped in a photo uint8 [3, H, W]."""
     share = float((photo == 255).all(0).float().mean())
     clipped = f"the photo is clipped in {100 * share:.2g} % of its px, so F0 is a lower bound"
-    return [clipped] if share > CLIPPED else []
+    return [clipped] if share > CLIPPED_SHARE else []
 
 
 def of_blobs(photo: Tensor, maps: Maps) -> list[str]:
@@ -47,11 +47,11 @@ def of_blobs(photo: Tensor, maps: Maps) -> list[str]:
         maps: of the same size, without leading axes.
     """
     display = {name: part.clamp(0, 1) ** (1 / GAMMA) for name, part in zip(maps._fields[:2], maps[:2], strict=True)}
-    allowed = uneven(photo) + NOISE
+    allowed = uneven(photo) + EVEN_CONTRAST
     times = {name: uneven(part) / allowed for name, part in (display | {"roughness": maps.roughness}).items()}
     worst = max(times, key=lambda name: times[name])
     blobs = f"blobs in {worst} that the photo does not show, {times[worst]:.1f} times its contrast"
-    return [blobs] if times[worst] > BLOBS else []
+    return [blobs] if times[worst] > BLOB_CONTRAST else []
 
 
 def uneven(picture: Tensor) -> float:

@@ -23,12 +23,12 @@ from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.layout import as_input, layouts, quilted_layout
 
 Crop = Callable[[Tensor], Tensor]
-HIDDEN = 128
+HIDDEN_UNITS = 128
 SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
-JUDGED = 4
-SHOWN = 1  # seed of the noise of pictures that are written and shown
+JUDGED_PICTURES = 4
+SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
 TILED = 4  # times as high and wide as in training: what is written
-LARGEST = 4096  # px
+LARGEST_PX = 4096  # px
 
 Made = TypeVar("Made")
 
@@ -247,7 +247,7 @@ class ExemplarApp(App):
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """`errors_of` what is generated from noise that no fit draws, the same for all."""
-        return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED)), tasks)
+        return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED_PICTURES)), tasks)
 
     def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
@@ -260,7 +260,7 @@ class ExemplarApp(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         encoder = encoder_of({}, self.network.init(rng, 1), ("z",))
-        sizes = (self.summary_size(), HIDDEN, HIDDEN, self.network.code)
+        sizes = (self.summary_size(), HIDDEN_UNITS, HIDDEN_UNITS, self.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]
             noise = normal(rng, outputs, inputs)
@@ -305,8 +305,8 @@ class ExemplarApp(App):
 
     def size_refusal(self, height: int, width: int) -> str:
         step = 2 ** (self.network.levels - 1)
-        fits = all(2 * step <= side <= LARGEST and side % step == 0 for side in (height, width))
-        return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST}"
+        fits = all(2 * step <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
+        return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST_PX}"
 
     @property
     def picture_size(self) -> tuple[int, int]:
@@ -317,5 +317,5 @@ class ExemplarApp(App):
     def shown(self, theta: Params, make: Callable[[Params, Tensor], Made], size: tuple[int, int] | None = None) -> Made:
         """Call `make` with theta [1, ...] and the noise [1, 1, ...] of pictures, of a size in px or the exemplar's."""
         one = {key: value[None] for key, value in theta.items()}
-        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.network.noise
+        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), self.network.noise
         return make(one, normal(rng, 1, 1, channels, *(size or (self.height, self.width))))

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from metapp.learning.draws import uniform
 from metapp.learning.task import Params
 
-TEXELS = 2**17  # of what each texel has for itself: 16 MB of 32 channels, which the next rows get again, still mapped
+STRIP_TEXELS = 2**17  # evaluated at a time: 16 MB of 32 channels, which the next rows get again, still mapped
 
 
 class LocalField(NamedTuple):
@@ -125,8 +125,8 @@ def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
 
 
 def strips_of(height: int, width: int) -> Iterator[tuple[int, int]]:
-    """(first, end) of rows that are TEXELS together or fewer, from the top."""
-    rows = max(1, TEXELS // width)
+    """(first, end) of rows that are STRIP_TEXELS together or fewer, from the top."""
+    rows = max(1, STRIP_TEXELS // width)
     return ((top, min(top + rows, height)) for top in range(0, height, rows))
 
 

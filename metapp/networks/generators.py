@@ -165,7 +165,7 @@ class Pyramid(NamedTuple):
         x, picture = None, None
         for level in reversed(range(self.finest, self.levels)):
             noise = pooled[level - self.finest]
-            large = noise.shape[-2] > layers.ROWS and not torch.is_grad_enabled()
+            large = noise.shape[-2] > layers.STRIP_ROWS and not torch.is_grad_enabled()
             layer = styled_by_rows if large else styled
             x = layer(theta, f"draw{level}", layer(theta, f"join{level}", noise, x))
             kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]

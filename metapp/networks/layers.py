@@ -14,7 +14,7 @@ from metapp.learning.task import Params
 
 SLOPE = 0.2
 EPS = 1e-5  # added to variances, as by instance_norm
-ROWS = 256  # of a `Pyramid` at a time; even
+STRIP_ROWS = 256  # of a `Pyramid` at a time; even
 
 
 def add_layer(
@@ -168,8 +168,8 @@ def _rows(x: Tensor, first: int, end: int) -> Tensor:
 def styled_by_rows(theta: Params, name: str, x: Tensor, above: Tensor | None = None) -> Tensor:
     """The same as `styled`, without a copy of what it reads."""
     kernel, height, result = theta[f"{name}.kernel"], x.shape[-2], None
-    for top in range(0, height, ROWS):
-        end = min(top + ROWS, height)
+    for top in range(0, height, STRIP_ROWS):
+        end = min(top + STRIP_ROWS, height)
         coarse = None if above is None else _rows(above, top // 2 - 1, end // 2 + 1)
         part = _convolved(kernel, _rows(x, top - 1, end + 1), coarse)
         result = part.new_empty(*part.shape[:2], height, part.shape[3]) if result is None else result

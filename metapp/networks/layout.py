@@ -20,9 +20,9 @@ from metapp.networks.layers import enlarged
 
 CONTRAST = 1.5  # root mean square of layouts as networks get them
 ASTRAY = 0.1  # weight in the loss of how far pictures are from their layouts
-REGULAR = 0.3  # score of a lattice that layouts keep
-STRETCH = 0.08  # most that a picture is stretched by
-FAINT = 1e-3  # variance of a layout, of display values, below which it counts for less
+LEAST_SCORE = 0.3  # score of a lattice that layouts keep
+MOST_STRETCH = 0.08  # most that a picture is stretched by
+LEAST_VARIANCE = 1e-3  # variance of a layout, of display values, below which it counts for less
 
 
 def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
@@ -60,7 +60,7 @@ def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:
     the tile holds whole periods. What is returned is smaller by what the stretched picture does not reach.
     """
     lattice = lattice_of(exemplar)
-    if lattice.score < REGULAR:
+    if lattice.score < LEAST_SCORE:
         return exemplar
     texels = torch.tensor(size, dtype=lattice.vectors.dtype)
     vectors = lattice.vectors.clone()
@@ -72,7 +72,7 @@ def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:
     if alone:
         whole[1] = frequencies[1]
     change = torch.linalg.solve(frequencies, whole)  # from places in the tile to places in the picture
-    if float((change - torch.eye(2, dtype=change.dtype)).abs().max()) > STRETCH:
+    if float((change - torch.eye(2, dtype=change.dtype)).abs().max()) > MOST_STRETCH:
         return exemplar
     change = change.flip(0, 1).to(exemplar)  # (x, y)
     grid = affine_grid(torch.cat([change, change.new_zeros(2, 1)], 1)[None], [1, *exemplar.shape], align_corners=False)
@@ -135,5 +135,5 @@ def astray(theta: Params, noise: Tensor, pictures: Tensor, times: float) -> Tens
     if "layout" not in theta:
         return pictures.new_zeros(len(pictures))
     layout = layouts(theta["layout"], noise, times)
-    variance = layout.var((-1, -2)).mean(-1) + FAINT
+    variance = layout.var((-1, -2)).mean(-1) + LEAST_VARIANCE
     return ((_pooled(pictures, times) - layout).square().mean((-1, -2, -3)) * (ASTRAY / variance)).mean(1)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, Option
 
-NARROWEST = 0.5  # degrees of a field of view
+NARROWEST_DEGREES = 0.5  # degrees of a field of view
 
 
 def size_of(value: object) -> tuple[int, int]:
@@ -33,8 +33,8 @@ def field_of_view(degrees: float) -> float:
     Raises:
         ValueError: narrower than a telescope's.
     """
-    if 0 < degrees < NARROWEST:
-        raise ValueError(f"expected 0 or {NARROWEST:g} to 150 degrees")
+    if 0 < degrees < NARROWEST_DEGREES:
+        raise ValueError(f"expected 0 or {NARROWEST_DEGREES:g} to 150 degrees")
     return float(degrees)
 
 

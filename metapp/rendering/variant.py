@@ -13,11 +13,11 @@ from pathlib import Path
 from metapp.rendering.types import Mitsuba
 from metapp.storage.cache import code_folder
 
-OLDEST = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
-VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
-KERNELS = "DRJIT_CACHE_DIR"
-THREADS = 2  # at least: Mitsuba hands parts of EXR files to other threads and waits for ever where there is none
-REMEDY = f"apt-get install libllvm19 libatomic1, or point {VARIABLE} at such a library"
+OLDEST_LLVM = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
+LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
+KERNELS_VARIABLE = "DRJIT_CACHE_DIR"
+LEAST_THREADS = 2  # at least: Mitsuba hands parts of EXR files to other threads and waits for ever where there is none
+REMEDY = f"apt-get install libllvm19 libatomic1, or point {LLVM_VARIABLE} at such a library"
 # Debian and Ubuntu, Fedora, others, macOS
 _PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/lib64/llvm*/lib*", "/usr/lib",
            "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib")  # fmt: skip
@@ -46,14 +46,14 @@ def load_mitsuba() -> Mitsuba:
     except (ImportError, NameError) as error:  # drjit trips over its own failure to load libatomic
         reason = str(error.__context__ or error).partition("\n")[0]
         raise ValueError(f"mitsuba: {reason}, expected a package that can be imported; {REMEDY}.") from None
-    if not on_gpu and drjit.detail.llvm_version()[0] < OLDEST:
+    if not on_gpu and drjit.detail.llvm_version()[0] < OLDEST_LLVM:
         raise ValueError(
-            f"mitsuba: imported before with libLLVM {drjit.detail.llvm_version()[0]}, expected {OLDEST} or newer; "
-            f"start again with {VARIABLE}={os.environ[VARIABLE]}."
+            f"mitsuba: imported before with libLLVM {drjit.detail.llvm_version()[0]}, expected {OLDEST_LLVM} or newer; "
+            f"start again with {LLVM_VARIABLE}={os.environ[LLVM_VARIABLE]}."
         )
     mitsuba.set_variant("cuda_ad_rgb" if on_gpu else "llvm_ad_rgb")
     own_plugins_only(mitsuba)
-    drjit.set_thread_count(max(THREADS, torch.get_num_threads()))
+    drjit.set_thread_count(max(LEAST_THREADS, torch.get_num_threads()))
     return mitsuba
 
 
@@ -73,15 +73,15 @@ def choose_llvm() -> Path:
     """
     library = find_llvm()
     _preload(library)
-    os.environ[VARIABLE] = str(library)
+    os.environ[LLVM_VARIABLE] = str(library)
     return library
 
 
 def choose_kernels() -> None:
     """Have Dr.Jit, when it is imported, keep compiled kernels where nobody else can have put any."""
     with suppress(OSError, RuntimeError):  # no such folder can be made, or there is no home: then there are none
-        folder = os.environ.get(KERNELS) or Path.home() / ".drjit"
-        os.environ[KERNELS] = str(code_folder(Path(folder), KERNELS))
+        folder = os.environ.get(KERNELS_VARIABLE) or Path.home() / ".drjit"
+        os.environ[KERNELS_VARIABLE] = str(code_folder(Path(folder), KERNELS_VARIABLE))
 
 
 def find_llvm() -> Path:
@@ -95,10 +95,11 @@ def find_llvm() -> Path:
     unfit = []
     for path in _candidates():
         version = llvm_version(path)
-        if version is not None and version >= OLDEST:
+        if version is not None and version >= OLDEST_LLVM:
             return path
         unfit.append(f"{path} (version {version or 'unknown'})")
-    raise ValueError(f"libLLVM: found {', '.join(unfit) or 'none'}, expected {OLDEST} or newer for Mitsuba; {REMEDY}.")
+    found = ", ".join(unfit) or "none"
+    raise ValueError(f"libLLVM: found {found}, expected {OLDEST_LLVM} or newer for Mitsuba; {REMEDY}.")
 
 
 def llvm_version(path: Path) -> int | None:
@@ -115,8 +116,8 @@ def llvm_version(path: Path) -> int | None:
 
 
 def _candidates() -> Iterator[Path]:
-    if os.environ.get(VARIABLE):
-        yield Path(os.environ[VARIABLE])
+    if os.environ.get(LLVM_VARIABLE):
+        yield Path(os.environ[LLVM_VARIABLE])
     system = (folder for place in _PLACES for folder in sorted(Path("/").glob(place[1:])))
     yielded: set[Path] = set()
     for folder in (_own_folder(), Path(sys.prefix) / "lib", *system):

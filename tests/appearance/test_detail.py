@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.appearance.detail import FAINTEST, detail, softness
+from metapp.appearance.detail import FAINTEST_WAVE, detail, softness
 
 COSINES = 15  # of the 18 numbers, the others are of waves of 2 px with equal phase
 
@@ -40,7 +40,7 @@ def test_cosine_waves_hold_all_power_but_that_of_means(rng: Generator) -> None:
 
 def test_softness_is_the_logarithm_of_the_ratio() -> None:
     wanted = torch.rand(2, 3, 18, dtype=torch.float64) + 0.1
-    made = (wanted + FAINTEST) * 0.5 - FAINTEST
+    made = (wanted + FAINTEST_WAVE) * 0.5 - FAINTEST_WAVE
     torch.testing.assert_close(softness(made, wanted), torch.full((2,), math.log(2), dtype=torch.float64))
     torch.testing.assert_close(softness(wanted, wanted), torch.zeros(2, dtype=torch.float64))
 

@@ -17,10 +17,10 @@ from torch.nn.functional import conv2d, max_pool2d
 
 from metapp.appearance import features, precision
 from metapp.appearance.features import (
-    BLOCKS,
-    DEVIATION,
-    MEAN,
-    RANDOM,
+    IMAGENET_DEVIATION,
+    IMAGENET_MEAN,
+    RANDOM_FILTERS,
+    VGG_BLOCKS,
     amplitudes,
     channels_of,
     describe_features,
@@ -139,7 +139,7 @@ def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
 def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> None:
     image = rand(2, 3, 16, 16).float()
     first = load_features(TAPS, image)(image)
-    assert [tuple(each.shape) for each in first] == [(2, RANDOM, size, size) for size in (16, 8, 4, 2)]
+    assert [tuple(each.shape) for each in first] == [(2, RANDOM_FILTERS, size, size) for size in (16, 8, 4, 2)]
     torch.manual_seed(99)
     features._load.cache_clear()
     again = load_features(TAPS, image)(image)
@@ -155,7 +155,7 @@ def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> 
 def made_up() -> dict[str, Tensor]:
     """Random weights of a network's shapes, about as large as keeps the size of what passes through."""
     rng, weights, inputs = Generator().manual_seed(5), {}, 3
-    for layer, outputs in enumerate(itertools.chain(*BLOCKS)):
+    for layer, outputs in enumerate(itertools.chain(*VGG_BLOCKS)):
         scale = math.sqrt(2 / (9 * inputs))
         weights[f"conv{layer}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * scale
         weights[f"conv{layer}.bias"] = torch.randn(outputs, generator=rng) * 0.1
@@ -173,7 +173,7 @@ def vgg16(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def by_hand(weights: dict[str, Tensor], images: Tensor) -> dict[str, Tensor]:
     """All layers of VGG-16, as its paper lists them: 3x3 convolutions, maximum of 2x2 after each block."""
-    mean, deviation = (torch.tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
+    mean, deviation = (torch.tensor(each)[:, None, None] for each in (IMAGENET_MEAN, IMAGENET_DEVIATION))
     x, found, layer = (images - mean) / deviation, {}, 0
     for block, depth in enumerate((2, 2, 3, 3, 3), 1):
         if block > 1:
@@ -277,7 +277,7 @@ def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path, monkeypat
         save_file({"w": torch.ones(3)}, path, notes)
         os.utime(path, (time, time))
         assert describe_features() == f"VGG-16 features (unknown weights {digest[:8]})"
-    monkeypatch.setattr(features, "KNOWN", (digest[:8],))  # the very weights, wherever they came from
+    monkeypatch.setattr(features, "IMAGENET_DIGESTS", (digest[:8],))  # the very weights, wherever they came from
     os.utime(path, (9, 9))
     assert describe_features() == "VGG-16 features (ImageNet)"
 
@@ -295,7 +295,7 @@ def test_the_weights_of_the_shipped_checkpoints_are_known(vgg: Path) -> None:
 def test_weights_of_another_network_are_refused(
     damage: dict[str, Tensor | None], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(features, "BLOCKS", ((2, 2), (3,)))
+    monkeypatch.setattr(features, "VGG_BLOCKS", ((2, 2), (3,)))
     weights = {
         f"conv{i}.{part}": torch.zeros(shape)
         for i, outputs, inputs in ((0, 2, 3), (1, 2, 2), (2, 3, 2))

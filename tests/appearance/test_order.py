@@ -62,7 +62,7 @@ def test_pictures_without_order_have_none() -> None:
     for blurred in (0, 3, 9):
         noise = torch.rand(3, SIZE, SIZE, generator=generator)
         noise = torch.nn.functional.avg_pool2d(noise, 2 * blurred + 1, 1, blurred, count_include_pad=False)
-        assert order.lattice_of(noise).score < order.ORDERED
+        assert order.lattice_of(noise).score < order.LEAST_SCORE
     assert order.lattice_of(torch.full((3, SIZE, SIZE), 0.4)).score < 0
 
 
@@ -113,4 +113,4 @@ def test_a_slope_without_peaks_leads_no_lattice_vector_to_shift_zero() -> None:
     y, x = torch.meshgrid(torch.arange(-SIZE, SIZE), torch.arange(-SIZE, SIZE), indexing="ij")
     cone = torch.exp(-(y * y + x * x).double().sqrt() / 100)
     vector = order._refined(cone, 0, 8)
-    assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.MOVED
+    assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.SHIFT_PX

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.detail import FAINTEST, detail
+from metapp.appearance.detail import FAINTEST_WAVE, detail
 from metapp.apps import app_of, recipes_of
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import stack
@@ -100,7 +100,7 @@ def test_softness_counts_at_the_finest_octave_and_by_each_exemplar(app: Exemplar
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
     torch.testing.assert_close(app.softness(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
-    ratio = (detail(exemplars) + FAINTEST) / (detail(exemplars) / 2 + FAINTEST)
+    ratio = (detail(exemplars) + FAINTEST_WAVE) / (detail(exemplars) / 2 + FAINTEST_WAVE)
     torch.testing.assert_close(app.softness(half[:, None], batch), SOFTNESS * ratio.log().mean((1, 2)))
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
     assert (app.softness(mixed, batch) > 0.05).tolist() == [False, True, False]

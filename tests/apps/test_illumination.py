@@ -10,7 +10,7 @@ from metapp.appearance.latlong import cosine_transfer, directions, mean_luminanc
 from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, body_of
 from metapp.apps.illumination.encoder import unwrapped
-from metapp.apps.illumination.mirror import LOST
+from metapp.apps.illumination.mirror import LOST_LIGHT
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -169,7 +169,7 @@ def test_what_clips_in_a_mirror_is_as_bright_or_brighter(monkeypatch: pytest.Mon
     monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: target.clamp(max=1.0).log())
     assert app.loss(theta, batch, {}).min() > 0.01
     made = app.answer(theta, tasks.data)[0, 0]
-    torch.testing.assert_close(made[4, 8] / made[4, 6], LOST * 2 / light[0, 0, 0])  # what is lost usually
+    torch.testing.assert_close(made[4, 8] / made[4, 6], LOST_LIGHT * 2 / light[0, 0, 0])  # what is lost usually
 
 
 # Made-up tasks

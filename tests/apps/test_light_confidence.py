@@ -17,9 +17,9 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import (
     COLUMNS,
     ROWS,
-    STRIPE,
-    SURE,
-    UNSURE,
+    STRIPE_RGB,
+    SURE_LOG,
+    UNSURE_LOG,
     Weibull,
     _area,
     _centred,
@@ -109,7 +109,7 @@ def test_the_less_sure_the_wider_the_stripes() -> None:
     gray = torch.full((3, 40, 80), 0.5)
     none, *shares = [
         float((hatched(gray, even(middle / math.log(2))) != 0.5).any(0).float().mean())
-        for middle in (SURE, 0.2, 0.4, UNSURE, 9.0)
+        for middle in (SURE_LOG, 0.2, 0.4, UNSURE_LOG, 9.0)
     ]
     assert none == 0
     assert 0 < shares[0] < shares[1] < shares[2] == shares[3] < 0.9
@@ -120,7 +120,7 @@ def test_the_less_sure_the_wider_the_stripes() -> None:
 def test_stripes_are_where_a_map_is_not_sure() -> None:
     z = directions(ROWS, COLUMNS)[2]
     shown = hatched(torch.full((3, 256, 512), 0.5), Weibull((z < 0)[None] * 2.0 + 1e-3, torch.ones(1, ROWS, COLUMNS)))
-    striped = (shown - torch.tensor(STRIPE)[:, None, None]).abs().amax(0) < 0.2
+    striped = (shown - torch.tensor(STRIPE_RGB)[:, None, None]).abs().amax(0) < 0.2
     assert not striped[:, 160:352].any()  # the middle is the front
     assert striped[:, :96].any()
 

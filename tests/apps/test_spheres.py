@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from metapp.appearance.latlong import sphere_normals
 from metapp.appearance.metrics import rgb_angle, si_rmse
 from metapp.appearance.reflection import fresnel_schlick
-from metapp.apps.illumination.spheres import GAMMA, METAL, MIDDLE, SIZE, SPHERES, sphere_errors, toned
+from metapp.apps.illumination.spheres import GAMMA, MEDIAN, METAL, SPHERE_PX, SPHERES, sphere_errors, toned
 
 KEYS = {f"{name}_{kind}" for name in SPHERES for kind in ("rmse", "angle")}
 WARM = torch.tensor([1.0, 0.6, 0.3])
@@ -62,9 +62,9 @@ def test_errors_of_even_light_of_another_colour() -> None:
     even = torch.ones(1, 3, 16, 32)
     errors = sphere_errors(WARM[:, None, None] * even, even)
     known = math.radians(degrees(WARM ** (1 / GAMMA), torch.ones(3)))
-    normals, mask = sphere_normals(SIZE)
+    normals, mask = sphere_normals(SPHERE_PX)
     # of gray of 0.5 what is across the colour of the estimate stays, whatever that is scaled by
-    across = math.sqrt(3) * MIDDLE * math.sin(known)
+    across = math.sqrt(3) * MEDIAN * math.sin(known)
     reflectance = fresnel_schlick(normals[2], METAL)[mask].square().mean().sqrt()
     torch.testing.assert_close(errors["mirror_rmse"], (across * reflectance)[None], rtol=1e-4, atol=0)
     torch.testing.assert_close(errors["silver_rmse"], (across * reflectance)[None], rtol=1e-4, atol=0)
@@ -90,7 +90,7 @@ def test_the_median_of_what_is_lit_is_brought_to_the_middle() -> None:
     maps[:, :, :10] = 0
     values = toned(maps)
     for each in values:
-        torch.testing.assert_close(each[each > 0].median(), torch.tensor(MIDDLE), rtol=1e-2, atol=0)
+        torch.testing.assert_close(each[each > 0].median(), torch.tensor(MEDIAN), rtol=1e-2, atol=0)
     torch.testing.assert_close(values[0] ** GAMMA / values[0, 0, 12, 3] ** GAMMA, maps[0] / maps[0, 0, 12, 3])
 
 

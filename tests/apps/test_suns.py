@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.suns import COUNT, WIDEST, joined, parted, suns_of, with_suns
+from metapp.apps.illumination.suns import SUNS, WIDEST_RAD, joined, parted, suns_of, with_suns
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
@@ -74,7 +74,7 @@ def _without_light() -> Tensor:
 
 
 def test_wide_and_dim_lights_are_the_networks() -> None:
-    assert not suns_of(sky((towards(0, 1, 1), 0.9, 1.5 * WIDEST))[None]).any()
+    assert not suns_of(sky((towards(0, 1, 1), 0.9, 1.5 * WIDEST_RAD))[None]).any()
     assert not suns_of(sky((towards(0, 1, 1), 0.01, 0.05))[None]).any()
     light = sky()[None]
     torch.testing.assert_close(with_suns(light, suns_of(light)), light)
@@ -84,7 +84,7 @@ def test_there_are_as_many_as_count_the_brightest() -> None:
     corners = [towards(x, 0.4, z) for x, z in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
     shares = [0.1, 0.25, 0.15, 0.2]
     (found,) = suns_of(sky(*((at, share, 0.02) for at, share in zip(corners, shares, strict=True)))[None])
-    assert COUNT == 3
+    assert SUNS == 3
     for sun, at in zip(found, (corners[1], corners[3], corners[2]), strict=True):
         assert float(sun[:3] @ at) > 0.999
 

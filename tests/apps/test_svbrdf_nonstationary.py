@@ -268,7 +268,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     whole = decoded(field(theta, inputs_of(photo)))
     one = Maps(*(part[0] for part in whole))
     pictures = map_pictures(one)
-    monkeypatch.setattr(fields, "TEXELS", 150 * 64)
+    monkeypatch.setattr(fields, "STRIP_TEXELS", 150 * 64)
     for found, wanted in zip(app.fine_maps(theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found.pixels, pictures[name].pixels) for name, found in map_pictures(one).items())

@@ -14,7 +14,7 @@ from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.learning.app import stack
 from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import JUDGED
+from metapp.networks.exemplar import JUDGED_PICTURES
 from metapp.networks.generators import UNet
 
 SIZE, LEVELS = 32, 3
@@ -65,7 +65,7 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
     theta = app.init(seeded(), 4)
     errors = app.errors(theta, tasks)["error"]
     alone = {key: value[2:3] for key, value in theta.items()}
-    noise = app.noise(seeded(), 1, JUDGED)
+    noise = app.noise(seeded(), 1, JUDGED_PICTURES)
     batch = app.sample(tasks.select([2]), seeded(5), 1) | {"noise": noise}
     torch.testing.assert_close(app.loss(alone, batch, {}), errors[2:3])
 

@@ -78,7 +78,7 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
 
 
 @pytest.mark.long

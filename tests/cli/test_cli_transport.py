@@ -33,7 +33,7 @@ SPP_OF_TABLES = images.REFERENCE_SPP
 def box() -> Task:
     """A Cornell box of few samples."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(path_space, "BATCH", 2**16)  # of 2**19 paths, for samples by the ten thousand
+        patch.setattr(path_space, "BATCH_PATHS", 2**16)  # of 2**19 paths, for samples by the ten thousand
         return transport_task("box", random_scene(0), 0, samples=2048, held=512)
 
 
@@ -47,8 +47,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
     app = Transport(Flow(code=3, hidden=8, bins=4))
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, app=app))
-    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN", 4)
-    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE", 1)
+    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN_SPP", 4)
+    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE_SPP", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
@@ -82,7 +82,7 @@ def test_pictures_with_nee_come_in_waves(box: Task, monkeypatch: pytest.MonkeyPa
     studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8)
     whole = studio.path(4096).picture
     assert torch.equal(whole, studio.path(4096).picture)
-    monkeypatch.setattr(images, "WAVE", 1500 * 8 * 8)
+    monkeypatch.setattr(images, "WAVE_PATHS", 1500 * 8 * 8)
     asked, by = [], studio._by
 
     def noted(integrator: str, spp: int, seed: int) -> images.Shot:
@@ -126,7 +126,7 @@ def test_a_reference_knows_its_own_error(box: Task, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.long
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH", 2**15)
+    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**15)
     monkeypatch.setattr(reading.read_task, "__defaults__", (512, 128, 4, ()))
     box = {key: value for key, value in random_scene(0).items() if key != "light"}
     box["bulb"] = {"type": "point", "position": [0.0, 0.7, 0.0]}

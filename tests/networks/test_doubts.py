@@ -9,7 +9,16 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps
-from metapp.networks.doubts import BLOBS, CLIPPED, KEPT, NOISE, of_blobs, of_highlight, of_order, uneven
+from metapp.networks.doubts import (
+    BLOB_CONTRAST,
+    CLIPPED_SHARE,
+    EVEN_CONTRAST,
+    LEAST_ORDER,
+    of_blobs,
+    of_highlight,
+    of_order,
+    uneven,
+)
 from metapp.registry import registry
 
 SIZE = 128
@@ -44,14 +53,14 @@ def test_what_loses_regular_structure_is_told_how_much_and_what_copies_it(app: s
         clause,
     )
     assert kept
-    assert 0 <= float(kept[1]) < KEPT
+    assert 0 <= float(kept[1]) < LEAST_ORDER
     assert kept[2] in registry().baselines.of(app)
 
 
 # Highlights
 
 
-@pytest.mark.parametrize(("share", "clauses"), [(0.0, 0), (0.9 * CLIPPED, 0), (1.2 * CLIPPED, 1), (0.3, 1)])
+@pytest.mark.parametrize(("share", "clauses"), [(0.0, 0), (0.9 * CLIPPED_SHARE, 0), (1.2 * CLIPPED_SHARE, 1), (0.3, 1)])
 def test_highlights_are_doubted_where_enough_of_the_photo_is_clipped(share: float, clauses: int) -> None:
     photo = torch.full((3, 100, 100), 200, dtype=torch.uint8)
     photo.flatten(1)[:, : round(share * 100 * 100)] = 255
@@ -94,12 +103,12 @@ def test_a_blob_in_a_map_is_named(name: str) -> None:
     (clause,) = of_blobs(photo, blob)
     assert re.fullmatch(rf"blobs in {name} that the photo does not show, \d+\.\d times its contrast", clause)
     shown = photo + bump(0.4)
-    assert uneven(shown) > uneven(photo) + NOISE
+    assert uneven(shown) > uneven(photo) + EVEN_CONTRAST
     assert of_blobs(shown, blob) == []  # as the photo shows one
 
 
 def test_a_slow_change_and_grain_are_no_blobs() -> None:
     photo, maps = 0.5 + noise(6), flat(0.5 + noise(6))
     slope = torch.linspace(-0.1, 0.1, SIZE).expand(1, SIZE, SIZE)
-    assert uneven(slope) < BLOBS * NOISE
+    assert uneven(slope) < BLOB_CONTRAST * EVEN_CONTRAST
     assert of_blobs(photo, maps._replace(roughness=maps.roughness + slope + noise(7, 0.1)[:1])) == []

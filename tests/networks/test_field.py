@@ -36,7 +36,7 @@ def test_a_large_field_is_made_by_rows(rng: Generator, monkeypatch: pytest.Monke
     field = FIELD._replace(height=21, width=16)
     theta, seen = double(field.init(rng, 2)), places(2, field).double()
     whole = field(theta, seen)
-    monkeypatch.setattr(fields, "TEXELS", 5 * 16)
+    monkeypatch.setattr(fields, "STRIP_TEXELS", 5 * 16)
     rows = list(fields.field_by_rows(field, theta, seen))
     assert [part.shape[-2] for part in rows] == [5, 5, 5, 5, 1]
     torch.testing.assert_close(torch.cat(rows, -2), whole)

@@ -146,7 +146,7 @@ def test_large_pictures_are_made_by_rows(theta: Params, monkeypatch: pytest.Monk
     noise = torch.randn(3, 2, 2, 40, 24, generator=rng, dtype=torch.float64)
     with torch.no_grad():
         whole = PYRAMID(theta, noise)
-        monkeypatch.setattr(layers, "ROWS", 16)  # of levels of 40 and of 20 rows
+        monkeypatch.setattr(layers, "STRIP_ROWS", 16)  # of levels of 40 and of 20 rows
         torch.testing.assert_close(PYRAMID(theta, noise), whole)
 
 

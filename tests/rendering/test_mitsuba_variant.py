@@ -11,7 +11,14 @@ from pathlib import Path
 import pytest
 
 from metapp.rendering import variant as mitsuba_variant
-from metapp.rendering.variant import KERNELS, OLDEST, VARIABLE, choose_kernels, find_llvm, llvm_version
+from metapp.rendering.variant import (
+    KERNELS_VARIABLE,
+    LLVM_VARIABLE,
+    OLDEST_LLVM,
+    choose_kernels,
+    find_llvm,
+    llvm_version,
+)
 from tests.needs_mitsuba import needs_mitsuba
 
 SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").glob(f"{place[1:]}/libLLVM[-.]*"))
@@ -20,7 +27,7 @@ SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").
 @pytest.fixture
 def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The library folder of an environment, where nothing else is in reach."""
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(LLVM_VARIABLE, raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(mitsuba_variant, "_PLACES", ())
     (tmp_path / "lib" / "llvm").mkdir(parents=True)
@@ -60,7 +67,7 @@ def test_the_users_choice_comes_first_then_the_environments(environment: Path, m
     make(environment / "libLLVM-20.so")
     assert find_llvm() == own
     chosen = make(environment.parent / "libLLVM-22.so")
-    monkeypatch.setenv(VARIABLE, str(chosen))
+    monkeypatch.setenv(LLVM_VARIABLE, str(chosen))
     assert find_llvm() == chosen
 
 
@@ -70,7 +77,7 @@ def test_old_libraries_are_passed_over_and_the_message_says_what_to_install(
     with pytest.raises(ValueError, match=r"found none, expected 19 or newer.*apt-get install libllvm19"):
         find_llvm()
     make(environment / "libLLVM-15.so.1")
-    monkeypatch.setenv(VARIABLE, str(make(environment / "libLLVM-18.so")))
+    monkeypatch.setenv(LLVM_VARIABLE, str(make(environment / "libLLVM-18.so")))
     with pytest.raises(ValueError, match=r"version 15.*expected 19 or newer.*apt-get install libllvm19") as caught:
         find_llvm()
     assert "\n" not in str(caught.value)
@@ -90,17 +97,17 @@ def printed(lines: str, *arguments: str, **environment: str) -> str:
 
 @pytest.mark.long
 def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> None:
-    old = [path for path in SYSTEM if 15 <= (llvm_version(path) or 0) < OLDEST]
+    old = [path for path in SYSTEM if 15 <= (llvm_version(path) or 0) < OLDEST_LLVM]
     try:
         fit = find_llvm()
     except ValueError as error:
         pytest.skip(str(error))
     if not old:
         pytest.skip("no old libLLVM here")
-    lines = "import mitsuba\nfrom metapp.rendering.variant import *\nimport os\ndel os.environ[VARIABLE]\n"
-    lines += f"os.environ[VARIABLE] = {str(fit)!r}\n"
+    lines = "import mitsuba\nfrom metapp.rendering.variant import *\nimport os\ndel os.environ[LLVM_VARIABLE]\n"
+    lines += f"os.environ[LLVM_VARIABLE] = {str(fit)!r}\n"
     lines += "try:\n    load_mitsuba()\nexcept ValueError as error:\n    print(error)"
-    assert "imported before with libLLVM" in printed(lines, **{VARIABLE: str(old[0])})
+    assert "imported before with libLLVM" in printed(lines, **{LLVM_VARIABLE: str(old[0])})
 
 
 @pytest.mark.long
@@ -115,15 +122,15 @@ def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Pat
 def test_kernels_of_others_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / ".drjit"
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv(KERNELS, "")
+    monkeypatch.setenv(KERNELS_VARIABLE, "")
     choose_kernels()
-    assert os.environ[KERNELS] == str(folder)
+    assert os.environ[KERNELS_VARIABLE] == str(folder)
     shared = tmp_path / "shared"
     shared.mkdir()
     (shared / "kernel.bin").touch()
     shared.chmod(0o777)
-    monkeypatch.setenv(KERNELS, str(shared))
-    with pytest.warns(UserWarning, match=rf"shared: .* open to others, .* {KERNELS} name another place\.$"):
+    monkeypatch.setenv(KERNELS_VARIABLE, str(shared))
+    with pytest.warns(UserWarning, match=rf"shared: .* open to others, .* {KERNELS_VARIABLE} name another place\.$"):
         choose_kernels()
-    assert not any(Path(os.environ[KERNELS]).glob("*.bin"))
-    assert stat.S_IMODE(Path(os.environ[KERNELS]).stat().st_mode) == 0o700
+    assert not any(Path(os.environ[KERNELS_VARIABLE]).glob("*.bin"))
+    assert stat.S_IMODE(Path(os.environ[KERNELS_VARIABLE]).stat().st_mode) == 0o700

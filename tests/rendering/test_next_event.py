@@ -48,7 +48,7 @@ class _Steep:
 
 
 def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH", 2**16)
+    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
     points, image = resampled(_Steep(), 20_000, Generator().manual_seed(0))  # type: ignore[arg-type]
     # of a density 3 x^2 the cumulative distribution is x^3; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
@@ -59,7 +59,7 @@ def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytes
 @pytest.mark.long
 @needs_mitsuba
 def test_samples_are_resampled_where_and_only_where_few_paths_meet_a_light(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH", 2**16)
+    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
     plain, small = Tracer(random_scene(0)), Tracer(small_lamp(0, 12))
     expected = path_samples(plain, 500, Generator().manual_seed(3))
     found = draw_samples(plain, 500, Generator().manual_seed(3))

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.rendering.paths import path_space
-from metapp.rendering.paths.path_space import IMAGE, Guide, Tracer, path_samples, reference, render
+from metapp.rendering.paths.path_space import IMAGE_PX, Guide, Tracer, path_samples, reference, render
 from metapp.rendering.scenes.loading import brightness, load_scene
 from metapp.rendering.scenes.rules import box_film, scene_bytes, scene_of
 from tests.marked import long
@@ -124,12 +124,12 @@ class _Sloped:
 
 @pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
 def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH", 1000)
+    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 1000)
     points, image = path_samples(_Sloped(brightest), 100_000, seeded())  # type: ignore[arg-type]
     # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
     assert float((place**2 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
-    assert image.shape == (3, IMAGE, IMAGE)
+    assert image.shape == (3, IMAGE_PX, IMAGE_PX)
     assert float(image.mean()) == pytest.approx(1, abs=0.02)
 
 

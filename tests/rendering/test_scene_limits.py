@@ -11,7 +11,16 @@ import pytest
 import torch
 
 from metapp.rendering.scenes import plugins, rules
-from metapp.rendering.scenes.rules import BYTES, DEPTH, TEXT, CheckedDict, Files, box_film, scene_bytes, scene_of
+from metapp.rendering.scenes.rules import (
+    MOST_CHARACTERS,
+    MOST_NESTED,
+    TEXT_BYTES,
+    CheckedDict,
+    Files,
+    box_film,
+    scene_bytes,
+    scene_of,
+)
 from tests.needs_mitsuba import needs_mitsuba
 
 
@@ -34,7 +43,7 @@ def diffuse(reflectance: Any) -> dict[str, Any]:
 PAIRS = [[400, 0.1], [700, 0.2]]
 GOOD: tuple[dict[str, Any], ...] = (
     *({key: {"type": "sphere"}} for key in ("a" * 255, "b", "with blanks")),
-    {"id": "n" * 256}, {"below": nested(DEPTH - 1)}, {"note": "x" * TEXT}, {"other": "unobtainium"},
+    {"id": "n" * 256}, {"below": nested(MOST_NESTED - 1)}, {"note": "x" * MOST_CHARACTERS}, {"other": "unobtainium"},
     *({"material": name} for name in ("Au", "none")),
     *({"value": value} for value in (0, -1, 2**63 - 1, 1 - 2**63, 1.5, -1e308, True, [1, 2, 3],
                                      [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[1.0] * 4] * 4)),
@@ -45,9 +54,9 @@ BAD: dict[str, tuple[dict[str, Any], ...]] = {
     "expected 1 to 255 characters, none of them a point":
         tuple({key: {"type": "sphere"}} for key in ("a" * 256, "", "a.b", "a\nb")),
     "expected up to 256 printable characters": ({"id": "n" * 257}, {"id": "a\tb"}),
-    f"{DEPTH} deep, expected fewer": ({"below": nested(DEPTH)},),
+    f"{MOST_NESTED} deep, expected fewer": ({"below": nested(MOST_NESTED)},),
     "expected plain text, no path":
-        tuple({"note": text} for text in ("x" * (TEXT + 1), "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b")),
+        tuple({"note": text} for text in ("x" * (MOST_CHARACTERS + 1), "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b")),
     "names the file 'x.png', expected none": ({"filename": "x.png"}, {"normal_filename": "x.png"}),
     "expected one of Mitsuba's own": ({"material": "unobtainium"},),
     "expected a finite number, text, true, false, three":
@@ -84,7 +93,7 @@ def test_what_is_beyond_a_limit_is_refused(message: str) -> None:
 
 @needs_mitsuba
 def test_the_number_of_values_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "PARTS", 10)
+    monkeypatch.setattr(rules, "MOST_VALUES", 10)
     assert len(checked(**{f"v{i}": i for i in range(9)})) == 10  # and its type
     for parts in ({f"v{i}": i for i in range(10)}, {f"s{i}": {"type": "sphere", "radius": 1.0} for i in range(4)}):
         with pytest.raises(ValueError, match="more than 10 values"):
@@ -92,10 +101,10 @@ def test_the_number_of_values_is_limited(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_scene_is_what_its_text_says() -> None:
-    for scene in (box_film(7, 5), {"name": "ö" * BYTES}):
+    for scene in (box_film(7, 5), {"name": "ö" * TEXT_BYTES}):
         text = scene_bytes(scene)
-        assert len(text) % BYTES == 0
-        assert len(text) - BYTES < len(json.dumps(scene)) <= len(text)
+        assert len(text) % TEXT_BYTES == 0
+        assert len(text) - TEXT_BYTES < len(json.dumps(scene)) <= len(text)
         assert scene_of(text) == scene
     for raw in (b"{", b"[" * 100_000, b"\xff"):
         with pytest.raises(ValueError, match=r"a stored scene is no JSON .*; make the data anew"):

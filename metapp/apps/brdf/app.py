@@ -26,11 +26,11 @@ from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted, Visible
 from metapp.learning.task import Batch, Linear, Params, Task, Tasks, TensorSpec
 
-CONDITION = 1024  # samples that General's encoder reads
+CONDITION_SAMPLES = 1024  # samples that General's encoder reads
 DOTS = 1024  # samples that are drawn in pictures, at most
-SIDE, DOT = 96, 3  # px, of a picture of samples and of a sample
-EXCESSIVE = 1.01  # the share of light that a fit may be said to reflect without a note
-SPARSE = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
+SIDE_PX, DOT_PX = 96, 3  # of a picture of samples and of a sample
+EXCESSIVE_ALBEDO = 1.01  # the share of light that a fit may be said to reflect without a note
+SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Brdf(App):
         return parameters if self.linear_parameter else parameters | {"weights": torch.zeros(steps, KNOTS)}
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return self.sample(tasks, rng, CONDITION)
+        return self.sample(tasks, rng, CONDITION_SAMPLES)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, with samples as the network learns from them."""
@@ -150,7 +150,7 @@ class Brdf(App):
             here = {key: value.cpu() for key, value in theta.items()}
             shares = albedo(functools.partial(self.reflectance, here)).amax(1)
             remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
-            if (most := float(shares.amax())) > EXCESSIVE:
+            if (most := float(shares.amax())) > EXCESSIVE_ALBEDO:
                 angle = math.degrees(INCIDENT_RAD[shares.argmax()])
                 notes.append(f"reflects {most:.2f} of the light from {angle:.0f} degrees; --conserve limits it")
         return remarks | ({"note": "; ".join(notes)} if notes else {})
@@ -170,7 +170,7 @@ class Brdf(App):
         """
         self.require_isotropic(task.name, "the NBRDF network")
         angles = task.data["angles"]
-        if len(angles) <= SPARSE:
+        if len(angles) <= SPARSE_SAMPLES:
             angles = spread_angles(SAMPLES)
         return task._replace(data=task.data | {"angles": angles, "reflectance": self.reflectance(theta, angles)})
 
@@ -220,7 +220,7 @@ class Brdf(App):
     def visible(self, task: Task) -> Visible:
         """The first half of the samples, three angles and a colour each."""
         angles, reflectance = task.data["angles"], task.data["reflectance"]
-        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION)
+        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION_SAMPLES)
 
 
 def _dots(angles: Tensor, reflectance: Tensor) -> Tensor:
@@ -231,13 +231,14 @@ def _dots(angles: Tensor, reflectance: Tensor) -> Tensor:
         reflectance: linear RGB [N, 3] in 1/sr.
 
     Returns:
-        [SIDE, SIDE, 4], pi f as linear RGB on black, and coverage.
+        [SIDE_PX, SIDE_PX, 4], pi f as linear RGB on black, and coverage.
     """
-    picture = reflectance.new_zeros(SIDE, SIDE, 4)
+    picture = reflectance.new_zeros(SIDE_PX, SIDE_PX, 4)
     shares = angles[:, :2] / (math.pi / 2)
-    x, y = ((SIDE - DOT) * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, SIDE - DOT)
+    last = SIDE_PX - DOT_PX
+    x, y = (last * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, last)
     colour = torch.cat([math.pi * reflectance, torch.ones_like(reflectance[:, :1])], 1)
-    for row, column in itertools.product(range(DOT), repeat=2):
+    for row, column in itertools.product(range(DOT_PX), repeat=2):
         picture[y + row, x + column] = colour
     return picture
 

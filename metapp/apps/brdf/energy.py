@@ -18,7 +18,7 @@ from metapp.learning.recipe import Recipe
 INCIDENT_RAD = torch.linspace(0, math.radians(85), 16, dtype=torch.float64)
 POLAR, AZIMUTHS = 48, 24  # nodes of half vectors, in theta_h and in half a circle about the normal
 CROWDED = 3  # the power that crowds theta_h around 0, where lobes are
-MOST = 0.995  # the share that fits which reflect more than all are brought to
+MOST_ALBEDO = 0.995  # the share that fits which reflect more than all are brought to
 ROUNDS, DIMMER = 10, 0.99  # least squares, at most; then log(1 + f) times this, until it suffices
 PENALTY = 1e-9  # of the mean of the Gram matrix's diagonal
 
@@ -85,7 +85,7 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
     for _ in range(ROUNDS):
         if (share := shares()).amax() <= 1:
             break
-        excess = torch.where(share > 1, share / MOST, 1.0)
+        excess = torch.where(share > 1, share / MOST_ALBEDO, 1.0)
         limited = limited / torch.as_tensor(np.interp(both_rad, INCIDENT_RAD, excess)).amax(0)
         # of log(1 + f cos theta), which fits are judged by, in log(1 + f)
         slope = cosine * (1 + limited) / (1 + limited * cosine)

@@ -28,18 +28,18 @@ from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.rendering.second_scene import relighting
 
-DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
-DIM = 0.02  # the same for what surfaces send out
+RADIANCE_FLOOR = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
+SENT_FLOOR = 0.02  # the same for what surfaces send out
 # weights in the outer loss, beside what faces the light: of texels, what mirrors, the log of both, the photograph
 TEXELS, MIRRORING, LOGS, SEEN = 0.3, 0.3, 0.2, 0.3
 LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
 BODY = 10  # numbers of a sphere's material and a camera
 BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
 GLOSSES = (0.25, 0.42, 0.7)
-LARGEST = 1024  # rows of a map
-READ = 64  # rows of a map that every size can be made of, but for finer ones
-SMALL = 32  # px of the photograph in the loss
-MIRRORS = 1 / 3  # of the photographs of training tasks
+LARGEST_ROWS = 1024  # of a map
+READ_ROWS = 64  # of a map that every size can be made of, but for finer ones
+LOSS_PX = 32  # side of the photograph in the loss
+MIRROR_SHARE = 1 / 3  # of the photographs of training tasks
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Illumination(CodedApp):
 
     @property
     def read_size(self) -> int:
-        return self.network.height if self.network.height > READ else 0
+        return self.network.height if self.network.height > READ_ROWS else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.
@@ -165,7 +165,7 @@ class Illumination(CodedApp):
     def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
         """Differences of what surfaces send out from the target, and of its log, [T, 3, S] each."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
-        return norm(sent - target, learned), norm((sent + DIM).log() - (target + DIM).log(), learned)
+        return norm(sent - target, learned), norm((sent + SENT_FLOOR).log() - (target + SENT_FLOOR).log(), learned)
 
     def _map_loss(self, maps: Tensor, batch: Batch, learned: Params, light: Tensor | float) -> Tensor:
         """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
@@ -180,8 +180,8 @@ class Illumination(CodedApp):
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
         side = batch["photo"].shape[-1]
-        target = avg_pool2d(batch["photo"].to(maps) / 255, side // SMALL)
-        short = target - self.ball(theta, maps, SMALL)
+        target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PX)
+        short = target - self.ball(theta, maps, LOSS_PX)
         short = torch.where(target > 0.98, relu(short), short)
         return norm(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
 
@@ -204,7 +204,7 @@ class Illumination(CodedApp):
         photos, mirrored = photograph(maps, rng, size), dict[str, Tensor]()
         if self.protocol == "photo":
             balls, mirrored = photographed(maps, rng, size)
-            mirrors = (uniform(rng, len(maps)) < MIRRORS)[:, None, None, None]
+            mirrors = (uniform(rng, len(maps)) < MIRROR_SHARE)[:, None, None, None]
             photos, mirrored["certain"] = torch.where(mirrors, balls, photos), mirrored["certain"] * mirrors
         return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | mirrored | self.described(maps))
 
@@ -252,8 +252,8 @@ class Illumination(CodedApp):
         }
 
     def size_refusal(self, height: int, width: int) -> str:
-        fits = 2 * height == width and 16 <= height <= LARGEST
-        return "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST}x{2 * LARGEST}"
+        fits = 2 * height == width and 16 <= height <= LARGEST_ROWS
+        return "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST_ROWS}x{2 * LARGEST_ROWS}"
 
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -342,7 +342,8 @@ def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float
     """
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
     weights = weights * (1 + light * target.mean(1, keepdim=True))
-    return (norm((maps + DARK).log() - (target + DARK).log(), learned) * weights).sum((2, 3)).mean(1)
+    off = norm((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), learned)
+    return (off * weights).sum((2, 3)).mean(1)
 
 
 def body_of(body: Tensor) -> tuple[Material, Camera]:
@@ -353,6 +354,6 @@ def body_of(body: Tensor) -> tuple[Material, Camera]:
 
 @functools.lru_cache(maxsize=4)
 def _inside(side: int, device: torch.device) -> Tensor:
-    """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
-    inner = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+    """Where, row by row, the pixels are of LOSS_PX px a side of a photograph that show nothing but the sphere."""
+    inner = avg_pool2d(sphere_normals(side)[1].float()[None], side // LOSS_PX)[0] > 0.999
     return inner.flatten().nonzero()[:, 0].to(device)

@@ -20,16 +20,16 @@ from torch.nn.functional import avg_pool2d, interpolate, pad, softplus
 
 from metapp.appearance.latlong import directions, luminance, resample, solid_angles, sphere_normals
 from metapp.apps.illumination.encoder import unwrapped
-from metapp.apps.illumination.mirror import CLIPPED, DARK
+from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR
 from metapp.learning.task import Batch, Params
 from metapp.networks.layers import dense
 from metapp.storage.files import read_tensors
 
 ROWS, COLUMNS = 16, 32
 HIDDEN = (24, 16)
-LIMIT = 3.0  # standard deviations of a feature: nothing is extrapolated far beyond what was trained on
-FLATTEST = 0.3  # of the distributions' shapes; 1 is the exponential one
-FRONT = 1 / 3  # cosine to the camera: front, rim and back are a third of all directions each
+LIMIT_DEVIATIONS = 3.0  # standard deviations of a feature: nothing is extrapolated far beyond what was trained on
+LEAST_SHAPE = 0.3  # of the distributions' shapes; 1 is the exponential one
+FRONT_COSINE = 1 / 3  # cosine to the camera: front, rim and back are a third of all directions each
 FEATURES = (
     *("towards", "up"),  # direction, +1 the camera's and the zenith
     *("light", "contrast", "above", "spread"),  # of the fit's log luminance: itself, here, over around, of all
@@ -37,8 +37,8 @@ FEATURES = (
     *("bright", "clipped", "detail", "sharp"),  # of the photograph where it mirrors the direction; detail of all of it
     *("rough", "left"),  # of the fit: its sphere's roughness, and how far the photograph is from it
 )
-SURE, UNSURE = math.log(1.1), math.log(2.0)  # median differences of logs that are not hatched, and that are in full
-PERIOD, STRIPE, PICTURE = 12, (0.90, 0.05, 0.45), 256  # px between stripes, their colour, rows of the picture
+SURE_LOG, UNSURE_LOG = math.log(1.1), math.log(2.0)  # median differences without stripes, and with the widest
+STRIPE_PERIOD_PX, STRIPE_RGB, PICTURE_ROWS = 12, (0.90, 0.05, 0.45), 256
 
 
 class Weibull(NamedTuple):
@@ -93,11 +93,11 @@ def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
 
 def predicted(params: Params, read: Tensor) -> Weibull:
     """The network, of features [..., len(FEATURES)]."""
-    x = ((read - params["mean"]) / params["deviation"]).clamp(-LIMIT, LIMIT)
+    x = ((read - params["mean"]) / params["deviation"]).clamp(-LIMIT_DEVIATIONS, LIMIT_DEVIATIONS)
     for number in range(len(HIDDEN)):
         x = torch.tanh(dense(params, f"layer{number}", x))
     scale, shape = dense(params, f"layer{len(HIDDEN)}", x).unbind(-1)
-    return Weibull((scale - 1).exp(), softplus(shape) + FLATTEST)
+    return Weibull((scale - 1).exp(), softplus(shape) + LEAST_SHAPE)
 
 
 def shipped() -> Path:
@@ -128,7 +128,7 @@ def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:
     middle, z = spread.quantile(0.5), directions(ROWS, COLUMNS)[2].to(spread.scale)
     lost = resample(data["certain"][:, 1:], ROWS, COLUMNS)[:, 0].clamp(0, 1)
     clipping = unwrapped(_views(data["photo"]).to(middle), ROWS, COLUMNS)[:, 1] + 0.5
-    parts = {"front": z > FRONT, "rim": z.abs() <= FRONT, "back": z < -FRONT}
+    parts = {"front": z > FRONT_COSINE, "rim": z.abs() <= FRONT_COSINE, "back": z < -FRONT_COSINE}
     weights = {name: part.to(middle).expand_as(middle) for name, part in parts.items()}
     weights["clipped"] = (torch.maximum(lost, clipping) > 0.5).to(middle)
     factors_of: list[dict[str, float]] = [{} for _ in middle]
@@ -142,29 +142,29 @@ def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:
 
 def doubt(spread: Weibull) -> Tensor:
     """The cover of stripes, [T, ROWS, COLUMNS]: from 0 or less, nothing, to 1 or more, the most."""
-    return (spread.quantile(0.5) - SURE) / (UNSURE - SURE)
+    return (spread.quantile(0.5) - SURE_LOG) / (UNSURE_LOG - SURE_LOG)
 
 
 def hatched(display: Tensor, spread: Weibull) -> Tensor:
     """Display values [3, H, W] of a map with diagonal stripes, the wider the less sure the first fit is of it.
 
     Returns:
-        [3, h, w], of PICTURE rows or more.
+        [3, h, w], of PICTURE_ROWS or more.
     """
-    display = interpolate(display[None], scale_factor=max(1, PICTURE // display.shape[1]), mode="nearest")[0]
+    display = interpolate(display[None], scale_factor=max(1, PICTURE_ROWS // display.shape[1]), mode="nearest")[0]
     around = pad(pad(doubt(spread)[:1, None], (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate")
     times = math.ceil(display.shape[1] / ROWS)
     fine = interpolate(around, scale_factor=times, mode="bilinear")[..., times:-times, times:-times]
     share = interpolate(fine, size=display.shape[1:], mode="bilinear")[0, 0].clamp(0, 1)
     y, x = (torch.arange(size, device=display.device) for size in display.shape[1:])
-    away = ((x + y[:, None]) % PERIOD - PERIOD / 2).abs()  # px from the middle of a stripe
-    stripe = (share * PERIOD / 4 + 0.5 - away).clamp(0, 1) * (share > 0)
-    return torch.lerp(display, display.new_tensor(STRIPE)[:, None, None].expand_as(display), 0.75 * stripe)
+    away = ((x + y[:, None]) % STRIPE_PERIOD_PX - STRIPE_PERIOD_PX / 2).abs()  # px from the middle of a stripe
+    stripe = (share * STRIPE_PERIOD_PX / 4 + 0.5 - away).clamp(0, 1) * (share > 0)
+    return torch.lerp(display, display.new_tensor(STRIPE_RGB)[:, None, None].expand_as(display), 0.75 * stripe)
 
 
 def _logs(maps: Tensor) -> Tensor:
-    """Log luminance of coarse texels, [T, ROWS, COLUMNS]; flat below DARK of maps of mean 1."""
-    return (luminance(resample(maps, ROWS, COLUMNS)) + DARK).log()
+    """Log luminance of coarse texels, [T, ROWS, COLUMNS]; flat below RADIANCE_FLOOR of maps of mean 1."""
+    return (luminance(resample(maps, ROWS, COLUMNS)) + RADIANCE_FLOOR).log()
 
 
 def _centred(logs: Tensor) -> Tensor:
@@ -187,7 +187,7 @@ def _views(photos: Tensor) -> Tensor:
     bright, logs = display.amax(1), (display.mean(1) + 0.02).log()
     steps = (logs[:, 1:, 1:] - logs[:, :-1, 1:]).abs() + (logs[:, 1:, 1:] - logs[:, 1:, :-1]).abs()
     steps = pad(steps, (1, 0, 1, 0)) * sphere_normals(photos.shape[-1], device=photos.device)[1]
-    return torch.stack([bright, (bright > CLIPPED).to(bright), avg_pool2d(steps, 5, 1, 2)], 1)
+    return torch.stack([bright, (bright > CLIPPED_VALUE).to(bright), avg_pool2d(steps, 5, 1, 2)], 1)
 
 
 def _area(like: Tensor) -> Tensor:

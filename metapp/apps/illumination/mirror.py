@@ -20,11 +20,11 @@ from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import norm
 
-DARK = 0.01  # of the mean of what is seen: the log of radiance is flat below
+RADIANCE_FLOOR = 0.01  # of the mean of what is seen: the log of radiance is flat below
 REFLECTANCE = 0.9  # of a mirror
-CLIPPED = 0.98  # display value from which a photograph says no more
-LOST = 2.0  # times the light of the clip at least is there; General tells how much more, best so on validation maps
-ACROSS = 256  # px of a ball in the photographs of training tasks
+CLIPPED_VALUE = 0.98  # display value from which a photograph says no more
+LOST_LIGHT = 2.0  # times the light of the clip is there at least; General tells how much more, best so in validation
+BALL_PX = 256  # of a ball in the photographs of training tasks
 
 
 def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[str, Tensor]]:
@@ -39,13 +39,13 @@ def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[
     balls = REFLECTANCE * mirror(maps, size)
     camera = draw_camera(drawn, balls)
     texels = develop(REFLECTANCE * maps, camera).clamp_max(1)
-    clipped = (texels.amax(1, keepdim=True) >= CLIPPED).to(maps)
+    clipped = (texels.amax(1, keepdim=True) >= CLIPPED_VALUE).to(maps)
     front = in_view(*maps.shape[-2:]).to(maps)
     shares = torch.cat([front * (1 - clipped), front * clipped], 1)
     return develop(balls, camera).clamp_max(1), {"seen": srgb_to_linear(texels), "certain": shares}
 
 
-def in_view(height: int, width: int, across: int = ACROSS) -> Tensor:
+def in_view(height: int, width: int, across: int = BALL_PX) -> Tensor:
     """The share of each texel of a map that can be read off a ball of so many px, [height, width] in [0, 1].
 
     A texel of the angle pi / height is `across / 4 cos(angle / 2)` times as many px deep at an angle to the camera.
@@ -75,7 +75,7 @@ def completed(maps: Tensor, data: Batch) -> Tensor:
     Where it clips, the brighter of both counts, as if some light was lost for certain.
     """
     filled, (sure, clipped) = raised(maps, data), data["certain"].split(1, 1)
-    filled = torch.lerp(filled, torch.maximum(filled, LOST * data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
+    filled = torch.lerp(filled, torch.maximum(filled, LOST_LIGHT * data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
     return torch.lerp(filled, data["seen"], sure)
 
 
@@ -87,7 +87,7 @@ def is_mirror(data: Batch) -> Tensor:
 def seen_loss(maps: Tensor, data: Batch, learned: Params) -> Tensor:
     """Mean difference of the logs of radiance, [T]; where the ball clips, only darker maps differ."""
     seen, (sure, clipped) = data["seen"], data["certain"].split(1, 1)
-    floor = DARK * mean_luminance(seen)[:, None, None, None] + 1e-9
+    floor = RADIANCE_FLOOR * mean_luminance(seen)[:, None, None, None] + 1e-9
     short = (seen + floor).log() - (raised(maps, data) + floor).log()
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
     differences = sure * norm(short, learned) + clipped * norm(relu(short), learned)

@@ -17,8 +17,8 @@ from metapp.appearance.photograph import Material, mirror, shade
 from metapp.appearance.reflection import fresnel_schlick
 
 SPHERES = ("mirror", "silver", "diffuse")
-SIZE = 64  # px
-GAMMA, MIDDLE = 2.4, 0.5  # of tone mapping
+SPHERE_PX = 64  # px
+GAMMA, MEDIAN = 2.4, 0.5  # of tone mapping
 METAL = 0.8  # reflectance at normal incidence, of mirror and silver
 ALBEDO, SPECULAR = 0.8, 0.04  # of the diffuse one, under a gloss
 ROUGHNESSES = {"silver": 0.3271, "diffuse": 0.364}
@@ -30,7 +30,7 @@ def sphere_errors(maps: Tensor, target: Tensor) -> dict[str, Tensor]:
     Returns:
         Of each sphere `<name>_rmse`, scale-invariant, where the true map's median is 0.5; and `<name>_angle`, degrees.
     """
-    mask = sphere_normals(SIZE, device=maps.device)[1]
+    mask = sphere_normals(SPHERE_PX, device=maps.device)[1]
     errors = {}
     for name, pictures in lit_spheres(toned(torch.cat([maps, target]))).items():
         fitted, wanted = pictures.chunk(2)
@@ -40,17 +40,17 @@ def sphere_errors(maps: Tensor, target: Tensor) -> dict[str, Tensor]:
 
 
 def toned(maps: Tensor) -> Tensor:
-    """Maps [T, 3, H, W] to the power of 1 / GAMMA, the median of all values above 0 brought to MIDDLE."""
+    """Maps [T, 3, H, W] to the power of 1 / GAMMA, the median of all values above 0 brought to MEDIAN."""
     values = maps.clamp_min(0) ** (1 / GAMMA)
     middle = torch.where(values > 0, values, torch.nan).flatten(1).nanquantile(0.5, 1)
-    return values * (MIDDLE / middle.nan_to_num(1))[:, None, None, None]
+    return values * (MEDIAN / middle.nan_to_num(1))[:, None, None, None]
 
 
 def lit_spheres(maps: Tensor) -> dict[str, Tensor]:
-    """Pictures [T, 3, SIZE, SIZE] of the spheres under maps [T, 3, H, W], by name; black outside the disc."""
-    cosines = sphere_normals(SIZE, dtype=maps.dtype, device=maps.device)[0][2]
+    """Pictures [T, 3, SPHERE_PX, SPHERE_PX] of the spheres under maps [T, 3, H, W], by name; black outside the disc."""
+    cosines = sphere_normals(SPHERE_PX, dtype=maps.dtype, device=maps.device)[0][2]
     return {
-        "mirror": mirror(maps, SIZE) * fresnel_schlick(cosines, METAL),
+        "mirror": mirror(maps, SPHERE_PX) * fresnel_schlick(cosines, METAL),
         "silver": _shaded(maps, "silver", 0.0, METAL),
         "diffuse": _shaded(maps, "diffuse", ALBEDO, SPECULAR),
     }
@@ -59,4 +59,4 @@ def lit_spheres(maps: Tensor) -> dict[str, Tensor]:
 def _shaded(maps: Tensor, name: str, albedo: float, specular: float) -> Tensor:
     count = len(maps)
     material = Material(maps.new_full((count, 3), albedo), maps.new_full((count,), specular), maps.new_ones(count, 1))
-    return shade(maps, material, SIZE, (ROUGHNESSES[name],))
+    return shade(maps, material, SPHERE_PX, (ROUGHNESSES[name],))

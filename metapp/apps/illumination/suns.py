@@ -16,35 +16,35 @@ from torch.nn.functional import max_pool2d, pad
 from metapp.appearance.latlong import directions, luminance, solid_angles
 from metapp.learning.task import Params
 
-COUNT, NUMBERS = 3, 10  # suns of a map, and numbers of each
-BRIGHT = 80.0  # luminance of what is a sun, of maps of mean luminance 1
-WIDEST = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
-COVERED = 20.0  # the network does not count where a sun has this part of its radiance or more
-NARROWEST = 0.1  # texels, standard deviation along one axis
+SUNS, SUN_NUMBERS = 3, 10  # suns of a map, and numbers of each
+SUN_LUMINANCE = 80.0  # luminance of what is a sun, of maps of mean luminance 1
+WIDEST_RAD = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
+COVERED_PARTS = 20.0  # the network does not count where a sun has this part of its radiance or more
+NARROWEST_TEXELS = 0.1  # texels, standard deviation along one axis
 
 
 def suns_of(maps: Tensor) -> Tensor:
-    """The suns of maps [T, 3, H, W] of mean luminance 1, [T, COUNT, 10]; zeros where there are no more."""
+    """The suns of maps [T, 3, H, W] of mean luminance 1, [T, SUNS, 10]; zeros where there are no more."""
     return torch.stack([_suns(one.detach().cpu()) for one in maps]).to(maps)
 
 
 def _suns(light: Tensor) -> Tensor:
     bright = luminance(light)
-    numbers = torch.zeros(COUNT, NUMBERS)
-    if not (bright > BRIGHT).any():
+    numbers = torch.zeros(SUNS, SUN_NUMBERS)
+    if not (bright > SUN_LUMINANCE).any():
         return numbers
     height, width = bright.shape
     towards, area = directions(height, width), solid_angles(height, width)
-    excess = light * (1 - BRIGHT / bright.clamp_min(BRIGHT)) * area
-    regions = _regions(bright > BRIGHT)
+    excess = light * (1 - SUN_LUMINANCE / bright.clamp_min(SUN_LUMINANCE)) * area
+    regions = _regions(bright > SUN_LUMINANCE)
     weights = luminance(excess)
     suns = [_shape(weights * (regions == region), towards) for region in range(1, int(regions.max()) + 1)]
-    small = sorted((sun for sun in suns if sun.spread <= WIDEST**2), key=lambda sun: -sun.light)[:COUNT]
+    small = sorted((sun for sun in suns if sun.spread <= WIDEST_RAD**2), key=lambda sun: -sun.light)[:SUNS]
     for number, sun in enumerate(small):
         numbers[number, :3], numbers[number, 6] = sun.towards, sun.spread
     lobes = _lobes(numbers[None], height, width)[0]
     covers = _covered(lobes) * area
-    rest = torch.minimum(light, light * BRIGHT / bright.clamp_min(1e-9))
+    rest = torch.minimum(light, light * SUN_LUMINANCE / bright.clamp_min(1e-9))
     level = torch.einsum("chw,shw->sc", rest, covers) / covers.sum((1, 2)).clamp_min(1e-12)[:, None]
     whole = torch.einsum("chw,shw->sc", light, covers) - level * covers.sum((1, 2))[:, None]
     numbers[:, 3:6], numbers[:, 7:] = whole.clamp_min(0), level
@@ -78,14 +78,14 @@ def _regions(bright: Tensor) -> Tensor:
 
 
 def _lobes(suns: Tensor, height: int, width: int) -> Tensor:
-    """Gaussians round suns [T, COUNT, 10], the mean over each texel, [T, COUNT, height, width]; 0 where there is none.
+    """Gaussians round suns [T, SUNS, 10], the mean over each texel, [T, SUNS, height, width]; 0 where there is none.
 
     They are Gaussians of latitude and of longitude, which is the same for a small sun.
     """
     (x, y, z), there = suns[..., :3].unbind(2), suns[..., :3].norm(dim=2) > 0
     texel = math.pi / height
     polar, around = torch.acos(y.clamp(-1, 1)), torch.atan2(x, -z) % math.tau
-    deviation, least = (suns[..., 6] / 2).sqrt(), NARROWEST * texel
+    deviation, least = (suns[..., 6] / 2).sqrt(), NARROWEST_TEXELS * texel
     sideways = (deviation / polar.sin().clamp_min(1e-3)).clamp(least, math.tau)
     rows = torch.arange(height + 1).to(suns) * texel
     columns = torch.arange(width + 1).to(suns) * texel
@@ -103,24 +103,24 @@ def _between(edges: Tensor) -> Tensor:
 
 
 def parted(suns: Tensor) -> Params:
-    """Suns [T, COUNT, NUMBERS] as parameters of fits, by kind, so that a pack spends bits on each; angles in rad."""
+    """Suns [T, SUNS, SUN_NUMBERS] as parameters of fits, by kind, so that a pack spends bits on each; angles in rad."""
     towards, light, spread, level = suns.split((3, 3, 1, 3), 2)
     return {"suns.angle": spread.sqrt(), "suns.level": level, "suns.light": light, "suns.towards": towards}
 
 
 def joined(theta: Params) -> Tensor:
-    """The same again, [T, COUNT, NUMBERS], which no step moves."""
+    """The same again, [T, SUNS, SUN_NUMBERS], which no step moves."""
     kinds = theta["suns.towards"], theta["suns.light"], theta["suns.angle"] ** 2, theta["suns.level"]
     return torch.cat(kinds, 2).detach()
 
 
 def _covered(lobes: Tensor) -> Tensor:
     """Where suns count alone, in [0, 1]."""
-    return (COVERED * lobes / lobes.amax((-2, -1), keepdim=True).clamp_min(1e-12)).clamp_max(1)
+    return (COVERED_PARTS * lobes / lobes.amax((-2, -1), keepdim=True).clamp_min(1e-12)).clamp_max(1)
 
 
 def with_suns(maps: Tensor, suns: Tensor) -> Tensor:
-    """Maps [T, 3, H, W] with suns [T, COUNT, 10], each of exactly its light, in place of what was there."""
+    """Maps [T, 3, H, W] with suns [T, SUNS, 10], each of exactly its light, in place of what was there."""
     height, width = maps.shape[-2:]
     lobes = _lobes(suns, height, width)
     light, level = suns[..., 3:6], suns[..., 7:]

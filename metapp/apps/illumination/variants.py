@@ -11,7 +11,7 @@ from metapp.learning.draws import normal, uniform
 
 # shares of the maps that get another contrast, that are mixed with another one, that get lamps
 REGRADED, MIXED, LIT = 1 / 2, 1 / 3, 1 / 3
-LAMPS, BRIGHTEST = 3, 6.5  # how many, and the log of the brightest one's radiance
+LAMPS, BRIGHTEST_LOG = 3, 6.5  # how many, and the log of the brightest one's radiance
 
 
 def of_mean_1(maps: Tensor) -> Tensor:
@@ -54,12 +54,12 @@ def mixed(maps: Tensor, rng: Generator) -> Tensor:
 
 
 def lit(maps: Tensor, rng: Generator) -> Tensor:
-    """Some with a few more lamps of about a texel, anywhere, of radiance 1 to exp(BRIGHTEST)."""
+    """Some with a few more lamps of about a texel, anywhere, of radiance 1 to exp(BRIGHTEST_LOG)."""
     count, _, height, width = maps.shape
 
     rows = relu(1 - (torch.arange(height, device=rng.device) - (height - 1) * uniform(rng, count, LAMPS, 1)).abs())
     away = (torch.arange(width, device=rng.device) - width * uniform(rng, count, LAMPS, 1)).abs()
     columns = relu(1 - torch.minimum(away, width - away))  # around the horizon
-    light = torch.exp(BRIGHTEST * uniform(rng, count, LAMPS, 1)) * (0.7 + 0.6 * uniform(rng, count, LAMPS, 3))
+    light = torch.exp(BRIGHTEST_LOG * uniform(rng, count, LAMPS, 1)) * (0.7 + 0.6 * uniform(rng, count, LAMPS, 3))
     lamps = torch.einsum("tlh,tlw,tlc->tchw", rows, columns, light)
     return maps + torch.where(uniform(rng, count, 1, 1, 1) < LIT, lamps, 0.0)

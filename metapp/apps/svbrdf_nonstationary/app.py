@@ -16,7 +16,7 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.encoder import PARTS, Encoder, surprise, unknown
 from metapp.apps.svbrdf_nonstationary.maps import (
-    CLIPPED,
+    CLIPPED_VALUE,
     FLASH,
     RAW,
     Flash,
@@ -40,20 +40,20 @@ from metapp.networks.doubts import of_highlight
 from metapp.networks.field import LocalField, field_by_rows
 from metapp.networks.map_pictures import map_pictures, photograph
 
-DARK = 0.1  # of white: the log of radiance is flat below
-LEVEL = 0.01  # sine of an angle that hardly shows
+RADIANCE_FLOOR = 0.1  # of white: the log of radiance is flat below
+LEVEL_SINE = 0.01  # sine of an angle that hardly shows
 MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 STEEP, HIDDEN = 0.2, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
 SURE = 0.03  # and of the error that General predicts of its maps, which moves nothing but that
-CELLS = 8  # a side, in which normals are as steep on average as they should be
+STEEP_CELLS = 8  # a side, in which normals are as steep on average as they should be
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
-FINER, FINEST_SHOT = 2, 256  # how many times as fine as their maps augmented materials are photographed, to so many px
+FINER, FINEST_SHOT_PX = 2, 256  # augmented materials are photographed so many times as fine as their maps, up to px
 INPUTS = 8
-FINEST = 2048  # px a side of a user's photograph, and of the maps that are written
-LARGEST = 256  # px of the maps that are shown
+FINEST_PX = 2048  # a side of a user's photograph, and of the maps that are written
+SHOWN_PX = 256  # a side of the maps that are shown
 
 
 def field_of(side: int, hidden: int) -> LocalField:
@@ -121,7 +121,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @property
     def read_size(self) -> int:
-        return FINEST if self.encoder_size or self.encoder_finer else 0
+        return FINEST_PX if self.encoder_size or self.encoder_finer else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
@@ -151,7 +151,7 @@ class SvbrdfNonstationary(CodedApp):
     @property
     def shot_size(self) -> int:
         """Side in texels of augmented materials when they are photographed."""
-        return max(self.network.height, min(FINER * self.network.height, FINEST_SHOT))
+        return max(self.network.height, min(FINER * self.network.height, FINEST_SHOT_PX))
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         """Maps [T, 10, H, W]; where fits see them, RIG lights, `rig`, and the log of what these make of them, `lit`."""
@@ -218,15 +218,15 @@ class SvbrdfNonstationary(CodedApp):
             place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]
         place = place[:, None]
         spread = Maps(*(part[:, None] for part in maps))
-        return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
+        return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
 
     def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
         photos, flash = all_photos(batch), self.network.gain * theta["flash"]  # as far to go as the code
         taken_by = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
         seen = photographed(maps, taken_by, batch.get("place"))
-        short = (photos + DARK).log() - (seen + DARK).log()
-        short = torch.where(photos > CLIPPED, relu(short), short)
+        short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
+        short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
         return norm(short, learned).mean(tuple(range(1, short.ndim)))
 
     def loss_parameters(self, steps: int) -> Params:
@@ -289,7 +289,7 @@ class SvbrdfNonstationary(CodedApp):
         (logs, pictures), (references, target_pictures) = self.judged(maps), self.judged(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
-        steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
+        steep = [statistics(each)[:, 0, -1] + LEVEL_SINE for each in (maps, target)]
         photo = tasks.data["photo"][tasks.rows]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),
@@ -303,12 +303,12 @@ class SvbrdfNonstationary(CodedApp):
     def judged(self, maps: Maps) -> tuple[Tensor, Tensor]:
         """Maps [T, ...] under JUDGED lights: logs [T, V, 3, H, W], and display values at gamma 2.2 [T * V, 3, H, W]."""
         logs = self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
-        return logs, expose((logs.exp() - DARK).flatten(0, 1))
+        return logs, expose((logs.exp() - RADIANCE_FLOOR).flatten(0, 1))
 
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
-        photo = _photo_of(task, LARGEST)
+        photo = _photo_of(task, SHOWN_PX)
         fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
         target = {}
         if "maps" in task.data:
@@ -326,7 +326,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights.
+        """The maps, as fine as the photograph up to FINEST_PX, and pictures under three other lights.
 
         Of several photographs also what the maps look like in each, `photo_1` and so on, from where the fit believes it
         was taken.
@@ -352,7 +352,7 @@ class SvbrdfNonstationary(CodedApp):
     def _whole(self, theta: Params, task: Task) -> Maps:
         """The maps [C, H, W] of the size of files."""
         one = {key: value[None] for key, value in theta.items()}
-        whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, FINEST)))
+        whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, FINEST_PX)))
         return Maps(*(part[0] for part in whole))
 
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
@@ -401,13 +401,13 @@ def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
 
 
 def _steepness(maps: Maps) -> Tensor:
-    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, CELLS, CELLS]."""
-    return adaptive_avg_pool2d(tilt(maps.normal), CELLS) + 2 * LEVEL
+    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, 8, 8]."""
+    return adaptive_avg_pool2d(tilt(maps.normal), STEEP_CELLS) + 2 * LEVEL_SINE
 
 
 def blots(diffuse: Tensor, photo: Tensor) -> Tensor:
     """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T]."""
-    clips = (photo > CLIPPED).any(1, keepdim=True).float()
+    clips = (photo > CLIPPED_VALUE).any(1, keepdim=True).float()
     return (diffuse.abs() * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
 
 

@@ -20,8 +20,8 @@ from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
 BASE = 64  # texels a side of the level that all others are counted from
-LOOKED = 4  # cells a side of the coarsest level that the flash is looked for in
-MOST = 8  # times the finest level's channels, at the coarsest
+FLASH_CELLS = 4  # cells a side of the coarsest level that the flash is looked for in
+WIDEST_TIMES = 8  # times the finest level's channels, at the coarsest
 PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `differences`
 SMALLEST_SCALE, UNKNOWN_LOG = 0.01, 10.0  # of a predicted error; the log of one that says nothing
 
@@ -34,7 +34,7 @@ class Encoder(NamedTuple):
 
     Attributes:
         inputs: channels of what is known of the pixels.
-        width: channels of the level of BASE texels; each level down has twice as many, up to MOST times.
+        width: channels of the level of BASE texels; each level down has twice as many, up to WIDEST_TIMES times.
         code: length of the code in a pixel.
         flash: numbers that describe the flash.
         levels: resolutions from BASE down, each half of the one before.
@@ -52,7 +52,7 @@ class Encoder(NamedTuple):
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 that of BASE texels."""
-        result: int = self.width * min(2**level, MOST)
+        result: int = self.width * min(2**level, WIDEST_TIMES)
         return result
 
     def init(self, rng: Generator) -> Params:
@@ -71,7 +71,7 @@ class Encoder(NamedTuple):
         for level in reversed(range(self.levels - 1)):
             block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
         layer("code", self.code, self.channels(0), gain=0.3)
-        layer("flash", self.flash, self.channels(self.levels - 1) * LOOKED**2, gain=0.1)
+        layer("flash", self.flash, self.channels(self.levels - 1) * FLASH_CELLS**2, gain=0.1)
         if self.deviations:
             layer("deviation", self.deviations, self.channels(0), gain=0.0)
         below = self.channels(0)
@@ -97,7 +97,7 @@ class Encoder(NamedTuple):
         for level in range(self.levels):
             x = block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
-        flash = dense(encoder, "flash", adaptive_avg_pool2d(x, LOOKED).flatten(1))
+        flash = dense(encoder, "flash", adaptive_avg_pool2d(x, FLASH_CELLS).flatten(1))
         for level in reversed(range(self.levels - 1)):
             x = block(encoder, f"up{level}", torch.cat([twice(x), skips[level]], 1))
         code = pointwise(encoder, "code", x)

@@ -23,8 +23,8 @@ from metapp.learning.draws import uniform
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
 FLASH = 4  # numbers that describe a flash
 ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
-CLIPPED = 0.95  # of white: what a photograph shows no more
-STEEPEST = 0.4  # cosine with the patch's normal of the most oblique light or view
+CLIPPED_VALUE = 0.95  # of white: what a photograph shows no more
+LEAST_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
 STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
 
 
@@ -131,9 +131,9 @@ def mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 
 
 def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
-    """Unit vectors [*shape, 3], evenly spread in solid angle about the normal, no more oblique than STEEPEST."""
+    """Unit vectors [*shape, 3], evenly spread in solid angle about the normal, no more oblique than LEAST_COSINE."""
     z, turn = uniform(rng, 2, *shape)
-    z, phi = STEEPEST + (1 - STEEPEST) * z, 2 * math.pi * turn
+    z, phi = LEAST_COSINE + (1 - LEAST_COSINE) * z, 2 * math.pi * turn
     sine = (1 - z * z).sqrt()
     return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
 

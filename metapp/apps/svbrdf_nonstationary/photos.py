@@ -14,7 +14,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import BRIGHTER, Maps, unpack
 from metapp.appearance.several import held_places
-from metapp.apps.svbrdf_nonstationary.maps import BRIGHT, CLIPPED, FLASH, flashes_of, linear, photographed
+from metapp.apps.svbrdf_nonstationary.maps import BRIGHT, CLIPPED_VALUE, FLASH, flashes_of, linear, photographed
 from metapp.learning.draws import normal
 from metapp.learning.task import Batch, Task
 
@@ -59,7 +59,7 @@ def first_flashes(maps: Maps, batch: Batch) -> Tensor:
     places, photos = batch["places"], all_photos(batch)
     none = places.new_zeros(len(places), FLASH, places.shape[1])
     radiance = photographed(Maps(*(part.detach() for part in maps)), flashes_of(none, places))
-    whole = (photos < CLIPPED).to(photos)
+    whole = (photos < CLIPPED_VALUE).to(photos)
     gain = (photos * whole).sum((2, 3, 4)).clamp_min(1e-6) / (radiance * whole).sum((2, 3, 4)).clamp_min(1e-6)
     return torch.cat([none[:, :-1], gain.log()[:, None] / BRIGHT], 1)
 

@@ -20,7 +20,7 @@ JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)
 CROPPED = (0.35, 0.7)  # of the maps' side, in which a square of any direction has room
 EXPOSED, STOPS = 0.2, 1.1  # the share of photographs that are exposed wrongly, by up to so many stops
 TINTED, TINT = 0.3, 0.04  # the share whose white balance is off, and the log of how much
-STEEPEST = 2.0  # slope
+STEEPEST_SLOPE = 2.0  # slope
 RESTYLED = (0.75, 0.3)  # the share of materials of other gloss and colour, before and after they are mixed
 
 Draw = Callable[..., Tensor]
@@ -101,7 +101,7 @@ def restyled(maps: Tensor, rng: Generator) -> Tensor:
     normals, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
     slopes = normals[:, :2] / normals[:, 2:].clamp_min(0.2)
     slopes = slopes * torch.where(chance(0.6), torch.exp(0.5 * normal(1, 1, 1)), 1)
-    slopes = _at_most(slopes, STEEPEST)
+    slopes = _at_most(slopes, STEEPEST_SLOPE)
     tone = _standard((diffuse.mean(1, keepdim=True) + 1e-3).log())
     rough = _standard(roughness)
     relief = _standard(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))

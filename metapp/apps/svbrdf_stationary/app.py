@@ -30,13 +30,13 @@ from metapp.appearance.surface import Surface
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_blobs, of_highlight, of_order
-from metapp.networks.exemplar import SHOWN, ExemplarApp
+from metapp.networks.exemplar import SHOWN_SEED, ExemplarApp
 from metapp.networks.layout import astray
 from metapp.networks.map_pictures import map_pictures
 
 GRID = 3  # windows along a side
-DRAWN = 3
-POOLED = 8
+DRAWN_WINDOWS = 3
+POOLED_PX = 8
 SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
 BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
@@ -79,7 +79,7 @@ class SvbrdfStationary(ExemplarApp):
         of specular and roughness and how clearly, `summary`.
         """
         maps, light = self.features(exemplars, octave), self.light_of(exemplars)
-        described = {"light": light, "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
+        described = {"light": light, "pooled": adaptive_avg_pool2d(exemplars, POOLED_PX)}
         described |= {"chroma": _chroma(exemplars), "shine": _shine(exemplars, light)}
         for i, each in enumerate(maps):
             described[f"gram{i}"] = _grams(each, range(GRID * GRID))
@@ -152,8 +152,8 @@ class SvbrdfStationary(ExemplarApp):
         return expose(render(maps, place, light, view, falloff=FALLOFF))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`noise` for `count` materials of each task, DRAWN of the windows and what is known of the photo there."""
-        drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN].expand(len(tasks), -1)
+        """`noise` for `count` materials of each task, some of the windows and what is known of the photo there."""
+        drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN_WINDOWS].expand(len(tasks), -1)
         noise = self.noise(rng, len(tasks), count, octave=self.octave(tasks.data))
         return {"noise": noise, "windows": drawn} | self._targets(tasks, drawn)
 
@@ -217,7 +217,7 @@ class SvbrdfStationary(ExemplarApp):
     def _distances_of(self, pictures: Tensor, batch: Batch, *, cropped: bool = False) -> dict[str, Tensor]:
         """Of pictures [T, S, 3, H, W]; `cropped`: of their finest octave the first window alone, not its spectra."""
         leading, flat, octave = pictures.shape[:2], pictures.flatten(0, 1), self.octave(batch)
-        pooled = adaptive_avg_pool2d(flat, POOLED).unflatten(0, leading)
+        pooled = adaptive_avg_pool2d(flat, POOLED_PX).unflatten(0, leading)
         windows = batch["windows"].tolist()
         first = [own[0] for own in windows for _ in range(leading[1])]
         cropped = cropped and octave == 0 and self.octaves > 1
@@ -265,7 +265,7 @@ class SvbrdfStationary(ExemplarApp):
         if not self.has_layout:
             return super().doubts(theta, tasks)
         images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
-        noise = self.fixed_noise(tasks.rows, 1, seed=SHOWN)
+        noise = self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED)
         maps = Maps(*(part[:, 0] for part in self.generate(theta, noise)))
         photos = evenly_lit(self.exemplar(images.float() / 255), light)
         made = evenly_lit(self.photograph(maps, light, light), light)

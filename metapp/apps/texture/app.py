@@ -14,7 +14,7 @@ from metapp.learning.draws import uniform
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.doubts import of_order
-from metapp.networks.exemplar import SHOWN, Crop, ExemplarApp
+from metapp.networks.exemplar import SHOWN_SEED, Crop, ExemplarApp
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -78,7 +78,7 @@ class Texture(ExemplarApp):
         if not self.has_layout:
             return super().doubts(theta, tasks)
         exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
-        made = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN))[:, 0]
+        made = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))[:, 0]
         return [of_order(self.name, *pair) for pair in zip(exemplars, made, strict=True)]
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:

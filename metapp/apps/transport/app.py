@@ -17,7 +17,7 @@ from metapp.learning.pictures import Fitted, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
-WANTED = 2048  # samples of a training scene that preparation judges a fit by
+OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
 NOTE = "paths have next-event estimation from the second surface on, since few or none meet a light without it"
 
@@ -71,7 +71,7 @@ class Transport(App):
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """The same, [T], of as many samples as preparation needs: scenes differ more than samples of one do."""
-        return self.loss(theta, {"points": batch["points"][..., :WANTED]}, learned)
+        return self.loss(theta, {"points": batch["points"][..., :OUTER_SAMPLES]}, learned)
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
@@ -136,7 +136,7 @@ class Transport(App):
         reference = guided = None
         if "scene" in task.data:
             studio = images.studio_of(task)
-            reference, guided = studio.glance, studio.guided(self.network, theta, pictures.GLANCE).picture
+            reference, guided = studio.glance, studio.guided(self.network, theta, pictures.GLANCE_SPP).picture
         return {
             "reference": pictures.picture_of_samples(task.data["samples"], reference),
             "fit": pictures.picture_of_flow(self.network, theta, guided),
@@ -148,7 +148,7 @@ class Transport(App):
 
         if "scene" not in task.data:
             return {}
-        studio, spp = images.studio_of(task), pictures.SHOWN
+        studio, spp = images.studio_of(task), pictures.SHOWN_SPP
         shots = {"guided": studio.guided(self.network, theta, spp), "regular": studio.regular(spp)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
 

@@ -15,7 +15,7 @@ from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
-DARK = 0.01  # of a picture of mean luminance 1: its log is flat below
+LIGHT_FLOOR = 0.01  # of a picture of mean luminance 1: its log is flat below
 BLOCKS = 3
 
 
@@ -58,7 +58,7 @@ class Encoder(NamedTuple):
             `z`, `film.x` and `film.y`, each [T, ...].
         """
         light = luminance(images)
-        logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + DARK).log()
+        logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + LIGHT_FLOOR).log()
         colours = images / (images.sum(1, keepdim=True) + 1e-6) - 1 / 3
         x = torch.cat([logs[:, None], colours[:, ::2], places(images)], 1)
         x = leaky_relu(conv2d(x, encoder["in.kernel"], encoder["in.shift"], stride=2, padding=1), SLOPE)

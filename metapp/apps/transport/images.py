@@ -21,13 +21,13 @@ from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_samples
 from metapp.rendering.scenes.rules import scene_of
 
-SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
+SHOWN_PX = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 FIXED = "fixed time"
 REGULAR_NEE = "regular + NEE"  # Mitsuba's path
 REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
-WAVE = 2**22  # paths at a time
+WAVE_PATHS = 2**22  # paths at a time
 
 
 class Shot(NamedTuple):
@@ -70,7 +70,7 @@ class Studio:
 
     def path(self, spp: int, seed: int = 0) -> Shot:
         """A picture by Mitsuba's path, with next-event estimation, in as many waves as memory asks for."""
-        most = max(1, WAVE // self.size**2)
+        most = max(1, WAVE_PATHS // self.size**2)
         counts = [min(most, spp - first) for first in range(0, spp, most)]
         shots = [self._by("path", count, seed * 2**16 + i) for i, count in enumerate(counts)]
         total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
@@ -136,7 +136,7 @@ def _timed(shoot: Callable[[], Tensor]) -> Shot:
     return Shot(picture, time.process_time() - begin)
 
 
-def studio_of(task: Task, size: int = SHOWN_SIZE) -> Studio:
+def studio_of(task: Task, size: int = SHOWN_PX) -> Studio:
     """The studio of a task's scene, for pictures of a size.
 
     Raises:

@@ -10,9 +10,9 @@ from metapp.apps.transport.flow import DIRECTIONS, Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params
 
-SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
+SHOWN_SPP, GLANCE_SPP = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 FILM, PARTS, CELLS = 32, 4, 16  # places along the film, parts of it, cells of directions in each
-EACH = 32  # px of a part
+PART_PX = 32  # px of a part
 
 
 def picture_of_samples(samples: Tensor, scene: Tensor | None = None) -> Tensor:
@@ -45,12 +45,12 @@ def picture(film: Tensor, directions: Tensor) -> Tensor:
         directions: a density of any scale, [4, 4, 16, 16], of each part of the film: on the right, of a mean of its
             own, the first coordinate to the right and the second down.
     """
-    side = PARTS * EACH
+    side = PARTS * PART_PX
     scaled = film / film.mean().clamp_min(1e-20)
     left = _enlarged(scaled.permute(1, 2, 0), side // film.shape[1]).expand(-1, -1, 3)
     parts = directions / directions.mean((2, 3), keepdim=True).clamp_min(1e-20)
-    right = _enlarged(0.5 * parts.permute(0, 3, 1, 2).reshape(PARTS * CELLS, PARTS * CELLS, 1), EACH // CELLS)
-    right[::EACH], right[:, ::EACH] = 4.0, 4.0  # lines between the parts
+    right = _enlarged(0.5 * parts.permute(0, 3, 1, 2).reshape(PARTS * CELLS, PARTS * CELLS, 1), PART_PX // CELLS)
+    right[::PART_PX], right[:, ::PART_PX] = 4.0, 4.0  # lines between the parts
     return srgb_to_linear(tone_map(torch.cat([left, right.expand(-1, -1, 3)], 1))).float()
 
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-LEAST = 1e-3  # of a bin's width, and of its mass
-STEEPEST = 5.0  # of what is added to the log of a density, either way
+LEAST_SHARE = 1e-3  # of a bin's width, and of its mass
+STEEPEST_BEND = 5.0  # of what is added to the log of a density, either way
 BELOW_ONE = 1 - 2**-24  # the largest of 32 bits
 
 
@@ -56,8 +56,8 @@ def splines_of(numbers: Tensor) -> Splines:
     """Splines of any numbers [..., 3 K + 1, N]."""
     count = numbers.shape[-2] // 3
     widths, masses, bends = numbers.split([count, count, count + 1], -2)
-    share = 1 - count * LEAST
-    return Splines(widths.softmax(-2) * share + LEAST, masses.softmax(-2) * share + LEAST, bends)
+    share = 1 - count * LEAST_SHARE
+    return Splines(widths.softmax(-2) * share + LEAST_SHARE, masses.softmax(-2) * share + LEAST_SHARE, bends)
 
 
 def _at(values: Tensor, index: Tensor) -> Tensor:
@@ -73,7 +73,7 @@ def _bin(splines: Splines, index: Tensor) -> Bin:
     knots = torch.cat([index, index + 1], -2)
     bends = splines.bends.expand(*splines.bends.shape[:-1], at.shape[-1]).gather(-2, knots)
     middle = logs[..., 1:2, :]
-    ends = (0.5 * (logs[..., ::2, :] - middle) + STEEPEST * torch.tanh(bends / STEEPEST)).exp()
+    ends = (0.5 * (logs[..., ::2, :] - middle) + STEEPEST_BEND * torch.tanh(bends / STEEPEST_BEND)).exp()
     return Bin(index, widths[..., 1, :], middle.squeeze(-2), ends[..., 0, :], ends[..., 1, :])
 
 

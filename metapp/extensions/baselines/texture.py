@@ -20,7 +20,7 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarApp
+from metapp.networks.exemplar import JUDGED_PICTURES, ExemplarApp
 
 AT_ONCE = 8  # training tasks whose matrices are compared
 
@@ -68,14 +68,14 @@ def picture_of(srgb: Tensor) -> Tensor:
 
 
 def quilts(exemplar: Tensor, size: tuple[int, int], rng: Generator, *, tiles: bool = False) -> Tensor:
-    """As many pictures [1, JUDGED, C, *size] as are judged, of blocks of an exemplar [C, H, W].
+    """As many pictures [1, JUDGED_PICTURES, C, *size] as are judged, of blocks of an exemplar [C, H, W].
 
     Blocks agree where they overlap and are cut where they agree most.
     """
     numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
     picture = exemplar.permute(1, 2, 0).numpy()
     block, overlap = block_of(picture)
-    made = [quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles) for _ in range(JUDGED)]
+    made = [quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles) for _ in range(JUDGED_PICTURES)]
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
 
 

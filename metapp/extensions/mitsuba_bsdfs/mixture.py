@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from metapp.appearance.lobes import LAST, NODES, Lobes
+from metapp.appearance.lobes import LAST_RAD, NODES, Lobes
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
@@ -23,7 +23,7 @@ class Mixture:
 
     def shares_of(self, viewer: mt.Vector3) -> list[mt.Float]:
         """The share of each lobe, the cosine first, for a viewer's direction; between nodes linearly."""
-        place = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST), NODES - 1)
+        place = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST_RAD), NODES - 1)
         node = mi.UInt32(dr.minimum(place, NODES - 2))
         first, second = ([dr.gather(mi.Float, share, node + i) for share in self.shares] for i in (0, 1))
         return [dr.lerp(a, b, place - node) for a, b in zip(first, second, strict=True)]

@@ -8,7 +8,7 @@ takes as one number only. Normals go around it, as Mitsuba's own `normalmap`.
 
 from __future__ import annotations
 
-from metapp.appearance.flash import SMOOTHEST
+from metapp.appearance.flash import LEAST_ROUGHNESS
 from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, enabled, reflection_bsdf
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
@@ -65,7 +65,7 @@ class Texel:
 
     def __init__(self, maps: tuple[mt.Color, mt.Color, mt.Float], viewer: mt.Vector3, wanted: list[bool]) -> None:
         diffuse, specular, roughness = maps
-        alpha = dr.square(dr.maximum(roughness, SMOOTHEST))
+        alpha = dr.square(dr.maximum(roughness, LEAST_ROUGHNESS))
         self.facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
         self.diffuse, self.specular, self.viewer, self.wanted = diffuse, specular, viewer, wanted
         glossy, matte = dr.mean(self._fresnel(viewer.z)), dr.mean(diffuse * (1 - specular))

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.appearance.features import describe_features, describe_precision
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary.app import (
-    FINEST,
+    FINEST_PX,
     HIDDEN,
     SEEN,
     SURE,
@@ -45,7 +45,7 @@ class FromFeatures(SvbrdfNonstationary):
     @property
     def read_size(self) -> int:
         """That of the finest photographs."""
-        return FINEST
+        return FINEST_PX
 
     def conditions(self) -> dict[str, str]:
         """The features, which a checkpoint's encoder needs."""

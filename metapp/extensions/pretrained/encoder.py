@@ -20,7 +20,7 @@ from metapp.appearance.flash import positions
 from metapp.appearance.precision import in_bfloat16
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import PARTS, SLOPE, block, pointwise, twice
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED, RAW
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE, RAW
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
@@ -253,7 +253,7 @@ def _balanced(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tens
     logs = (balanced + 0.05).log()
     wide = pad(logs.mean(1, keepdim=True), (1, 1, 1, 1), mode="replicate")
     across, up = wide[..., 1:-1, 2:] - wide[..., 1:-1, :-2], wide[..., :-2, 1:-1] - wide[..., 2:, 1:-1]
-    clips = (photos > CLIPPED).any(1, keepdim=True).to(photos)
+    clips = (photos > CLIPPED_VALUE).any(1, keepdim=True).to(photos)
     overall = torch.cat([grey.log() / 3, (white / grey).log()], 1).expand(-1, -1, *photos.shape[-2:])
     known = [logs, across, up, place.expand(len(photos), -1, -1, -1), clips, overall]
     return balanced, torch.cat(known, 1)

@@ -19,7 +19,7 @@ from metapp.extensions.scene_files.trial import try_scene
 from metapp.extensions.scene_files.xml import of_version
 from metapp.learning.task import Task
 from metapp.rendering.scenes.instances import Json
-from metapp.rendering.scenes.rules import DEPTH, SceneDict
+from metapp.rendering.scenes.rules import MOST_NESTED, SceneDict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.shards import MANIFEST
 
@@ -172,8 +172,8 @@ def _below(folder: Path) -> list[Path]:
 
 def _plain(key: str, value: object, depth: int = 0) -> Json:
     """A value of a scene in memory as JSON holds it."""
-    if depth > DEPTH:
-        raise ValueError(f"objects within each other, more than {DEPTH} deep, expected fewer.")
+    if depth > MOST_NESTED:
+        raise ValueError(f"objects within each other, more than {MOST_NESTED} deep, expected fewer.")
     if isinstance(value, Mapping):
         return {str(below): _plain(str(below), part, depth + 1) for below, part in value.items()}
     if value is None or isinstance(value, str | bool | int | float):

@@ -18,7 +18,7 @@ import numpy as np
 
 from metapp.rendering.scenes.instances import Json, instantiate, one_line
 from metapp.rendering.types import Mitsuba, Scene
-from metapp.rendering.variant import THREADS, choose_llvm, own_plugins_only
+from metapp.rendering.variant import LEAST_THREADS, choose_llvm, own_plugins_only
 
 _CPU_SECONDS = 300  # the largest public scenes load in half a minute
 _MEMORY_BYTES = 2**35  # of addresses; damaged counts ask for more
@@ -91,7 +91,7 @@ def _load(variant: str) -> None:
 
     mitsuba.set_variant(variant)
     own_plugins_only(mitsuba)
-    drjit.set_thread_count(THREADS)
+    drjit.set_thread_count(LEAST_THREADS)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     try:
         problem = _problem(mitsuba, instantiate(mitsuba, json.loads(sys.stdin.buffer.read())))

@@ -22,7 +22,7 @@ from metapp.rendering.scenes.plugins import (
     check_plugin,
     number_of,
 )
-from metapp.rendering.scenes.rules import DEPTH, PARTS, TEXT, checked_string
+from metapp.rendering.scenes.rules import MOST_CHARACTERS, MOST_NESTED, MOST_VALUES, checked_string
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip
@@ -120,8 +120,8 @@ class _Reader:
         return made
 
     def _element(self, source: SceneElement, places: Places, chain: tuple[str, ...], depth: int) -> SceneElement:
-        if depth >= DEPTH:
-            raise ValueError(f"elements within each other, {DEPTH} deep, expected fewer.")
+        if depth >= MOST_NESTED:
+            raise ValueError(f"elements within each other, {MOST_NESTED} deep, expected fewer.")
         made = SceneElement(source.tag, self._attributes(source, places))
         made.line = source.line
         for child in source:
@@ -146,8 +146,8 @@ class _Reader:
         self.parts += 1
         made = {key: self._substituted(value) for key, value in source.attrib.items()}
         self.characters += sum(map(len, made.values()))
-        if self.parts > PARTS or self.characters > TEXT_BYTES:
-            raise ValueError(f"more than {PARTS:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
+        if self.parts > MOST_VALUES or self.characters > TEXT_BYTES:
+            raise ValueError(f"more than {MOST_VALUES:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
         if source.tag == "string":
             made["value"] = checked_string(made.get("name", ""), made.get("value", ""), places)
         elif "filename" in made:  # of a spectrum
@@ -162,7 +162,7 @@ class _Reader:
             longest_first = sorted(self.defaults, key=len, reverse=True)  # as Mitsuba does
             names = "|".join(map(re.escape, longest_first))
             value = re.sub(rf"\$({names})", lambda found: self.defaults[found[1]], value)
-        if len(value) > TEXT or "$" in value:
+        if len(value) > MOST_CHARACTERS or "$" in value:
             raise Unsupported(f"{value[:60]!r}, expected a <default> before it for each '$'; add it.")
         return value
 
@@ -230,8 +230,8 @@ def parse(text: str) -> SceneElement:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal count
         count += 1
-        if len(stack) > DEPTH or count > PARTS:
-            raise ValueError(f"more than {PARTS:,} elements, or {DEPTH} within each other, expected fewer.")
+        if len(stack) > MOST_NESTED or count > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES:,} elements, or {MOST_NESTED} within each other, expected fewer.")
         line = parser.CurrentLineNumber
         known = tag in _OBJECTS | _VALUES | _OURS | {"scene"} and attributes.keys() <= _ATTRIBUTES
         if not known:

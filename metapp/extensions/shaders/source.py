@@ -13,7 +13,7 @@ from importlib import resources
 
 from torch import Tensor
 
-from metapp.appearance.lobes import LAST, NODES, Lobes
+from metapp.appearance.lobes import LAST_RAD, NODES, Lobes
 from metapp.apps.brdf.network import Folded
 
 COMMON = """\
@@ -78,7 +78,7 @@ def source_of(name: str, folded: Folded, lobes: Lobes) -> str:
         "NAME": name,
         "LAYERS": "\n".join(f"    {line}" for line in _layers(name, folded.layers)),
         "SHARES": "\n".join(f"    {line}" for line in _shares(lobes)),
-        "SCALE": number((NODES - 1) / LAST),
+        "SCALE": number((NODES - 1) / LAST_RAD),
         "FINAL": number(NODES - 1),
         "FIRST": f"float3({number(lobes.alphas[0][0])}, {number(lobes.alphas[0][1])}, 1.0)",
         "SECOND": f"float3({number(lobes.alphas[1][0])}, {number(lobes.alphas[1][1])}, 1.0)",

@@ -18,7 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
-from metapp.appearance.features import BLOCKS, weights_path
+from metapp.appearance.features import VGG_BLOCKS, weights_path
 from metapp.storage.cache import download
 from metapp.storage.files import open_regular, opened_tensors, write_atomically
 
@@ -98,7 +98,7 @@ def shapes() -> dict[str, tuple[int, ...]]:
     """Names and shapes of the weights of all convolutions, in order."""
     sizes: dict[str, tuple[int, ...]] = {}
     inputs = 3
-    for index, outputs in enumerate(width for block in BLOCKS for width in block):
+    for index, outputs in enumerate(width for block in VGG_BLOCKS for width in block):
         sizes[f"conv{index}.weight"] = (outputs, inputs, 3, 3)
         sizes[f"conv{index}.bias"] = (outputs,)
         inputs = outputs

@@ -25,12 +25,12 @@ from metapp.rendering.scenes.rules import SceneDict
 from metapp.rendering.types import Color, Mask, Point2, RandomStreams, Ray, UInt32
 
 DIMENSIONS = 4  # film, and the direction at the first surface that scatters
-DEPTH = 6  # edges of the longest path
-IMAGE = 32  # px, side of the picture that comes with samples
-UNIFORM = 4  # one path in so many is not guided
+DEPTH_EDGES = 6  # edges of the longest path
+IMAGE_PX = 32  # px, side of the picture that comes with samples
+UNGUIDED_OF = 4  # one path in so many is not guided
 BELOW_ONE = 1 - 2**-24
 
-BATCH = 2**19  # paths traced at a time for samples, and for pictures
+BATCH_PATHS = 2**19  # paths traced at a time for samples, and for pictures
 _PICTURE_BATCH = 2**18
 _REFERENCE_SPP = 2048
 _BAD, _FEW = 1e-4, 8  # share and number of paths that may carry no number
@@ -50,7 +50,7 @@ class Tracer:
         ValueError: as `load_scene`.
     """
 
-    def __init__(self, scene: SceneDict, depth: int = DEPTH, next_event: bool = False) -> None:
+    def __init__(self, scene: SceneDict, depth: int = DEPTH_EDGES, next_event: bool = False) -> None:
         self.mi, self.scene, self.brightest = load_scene(scene)
         self.depth = depth
         flags = (emitter.flags() for emitter in self.scene.emitters())
@@ -156,18 +156,18 @@ class ImageSum:
     """The picture that paths add up to."""
 
     def __init__(self) -> None:
-        self._total = torch.zeros(3, IMAGE**2, dtype=torch.float64)
-        self._hits = torch.zeros(IMAGE**2, dtype=torch.float64)
+        self._total = torch.zeros(3, IMAGE_PX**2, dtype=torch.float64)
+        self._hits = torch.zeros(IMAGE_PX**2, dtype=torch.float64)
 
     def add(self, points: Tensor, carried: Tensor) -> None:
         """Add what paths [N, 3] of points [N, d] carry."""
-        pixel = (points[:, 1] * IMAGE).long() * IMAGE + (points[:, 0] * IMAGE).long()
-        self._hits += torch.bincount(pixel, minlength=IMAGE**2)
-        self._total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE**2) for channel in carried.T])
+        pixel = (points[:, 1] * IMAGE_PX).long() * IMAGE_PX + (points[:, 0] * IMAGE_PX).long()
+        self._hits += torch.bincount(pixel, minlength=IMAGE_PX**2)
+        self._total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE_PX**2) for channel in carried.T])
 
     def mean(self) -> Tensor:
         """Linear RGB, float32 [3, 32, 32]."""
-        picture: Tensor = (self._total / self._hits.clamp_min(1)).float().unflatten(1, (IMAGE, IMAGE))
+        picture: Tensor = (self._total / self._hits.clamp_min(1)).float().unflatten(1, (IMAGE_PX, IMAGE_PX))
         return picture
 
 
@@ -194,16 +194,16 @@ def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Te
     bound, traced, have = tracer.brightest, 0, 0
     image = ImageSum()
     while have < count:
-        points = torch.rand(BATCH, DIMENSIONS, generator=rng)
+        points = torch.rand(BATCH_PATHS, DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
         bright = brightness(carried)
         highest = float(bright.max())
         if highest > bound:
             kept = [part[torch.rand(len(part), generator=rng) < bound / highest] for part in kept]
             bound = highest
-        kept.append(points[torch.rand(BATCH, generator=rng) * bound < bright])
+        kept.append(points[torch.rand(BATCH_PATHS, generator=rng) * bound < bright])
         image.add(points, carried)
-        traced, have = traced + BATCH, sum(map(len, kept))
+        traced, have = traced + BATCH_PATHS, sum(map(len, kept))
         if have < _RAREST * traced:
             raise FewPaths(
                 f"{have} of {traced:,} paths meet a light, expected {_RAREST:.2%} or more; point the camera at "
@@ -289,7 +289,7 @@ def reference(tracer: Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 
 
 def _guided(guide: Guide, film: Tensor, first: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points [N, 2 + k] and their weights [N]: directions of the guide, or, every fourth, uniform ones."""
-    uniform = (torch.arange(first, first + len(film)) % UNIFORM) == 0
+    uniform = (torch.arange(first, first + len(film)) % UNGUIDED_OF) == 0
     directions, density = guide.sample(film[~uniform])
     others = torch.rand(int(uniform.sum()), directions.shape[1], generator=rng)
     points = film.new_empty(len(film), 2 + directions.shape[1])
@@ -298,7 +298,7 @@ def _guided(guide: Guide, film: Tensor, first: int, rng: Generator) -> tuple[Ten
     densities = film.new_empty(len(film))
     densities[~uniform] = density.detach().to(film)
     densities[uniform] = guide.density(film[uniform], others).detach().to(film)
-    return points, 1 / (1 / UNIFORM + (1 - 1 / UNIFORM) * densities)
+    return points, 1 / (1 / UNGUIDED_OF + (1 - 1 / UNGUIDED_OF) * densities)
 
 
 def _picture(radiance: Callable[[Tensor, int], Tensor], spp: int, size: int, rng: Generator) -> Tensor:
@@ -306,7 +306,7 @@ def _picture(radiance: Callable[[Tensor, int], Tensor], spp: int, size: int, rng
     if spp < 1 or size < 1:
         raise ValueError(f"picture of {size} px and {spp} paths a pixel, expected 1 or more of both.")
     total = torch.zeros(size * size, 3, dtype=torch.float64)
-    offset = int(torch.randint(UNIFORM, (), generator=rng))
+    offset = int(torch.randint(UNGUIDED_OF, (), generator=rng))
     for first in range(0, size * size * spp, _PICTURE_BATCH):
         number = torch.arange(first, min(first + _PICTURE_BATCH, size * size * spp))
         pixel = number // spp

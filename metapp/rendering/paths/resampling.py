@@ -15,12 +15,12 @@ from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import BELOW_ONE, DIMENSIONS, FewPaths, ImageSum, Tracer, path_samples
 from metapp.rendering.scenes.loading import brightness
 
-ENOUGH = 0.25  # effective paths of the pool, for each sample
-FEWEST = 256  # of these at all
-MOST, LAST = 32, 128  # batches of the pool, and of one that has not the fewest yet
-DARK = 4  # batches without any light that are enough
+ENOUGH_PER_SAMPLE = 0.25  # effective paths of the pool, for each sample
+FEWEST_PATHS = 256  # of these at all
+MOST_BATCHES, LAST_BATCH = 32, 128  # batches of the pool, and of one that has not the fewest yet
+DARK_BATCHES = 4  # batches without any light that are enough
 MOVES = 24  # proposals for each sample
-STEPS = (2.0**-12, 2.0**-3)  # standard deviation of proposals in each number, log-uniform
+STEP_DEVIATIONS = (2.0**-12, 2.0**-3)  # standard deviation of proposals in each number, log-uniform
 
 
 def draw_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
@@ -66,8 +66,8 @@ def _pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, T
     Dark paths are kept by chance, with a weight that makes up for it, so that memory is bounded.
     """
     kept, weights, image = [], [], ImageSum()
-    first, second, batch = 0.0, 0.0, path_space.BATCH
-    for number in range(1, LAST + 1):
+    first, second, batch = 0.0, 0.0, path_space.BATCH_PATHS
+    for number in range(1, LAST_BATCH + 1):
         points = torch.rand(batch, DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
         image.add(points, carried)
@@ -78,21 +78,21 @@ def _pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, T
         kept.append(points[keep])
         weights.append(torch.stack([bright.clamp_min(least), bright], 1)[keep])
         effective = first**2 / second if second else 0.0
-        if effective >= FEWEST and (number >= MOST or effective >= ENOUGH * count):
+        if effective >= FEWEST_PATHS and (number >= MOST_BATCHES or effective >= ENOUGH_PER_SAMPLE * count):
             break
-        if not effective and number >= DARK:
+        if not effective and number >= DARK_BATCHES:
             break
-    if effective < FEWEST:
+    if effective < FEWEST_PATHS:
         raise FewPaths(
-            f"{effective:.0f} of {number * batch:,} paths meet a light, expected {FEWEST} or more, counted by what "
-            "they carry; point the camera at surfaces that light reaches, or enlarge the lights."
+            f"{effective:.0f} of {number * batch:,} paths meet a light, expected {FEWEST_PATHS} or more, counted by "
+            "what they carry; point the camera at surfaces that light reaches, or enlarge the lights."
         )
     return torch.cat(kept), torch.cat(weights), image.mean()
 
 
 def _moved(tracer: Tracer, points: Tensor, bright: Tensor, rng: Generator) -> Tensor:
     """Points [N, d] after MOVES proposals, of these luminances [N] before; the unit cube is periodic."""
-    low, high = (torch.tensor(step).log() for step in STEPS)
+    low, high = (torch.tensor(step).log() for step in STEP_DEVIATIONS)
     for _ in range(MOVES):
         scale = (low + (high - low) * torch.rand(len(points), 1, generator=rng)).exp()
         step = scale * torch.randn(points.shape, generator=rng)

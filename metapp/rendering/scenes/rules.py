@@ -16,7 +16,7 @@ from metapp.storage import Document
 
 SceneDict = Document  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
 READER = "the extension scene_files"
-BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
+TEXT_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 
 
 def box_film(width: int, height: int) -> SceneDict:
@@ -27,7 +27,7 @@ def box_film(width: int, height: int) -> SceneDict:
 def scene_bytes(scene: SceneDict) -> Tensor:
     """A scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
     text = json.dumps(scene, allow_nan=False).encode()
-    padded = text.ljust(math.ceil(len(text) / BYTES) * BYTES)
+    padded = text.ljust(math.ceil(len(text) / TEXT_BYTES) * TEXT_BYTES)
     return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
 
 
@@ -62,9 +62,9 @@ class Files:
         """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
 
 
-DEPTH = 64  # of elements or objects within each other
-PARTS = 200_000  # elements, or values
-TEXT = 2**20  # characters of one value
+MOST_NESTED = 64  # of elements or objects within each other
+MOST_VALUES = 200_000  # elements, or values
+MOST_CHARACTERS = 2**20  # characters of one value
 
 
 def checked_string(name: str, value: str, files: Files) -> str:
@@ -74,7 +74,8 @@ def checked_string(name: str, value: str, files: Files) -> str:
     """
     if snake_case(name).endswith("filename"):
         return str(files.file(value))
-    if len(value) > TEXT or not value.isascii() or not value.isprintable() or set("/\\$") & set(value) or ".." in value:
+    plain = value.isascii() and value.isprintable()
+    if len(value) > MOST_CHARACTERS or not plain or set("/\\$") & set(value) or ".." in value:
         raise ValueError(f"a parameter {name[:40]!r} of {value[:60]!r}, expected plain text, no path; change it.")
     if name == "material" and value != "none" and value not in materials():
         raise ValueError(f"a material {value[:60]!r}, expected one of Mitsuba's own; change it.")
@@ -100,8 +101,8 @@ class CheckedDict:
         kind = scene.get("type")
         if not isinstance(kind, str):
             raise ValueError(f"an object of type {_shown(kind)}, expected each to name a plugin as 'type'; add it.")
-        if depth >= DEPTH:
-            raise ValueError(f"objects within each other, {DEPTH} deep, expected fewer.")
+        if depth >= MOST_NESTED:
+            raise ValueError(f"objects within each other, {MOST_NESTED} deep, expected fewer.")
         for key in scene:
             if not isinstance(key, str) or not key.isprintable() or not 0 < len(key) < 256 or "." in key:
                 raise ValueError(f"a key {str(key)[:60]!r}, expected 1 to 255 characters, none of them a point.")
@@ -123,8 +124,8 @@ class CheckedDict:
 
     def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
         self.parts += 1
-        if self.parts > PARTS:
-            raise ValueError(f"more than {PARTS:,} values, expected fewer; put meshes in files.")
+        if self.parts > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES:,} values, expected fewer; put meshes in files.")
         if isinstance(value, dict):
             return self.object(value, depth + 1)
         if isinstance(value, str):
@@ -184,7 +185,7 @@ def _is_number(value: Json) -> bool:
 
 def _is_list(value: Json, kind: str) -> bool:
     """True if a value is three numbers, a matrix of nine or sixteen, or pairs of a spectrum."""
-    if not isinstance(value, list) or not value or len(value) > PARTS:
+    if not isinstance(value, list) or not value or len(value) > MOST_VALUES:
         return False
     if kind == "spectrum":
         return all(isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in value)

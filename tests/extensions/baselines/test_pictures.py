@@ -25,7 +25,7 @@ from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
 from metapp.extensions.baselines.svbrdf_stationary import quilted_maps
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import JUDGED
+from metapp.networks.exemplar import JUDGED_PICTURES
 from tests.quick import app_by
 
 
@@ -165,7 +165,7 @@ def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfSt
     tasks = stack(app, [task_of(app, material())])
     fitted = quilting(app, tasks)
     maps = fitted.answer()
-    assert maps.diffuse.shape == (1, JUDGED, 3, SIZE, SIZE)
+    assert maps.diffuse.shape == (1, JUDGED_PICTURES, 3, SIZE, SIZE)
     torch.testing.assert_close(maps.diffuse.mean((0, 1, 3, 4)), torch.tensor(DIFFUSE), rtol=0.1, atol=0)
     assert float(maps.diffuse.std((3, 4)).max()) < 0.01
     assert float(maps.roughness.mean()) == pytest.approx(ROUGHNESS, rel=0.12)

@@ -24,7 +24,7 @@ def inputs(request: pytest.FixtureRequest, metapp: Callable, app: str) -> None:
 @pytest.fixture
 def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """Runs a command of a script and looks for the files that it makes, whose noise does not matter."""
-    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN_SPP", 4)
 
     def run(line: str) -> None:
         if "transport" in line or "--render" in line:

@@ -55,9 +55,9 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(path_space, "BATCH", 2**16)
-    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN", 4)
-    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE", 1)
+    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
+    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN_SPP", 4)
+    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE_SPP", 1)
     monkeypatch.setattr("metapp.extensions.guided.rendering.SPP", 16)
     (box,) = write_example("transport", Path())
     result = metapp("overfit", "transport", box, "--steps", "2", "--render", "24")

@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from torch import Generator
 
 from data_tools.readers.svbrdf_task import svbrdf_task
-from metapp.appearance.features import BLOCKS
+from metapp.appearance.features import VGG_BLOCKS
 from metapp.apps import app_of
 from metapp.apps.svbrdf_nonstationary.app import field_of
 from metapp.extensions.pretrained.app import FromFeatures, wide_field
@@ -30,7 +30,7 @@ RECIPE = replace(PRETRAINED, app=FromFeatures(wide_field(field_of(SIDE, 8))))
 def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Random weights of VGG-16 up to relu4_3."""
     rng, weights, inputs = Generator().manual_seed(2), {}, 3
-    for i, outputs in enumerate([width for block in BLOCKS[:4] for width in block]):
+    for i, outputs in enumerate([width for block in VGG_BLOCKS[:4] for width in block]):
         weights[f"conv{i}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * (2 / (9 * inputs)) ** 0.5
         weights[f"conv{i}.bias"] = torch.zeros(outputs)
         inputs = outputs

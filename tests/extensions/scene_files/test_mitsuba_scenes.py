@@ -63,7 +63,7 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
 
 
 @needs_mitsuba

@@ -17,7 +17,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from metapp.appearance.features import KNOWN, describe_features, load_features
+from metapp.appearance.features import IMAGENET_DIGESTS, describe_features, load_features
 from metapp.extensions.vgg import weights as vgg
 
 SMALL = ((2, 2), (3,))
@@ -206,7 +206,7 @@ def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> 
 @pytest.mark.usefixtures("real")
 def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
     digests = [vgg.TORCHVISION_SHA256, vgg.LPIPS_SHA256]
-    assert {digest[:8] for digest in digests} <= set(KNOWN)
+    assert {digest[:8] for digest in digests} <= set(IMAGENET_DIGESTS)
     zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes().items()}
     vgg.store(zeros, vgg.Origin("", digests[0]))
     assert describe_features() == "VGG-16 features (ImageNet)"

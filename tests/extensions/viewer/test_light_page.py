@@ -15,7 +15,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import mirror
-from metapp.apps.illumination.app import SMALL, Illumination
+from metapp.apps.illumination.app import LOSS_PX, Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
 from metapp.extensions.viewer.pages import illumination as pages
@@ -112,9 +112,9 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
     ball = view_of(app, theta, task).pictures["ball"].permute(2, 0, 1)
-    target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], SMALL)[0]
-    inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // SMALL)[0] > 0.999
-    assert (avg_pool2d(ball, 64 // SMALL) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
+    target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PX)[0]
+    inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PX)[0] > 0.999
+    assert (avg_pool2d(ball, 64 // LOSS_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
 
 
 def test_what_a_gloss_reflects_at_normal_incidence() -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from data_tools.readers.image_files import Pixels, read_pixels
 from metapp.appearance.colour import srgb_to_linear
-from metapp.apps.illumination.mirror import CLIPPED
+from metapp.apps.illumination.mirror import CLIPPED_VALUE
 from metapp.extensions.capture.ball.alignment import aligned
 from metapp.extensions.capture.ball.circle import FOUND, best_ball
 from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed, power_of
@@ -187,6 +187,6 @@ def _agreed(paths: Sequence[Path], balls: Sequence[Ball | None]) -> tuple[int, l
 
 def _chosen(lights: Sequence[Floats], seen: Sequence[np.ndarray], order: Sequence[int]) -> int:
     """The brightest photograph that is hardly white anywhere, else the darkest."""
-    clip = srgb_to_linear(torch.tensor(CLIPPED)).item()
+    clip = srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
     white = [float((light.max(0) >= clip)[there].mean()) for light, there in zip(lights, seen, strict=True)]
     return next((number for number in reversed(order) if white[number] <= _SHARED), order[0])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from data_tools.readers.image_files import is_heif, opened
 from metapp.appearance.colour import linear_to_srgb
-from metapp.apps.illumination.mirror import CLIPPED
+from metapp.apps.illumination.mirror import CLIPPED_VALUE
 from metapp.extensions.capture.ball.view import Floats
 
 SHORTEST = 1e-6  # s; 1 over it is the longest
@@ -133,7 +133,7 @@ def merged(
     total = sum(weights)
     shortest, longest = int(np.argmin(exposures)), int(np.argmax(exposures))
     bright = displays[shortest].max(0) * seen[shortest]
-    clipped = bright >= CLIPPED
+    clipped = bright >= CLIPPED_VALUE
     radiance = sum(weight * value for weight, value in zip(weights, radiances, strict=True)) / np.maximum(total, 1e-6)
     instead = np.where(bright > 0.5, radiances[shortest], radiances[longest])
     radiance = np.where((total > 1e-3) & ~clipped, radiance, instead)

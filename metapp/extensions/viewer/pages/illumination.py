@@ -14,7 +14,7 @@ from metapp.appearance.photograph import mirror
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import doubt
-from metapp.apps.illumination.mirror import CLIPPED, DARK, is_mirror
+from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, is_mirror
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
 from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Batch, Params, Task
@@ -82,7 +82,7 @@ def _ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
         return app.ball(theta, app.radiance_of(theta), size)[0].clamp(0, 1)
     photo, ball = data["photo"][0] / 255, mirror(app.answer(theta, data), size)[0]
     # no photograph says how bright its light was: exposed so that what it does not clip is as bright in the middle
-    told = (photo.amax(0) < CLIPPED) & (photo.amin(0) > DARK) & (ball.amin(0) > 0)
+    told = (photo.amax(0) < CLIPPED_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)
     ratio = luminance(srgb_to_linear(photo))[told] / luminance(ball)[told]
     exposure = ratio.median() if told.any() else 1 / ball.amax().clamp_min(1e-9)
     return linear_to_srgb((ball * exposure).clamp(0, 1))

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import tone_map
-from metapp.appearance.metrics import DARK, mape
+from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
 from metapp.apps.transport import guide, images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -174,7 +174,7 @@ def _time_to(level: float, shot: Progress) -> tuple[float, bool]:
 def worst_region(picture: Tensor, reference: Tensor) -> list[int]:
     """The square, 1 / ZOOM of a side, in which errors, as of MAPE, are greatest in the mean: [x, y, width, height]."""
     side = max(1, reference.shape[1] // ZOOM)
-    errors = ((picture - reference).abs() / reference.clamp_min(DARK * reference.mean())).mean(0)
+    errors = ((picture - reference).abs() / reference.clamp_min(LEAST_SHARE_OF_MEAN * reference.mean())).mean(0)
     means = avg_pool2d(errors.clamp_max(4.0)[None], side, stride=1)[0]  # a firefly alone is no region
     row, column = divmod(int(means.argmax()), means.shape[1])
     return [column, row, side, side]
