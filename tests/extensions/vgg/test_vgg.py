@@ -59,7 +59,7 @@ REAL = vgg.BLOCKS
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Networks of a few weights, and nothing of the user's or of the network's in reach."""
-    monkeypatch.setattr(vgg, "BLOCKS", SMALL)
+    monkeypatch.setattr(vgg, "VGG_BLOCKS", SMALL)
     monkeypatch.setattr(vgg, "LPIPS_URL", (tmp_path / "none.tar.gz").as_uri())
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
 
@@ -131,7 +131,7 @@ def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path, monkeypatch: pyt
 @pytest.fixture
 def real(_small: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Networks of their own sizes."""
-    monkeypatch.setattr(vgg, "BLOCKS", REAL)
+    monkeypatch.setattr(vgg, "VGG_BLOCKS", REAL)
 
 
 @pytest.mark.usefixtures("real")
