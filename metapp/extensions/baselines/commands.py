@@ -16,7 +16,7 @@ from metapp.cli.apps import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, Declared, declared
-from metapp.registry import registry
+from metapp.registry import did_you_mean, registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import progress, say
 

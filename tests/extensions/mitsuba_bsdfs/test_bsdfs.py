@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from metapp.apps.brdf.networks import network_of
 from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
