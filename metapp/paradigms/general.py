@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
-from metapp.learning.progress import TrainState
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Rng, Tasks, drawn
-from metapp.paradigms.outer_loop import train
-from metapp.paradigms.paradigm import Paradigm, TrainingData
+from metapp.paradigms.paradigm import Paradigm
 
 
 class General(Paradigm):
@@ -32,7 +28,7 @@ class General(Paradigm):
         return 0
 
     @property
-    def training(self) -> OuterLoop | None:
+    def training(self) -> OuterLoop:
         """The encoder's."""
         return self.recipe.general
 
@@ -40,18 +36,17 @@ class General(Paradigm):
         """The encoder's prediction; where steps follow, beside it the parameters that tasks give themselves."""
         return (self.app.known(tasks) if self.recipe_steps else {}) | predicted(self.app, phi, tasks, rng)
 
-    def outer_problem(self, rng: Generator) -> tuple[MetaParameters, Loss]:
-        """The untrained encoder and the loss that trains it."""
+    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """An untrained encoder."""
+        return MetaParameters(encoder=self.app.init_encoder(rng))
+
+    def outer_loss(self, phi: MetaParameters) -> Loss:
+        """The loss of the encoder's predictions."""
         app, training = self.app, self.recipe.general
         loss = after_encoding(task_outer_loss(app, self.recipe.batch), Encoding(app.condition, app.encode))
         outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
         # staged before tasks are augmented: what is not seen need not be made
-        return MetaParameters(encoder=app.init_encoder(rng)), staged(outer, app.stage)
-
-    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
-        """Train the encoder."""
-        phi, loss = self.outer_problem(data.rng)
-        return train(self, data.first if data.first.encoder else phi, loss, self.recipe.general, data)
+        return staged(outer, app.stage)
 
 
 def predicted(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:

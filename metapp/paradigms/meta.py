@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator
-
 import torch
 from torch import Generator
 
 from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_outer_loss
-from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Rng, Tasks
 from metapp.paradigms.general import encoding, predicted
-from metapp.paradigms.outer_loop import train
-from metapp.paradigms.paradigm import AT_ONCE, Paradigm, TrainingData, fastest
-from metapp.paradigms.tuning import search
+from metapp.paradigms.paradigm import AT_ONCE, Paradigm, fastest
 from metapp.rules import rule_of
 
 GATHERED = 32  # tasks whose gradients settle parts of a rule
@@ -73,57 +67,46 @@ class Meta(Paradigm):
         usual = self.steps == self.recipe.steps
         return (usual and self.training.guard) or Guard(self.recipe.quickft)
 
-    def outer_problem(self, prepared: MetaParameters, rng: Generator) -> tuple[MetaParameters, Loss]:
-        """phi before meta-training and the loss that trains it (alg. 3).
+    @property
+    def searched_from(self) -> Adam | None:
+        """The Adam that the rule is at first, if the recipe searches it."""
+        return self.training.first if self.training.tuned else None
 
-        Args:
-            prepared: General's encoder, which predicts initialisations; or a first theta without task axis; a random
-                one is drawn where both are empty.
-            rng: of the random initialisation.
-        """
-        app, training, steps = self.app, self.training, self.steps
+    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """An encoder, the mean of General's predictions or a random theta_0; and the rule as a plain Adam."""
+        app, kind, encoder, theta = self.app, self.training.initialisation, {}, {}
+        if kind == "untrained":
+            encoder = app.init_encoder(rng)
+        elif general and kind == "encoder":
+            encoder = general.encoder
+        elif general and kind == "mean":
+            theta = {key: value.mean(0) for key, value in predicted(app, general, tasks, rng).items()}
         random = {key: value[0] for key, value in app.init(rng, 1).items()}
-        theta = {} if prepared.encoder else prepared.theta or random
+        alpha = self.learned.alpha(app, random, self.steps, self.training.first)
+        phi = MetaParameters({} if encoder else theta or random, alpha, encoder)
+        return self._with_gradients(phi, tasks, rng)
+
+    def outer_loss(self, phi: MetaParameters) -> Loss:
+        """The loss that is left after the steps of a fit (alg. 3)."""
+        app, training = self.app, self.training
         learned = after_learning(
             self.loss,
             self.learned.rule,
-            steps=steps,
+            steps=self.steps,
             order=training.order,
             clip=training.clip,
-            encoding=encoding(app) if prepared.encoder else None,
+            encoding=encoding(app) if phi.encoder else None,
             outer_loss=task_outer_loss(app, self.recipe.batch),
             steps_of=fastest(compiles=app.compiles),
         )
-        phi = MetaParameters(theta, self.learned.alpha(app, random, steps, training.first), prepared.encoder)
-        return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
+        return over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
 
-    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
-        """Learn initialisation and rule, after a search of the Adam that the rule begins as, if the recipe has one."""
-        training = self.training
-        first, loss = self.outer_problem(self._first(data), data.rng)
-        first = data.first if data.first.alpha else self._with_gradients(first, data.to_fit, data.rng)
-        if training.tuned and not data.first.alpha:
-            # where outer steps follow, their number says nothing about the search
-            searched = data._replace(steps=None if training.steps else data.steps)
-            tuned = yield from search(self, training.first, functools.partial(self._with_adam, first), searched)
-            if not training.steps:
-                return
-            first, data = tuned.phi, data._replace(since=data.since if data.since.outer else tuned)
-        yield from train(self, first, loss, training, data)
-
-    def _first(self, data: TrainingData) -> MetaParameters:
-        """The first phi: an encoder, the mean of General's predictions, or nothing."""
-        training = self.training
-        if data.first.alpha:
-            return data.first
-        if training.initialisation == "untrained":
-            return MetaParameters(encoder=self.app.init_encoder(data.rng))
-        if data.encoder is None or not training.from_general:
-            return MetaParameters()
-        if training.initialisation == "encoder":
-            return data.encoder
-        mean = {key: value.mean(0) for key, value in predicted(self.app, data.encoder, data.to_fit, data.rng).items()}
-        return MetaParameters(mean)
+    def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
+        """phi whose rule is this Adam at first, but for hyperparameters that gradients settled."""
+        theta = {key: value[0] for key, value in self.app.init(Generator().manual_seed(0), 1).items()}
+        fresh = self.learned.alpha(self.app, theta, self.steps, adam)
+        settled = {name: value for name, value in phi.alpha.items() if name.startswith(self.learned.settled)}
+        return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | settled).items()})
 
     def _with_gradients(self, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
         """phi with what parts of its rule, if any, take from the gradients of fits of training tasks."""
@@ -146,10 +129,3 @@ class Meta(Paradigm):
 
             learn(theta, rule._replace(step=recording), part, self.loss, steps=self.steps, rng=rng)
         return phi._replace(alpha=learned.settle(phi.alpha, total))
-
-    def _with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
-        """phi with its rule's initial hyperparameters for this Adam, but for those that gradients settled."""
-        theta = {key: value[0] for key, value in self.app.init(Generator().manual_seed(0), 1).items()}
-        fresh = self.learned.alpha(self.app, theta, self.steps, adam)
-        settled = {name: value for name, value in phi.alpha.items() if name.startswith(self.learned.settled)}
-        return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | settled).items()})

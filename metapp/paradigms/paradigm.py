@@ -6,7 +6,7 @@ import functools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 from torch import Generator
 
@@ -14,13 +14,13 @@ from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
-from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Rng, Tasks
 from metapp.registry import registry
 
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
+NO_OUTER_LOOP = OuterLoop(steps=0, tasks=0, rates={})
 
 
 def fastest(*, compiles: bool = False) -> StepsOf:
@@ -31,27 +31,6 @@ def fastest(*, compiles: bool = False) -> StepsOf:
     """
     entry = registry().steps
     return functools.partial(entry.load(), compiles=compiles) if entry else torch_steps
-
-
-class TrainingData(NamedTuple):
-    """The tasks of a preparation, its random numbers, and its beginning.
-
-    Attributes:
-        to_fit, to_validate: the training tasks, and those of them that validate.
-        rng: of all random draws.
-        encoder: a prepared General; QuickFT tunes on it, Meta begins with it or with the mean of its predictions.
-        steps: outer steps instead of the recipe's; validations where there is only a search.
-        since: how far the same preparation was when it was cut off, to go on from.
-        first: a checkpoint of the same kind whose outer steps go on, in place of a fresh phi; {} for none.
-    """
-
-    to_fit: Tasks
-    to_validate: Tasks
-    rng: Generator
-    encoder: MetaParameters | None = None
-    steps: int | None = None
-    since: TrainState = TrainState()
-    first: MetaParameters = MetaParameters()
 
 
 @dataclass(frozen=True)
@@ -119,22 +98,38 @@ class Paradigm(ABC):
         """The guard of its fits; None where the rule is not learned."""
         return None
 
+    # Training (`training.prepare`) of the last checkpoint that it needs
+
     @property
-    def training(self) -> OuterLoop | None:
-        """The outer loop of its preparation; None where there is none."""
+    def training(self) -> OuterLoop:
+        """The outer loop; of 0 steps if there is none."""
+        return NO_OUTER_LOOP
+
+    @property
+    def searched_from(self) -> Adam | None:
+        """The first Adam of a search on validation tasks, before the outer loop; None for no search."""
         return None
 
-    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
-        """Prepare the last of what it needs; the others are given.
+    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """phi before training.
 
-        Yields:
-            Its state, before each outer step and after each validation; the last holds the result.
+        Args:
+            general: a trained General, if there is one.
+            tasks: training tasks.
+            rng: of all random draws.
 
         Raises:
-            ValueError: there is nothing to prepare.
-            FloatingPointError: the training loss is not finite; names tasks and step.
+            ValueError: there is nothing to train.
         """
         raise ValueError(f"{self.name}: nothing to prepare.")
+
+    def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
+        """phi whose fits begin with an Adam of the search."""
+        raise NotImplementedError
+
+    def outer_loss(self, phi: MetaParameters) -> Loss:
+        """The loss of the outer loop, on flat trees as of phi."""
+        raise NotImplementedError
 
     def fit(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import torch
+from torch import Generator
 
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, OuterLoop
-from metapp.learning.task import Params
+from metapp.learning.task import Tasks
 from metapp.paradigms.general import General
-from metapp.paradigms.paradigm import TrainingData
-from metapp.paradigms.tuning import search
+from metapp.paradigms.paradigm import NO_OUTER_LOOP
 
 TUNED = ("rate", "beta1", "beta2", "eps", "final")
 
@@ -32,26 +29,26 @@ class QuickFT(General):
         """Meta's."""
         return self.recipe.steps
 
-    @property
-    def training(self) -> OuterLoop | None:
-        """None: there is only a search."""
-        return None
-
     def adam(self, phi: MetaParameters) -> Adam:
         """The Adam that was tuned on this data's validation tasks, else the recipe's."""
         tuned = {key: float(value) for key, value in phi.alpha.items()}
         return Adam(**tuned) if tuned else self.recipe.quickft
 
-    def prepare(self, data: TrainingData) -> Iterator[TrainState]:
-        """Search the Adam on validation tasks: a win over a badly tuned baseline is no win.
+    @property
+    def training(self) -> OuterLoop:
+        """No outer loop."""
+        return NO_OUTER_LOOP
 
-        The result has Adam's settings as alpha, scalars on the CPU, beside the encoder that they were tuned for.
-        """
-        encoder = data.encoder
-        assert encoder is not None
-        return search(self, self.recipe.quickft, lambda adam: encoder._replace(alpha=to_alpha(adam)), data)
+    @property
+    def searched_from(self) -> Adam:
+        """The recipe's Adam: a win over a badly tuned baseline is no win."""
+        return self.recipe.quickft
 
+    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """General's encoder."""
+        assert general is not None
+        return general
 
-def to_alpha(settings: Adam) -> Params:
-    """Adam's settings as a checkpoint of QuickFT stores them, scalars."""
-    return {key: torch.tensor(getattr(settings, key), dtype=torch.float64) for key in TUNED}
+    def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
+        """The encoder, and an Adam's settings as alpha: scalars on the CPU."""
+        return phi._replace(alpha={key: torch.tensor(getattr(adam, key), dtype=torch.float64) for key in TUNED})

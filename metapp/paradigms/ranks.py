@@ -1,4 +1,4 @@
-"""Training on many processes, which `torchrun` starts: each has its part of every meta-batch, gradients are summed.
+"""Training by several processes, ranks, that `torchrun` starts: each differentiates its part of every meta-batch.
 
 All ranks draw the same tasks and samples from the same seed and take the same outer steps; rank 0 alone writes.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
+import sys
 from collections.abc import Iterator
 from datetime import timedelta
 
@@ -19,31 +19,32 @@ from torch.utils._pytree import tree_leaves, tree_map
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.task import Params
 
-WAITS = timedelta(minutes=30)  # for a rank that is slower, before it counts as lost
+TIMEOUT = timedelta(minutes=30)  # for a slower rank, before it counts as lost
+LOOPBACK = {"linux": "lo", "darwin": "lo0"}
 
 
 def number() -> int:
-    """Which rank this process is; 0 where there is one alone."""
+    """The rank of this process; 0 of a single one."""
     return int(os.environ.get("RANK", "0"))
 
 
 def count() -> int:
-    """The number of ranks that `torchrun` has started; 1 without it."""
+    """The number of ranks; 1 without `torchrun`."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 @contextlib.contextmanager
 def joined(device: torch.device) -> Iterator[None]:
-    """Connect the ranks for what is inside: by nccl on GPUs, one each, by gloo on CPUs."""
+    """The connection of the ranks: by nccl on GPUs, one each, by gloo on CPUs."""
     if count() == 1:
         yield
         return
     if device.type == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    elif _on_one_machine() and (loopback := {"lo", "lo0"} & {name for _, name in socket.if_nameindex()}):
-        # gloo warns of a machine that cannot resolve its own name, as in containers
-        os.environ.setdefault("GLOO_SOCKET_IFNAME", loopback.pop())
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=WAITS)
+    elif sys.platform in LOOPBACK and os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]:
+        # on one machine; gloo warns of one that cannot resolve its own name, as in containers
+        os.environ.setdefault("GLOO_SOCKET_IFNAME", LOOPBACK[sys.platform])
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=TIMEOUT)
     try:
         yield
     finally:
@@ -51,62 +52,44 @@ def joined(device: torch.device) -> Iterator[None]:
             dist.destroy_process_group()
 
 
-def _on_one_machine() -> bool:
-    address = os.environ.get("MASTER_ADDR", "")
-    local = address in ("localhost", "::1") or address.startswith("127.")
-    return local or os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]
-
-
 def wait() -> None:
-    """Wait until all ranks are here.
+    """Wait for all ranks.
 
     Raises:
         ConnectionError: one has ended.
     """
     if count() > 1:
-        with _lost_ranks():
-            dist.barrier()
+        _summed(torch.zeros(1, device="cuda" if dist.get_backend() == "nccl" else "cpu")).tolist()
 
 
-@contextlib.contextmanager
-def _lost_ranks() -> Iterator[None]:
+def _summed(value: Tensor) -> Tensor:
+    """The sum of a tensor over all ranks, in its place."""
     try:
-        yield
+        dist.all_reduce(value)
     except RuntimeError as error:
-        raise ConnectionError(
-            f"rank {number()} of {count()}: another rank has ended; the same command goes on from the training "
-            "checkpoint."
-        ) from error
-
-
-def require(tasks: int) -> None:
-    """Refuse more ranks than an outer step has tasks.
-
-    Raises:
-        ValueError: says how many there may be.
-    """
-    if count() > tasks:
-        raise ValueError(f"{count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
+        ended = f"rank {number()} of {count()}: another rank has ended"
+        raise ConnectionError(f"{ended}; the same command goes on from the training checkpoint.") from error
+    return value
 
 
 class SummedOverRanks(Loss):
     """A mean over tasks, each rank's part of which is differentiated there; the same on all ranks."""
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """The gradient of all tasks, and the loss of each, [T]."""
-        total = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
-        rows = range(number(), total, count())
+        """The gradient of all tasks, and the loss of each, [T].
+
+        Raises:
+            ValueError: there are more ranks than tasks.
+        """
+        tasks = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
+        if count() > tasks:
+            raise ValueError(f"{count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
+        rows = slice(number(), tasks, count())
 
         def part(leaf: object) -> object:
-            if isinstance(leaf, Tensor) and leaf.shape[:1] == (total,):
-                return leaf[rows.start : total : count()]
-            return leaf
+            return leaf[rows] if isinstance(leaf, Tensor) and leaf.shape[:1] == (tasks,) else leaf
 
         grads, part_losses = super().gradient(theta, tree_map(part, batch), learned, graph=graph)
-        losses = part_losses.new_zeros(total)
-        losses[rows.start : total : count()] = part_losses
-        flat = torch.cat([*(grad.flatten() * (len(rows) / total) for grad in grads.values()), losses])
-        with _lost_ranks():
-            dist.all_reduce(flat)
-        *parts, losses = flat.split([*(grad.numel() for grad in grads.values()), total])
-        return {key: part.view_as(grads[key]) for key, part in zip(grads, parts, strict=True)}, losses
+        losses = part_losses.new_zeros(tasks)
+        losses[rows] = part_losses
+        return {key: _summed(grad * (len(part_losses) / tasks)) for key, grad in grads.items()}, _summed(losses)

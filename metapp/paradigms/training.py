@@ -1,49 +1,264 @@
-"""What prepares a checkpoint, by its name, and the description that its file holds."""
+"""The training of a checkpoint: a search of an Adam on validation tasks, an outer loop on training tasks, or both."""
 
 from __future__ import annotations
 
+import itertools
+import sys
+from collections.abc import Iterator
 from dataclasses import asdict, replace
+from typing import NamedTuple
 
-from metapp.learning.progress import TrainState
-from metapp.learning.recipe import OuterLoop
-from metapp.paradigms import PARADIGMS
+import torch
+from torch import Generator, Tensor
+
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters, Step, checked, descend
+from metapp.learning.recipe import Adam, OuterLoop
+from metapp.learning.rules import outer_adam
+from metapp.learning.task import Params, Tasks
+from metapp.paradigms import PARADIGMS, ranks
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms.paradigm import AT_ONCE, Paradigm
+
+
+class TrainState(NamedTuple):
+    """The state of a training between two steps: what is saved, what it goes on from, and at the end its result.
+
+    Attributes:
+        current: phi now, a flat tree.
+        rng: state of the generator of all draws, uint8.
+        moments: state of the outer Adam; {} before the outer loop.
+        step: outer steps taken; before the outer loop, Adams tried.
+        losses: training losses since the last validation, [n].
+        searched: validation errors of the Adams tried, in the order of the search.
+        best: the phi of the lowest validation error, a flat tree.
+        validation: its error, the mean over validation tasks as tables print it.
+        best_step: the step that it is of.
+        curve: (step, mean training loss since the last entry, validation error), scaled as in tables; None for no loss.
+        total: number of steps at the end.
+        note: a line about the validation that was just made; "" for none.
+    """
+
+    current: Params
+    rng: Tensor
+    moments: Params = {}  # noqa: RUF012  (never written to)
+    step: int = 0
+    losses: Tensor = torch.empty(0)
+    searched: tuple[float, ...] = ()
+    best: Params = {}  # noqa: RUF012
+    validation: float = float("inf")
+    best_step: int = 0
+    curve: tuple[tuple[int, float | None, float], ...] = ()
+    total: int = 0
+    note: str = ""
+
+    @property
+    def phi(self) -> MetaParameters:
+        """The best phi."""
+        return MetaParameters.unflat(self.best)
+
+
+def prepare(
+    paradigm: Paradigm,
+    tasks: Tasks,
+    rng: Generator,
+    *,
+    general: MetaParameters | None = None,
+    first: MetaParameters | None = None,
+    steps: int | None = None,
+    since: TrainState | None = None,
+) -> Iterator[TrainState]:
+    """Train the last checkpoint that a paradigm needs.
+
+    Args:
+        paradigm: General, QuickFT or Meta.
+        tasks: training tasks; every eighth validates.
+        rng: of all random draws.
+        general: a trained General, which QuickFT and most recipes of Meta begin at.
+        first: a checkpoint of the same kind whose outer steps go on, in place of a fresh phi.
+        steps: outer steps in place of the recipe's; the most Adams to try where there is only a search.
+        since: state of the same training when it was cut off; `first` and `general` are not read.
+
+    Yields:
+        Its state after each Adam tried, before and after each outer step, and after each validation; the last one is
+        the result.
+
+    Raises:
+        ValueError: there is nothing to train; there are fewer than 4 tasks.
+        FloatingPointError: the training loss is not finite; names tasks and step.
+    """
+    to_fit, to_validate = split_validation(tasks)
+    training, adam = paradigm.training, paradigm.searched_from
+    if since:
+        rng.set_state(since.rng)
+    state = since or TrainState((first or paradigm.first_phi(general, to_fit, rng)).flat(), rng.get_state())
+    if adam and not first and not state.moments:
+        # where outer steps follow, their number says nothing about the search
+        for tried in _search(paradigm, adam, state, to_validate, None if training.steps else steps):
+            yield tried
+        if not training.steps:
+            return
+        # the best of a search is where the outer loop begins, not what it competes with
+        state = TrainState(tried.best, tried.rng, searched=tried.searched)
+    yield from _outer_loop(paradigm, with_steps(training, steps), state, to_fit, to_validate, rng)
+
+
+def _outer_loop(
+    paradigm: Paradigm, training: OuterLoop, state: TrainState, to_fit: Tasks, to_validate: Tasks, rng: Generator
+) -> Iterator[TrainState]:
+    """Outer steps, with a validation before the first, at the end, and every so many."""
+    loss, steps = paradigm.outer_loss(MetaParameters.unflat(state.current)), training.steps
+    if ranks.count() > 1:
+        loss = ranks.SummedOverRanks(loss.draw, loss.value, loss.shared)
+    rule, app = outer_adam(training, state.current), paradigm.app
+    since = Step(state.step, state.current, state.moments) if state.moments else None
+    for now in checked(descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1):
+        losses = state.losses
+        if now.loss is not None:
+            losses = torch.cat([losses.to(now.loss), now.loss.mean()[None]])
+        state = state._replace(
+            current=now.theta,
+            moments=now.state,
+            rng=rng.get_state(),
+            losses=losses,
+            step=now.step,
+            total=steps,
+            note="",
+        )
+        yield state
+        if state.curve[-1:] and state.curve[-1][0] == now.step:
+            continue  # it was cut off after this validation
+        if now.step == steps or now.step % training.validate_every == 0:
+            error = validation_error(paradigm, MetaParameters.unflat(now.theta), to_validate)
+            mean = app.scale * float(losses.mean()) if len(losses) else None
+            state = state._replace(losses=losses[:0], curve=(*state.curve, (now.step, mean, error)))
+            if error < state.validation:
+                best = {key: value.clone() for key, value in now.theta.items()}
+                state = state._replace(best=best, validation=error, best_step=now.step)
+            note = f"validation {error:.3f}, best {state.validation:.3f}"
+            yield state._replace(note=note if mean is None else f"loss {mean:.3f}, {note}")
+
+
+# The coordinate search of an Adam, a line after the other around the best so far; a rate is a factor of the best's
+SEARCHED: tuple[list[dict[str, float]], ...] = (
+    [{"rate": 2.0**i} for i in (-1, 1, -2, 2, -3, 3, -4, 4, -5, 5)],
+    [
+        {"beta1": beta1, "beta2": beta2}
+        for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
+    ],
+    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
+    [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
+    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
+)
+SEARCH_TASKS = 8  # validation tasks, where a fit takes longer than an instant
+
+
+def _search(paradigm: Paradigm, first: Adam, state: TrainState, tasks: Tasks, most: int | None) -> Iterator[TrainState]:
+    """A coordinate search from an Adam on, one setting or two at a time; errors that `state` knows stay."""
+    tasks, known, phi = _search_tasks(paradigm.app, tasks), state.searched, MetaParameters.unflat(state.current)
+    total = min(1 + sum(map(len, SEARCHED)), most or sys.maxsize)
+    state, best = TrainState(state.current, state.rng, total=total), first
+    errors: list[float] = []
+
+    def candidates() -> Iterator[Adam]:
+        yield best
+        for choices in SEARCHED:
+            around = best
+            for changes in choices[: total - len(errors)]:
+                yield replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)})
+
+    for step, adam in enumerate(candidates(), 1):
+        tried = paradigm.with_adam(phi, adam)
+        error = known[step - 1] if step <= len(known) else validation_error(paradigm, tried, tasks)
+        errors.append(error)
+        state = state._replace(searched=tuple(errors), step=step)
+        if error < state.validation:
+            curve, best = (*state.curve, (step, None, error)), adam
+            state = state._replace(best=tried.flat(), validation=error, best_step=step, curve=curve)
+        if step >= len(known):
+            yield state._replace(note=f"rate {adam.rate:.1e}, validation {error:.3f}, best {state.validation:.3f}")
+
+
+def _search_tasks(app: App, tasks: Tasks) -> Tasks:
+    """All validation tasks where fits are cheap, else up to SEARCH_TASKS of them, evenly spaced."""
+    if app.cheap_fits:
+        return tasks
+    count = min(len(tasks), SEARCH_TASKS)
+    return tasks.select([i * len(tasks) // count for i in range(count)])
+
+
+def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
+    """The tasks to train on, and those to validate on: of the groups, sorted by name, every eighth from the fourth on.
+
+    Sorting spreads the validation tasks over the families that names begin with.
+
+    Raises:
+        ValueError: fewer than 4 groups.
+
+    >>> train, validate = split_validation(Tasks(tuple("abcdef"), {}, torch.arange(6)))
+    >>> train.picked_names, validate.picked_names
+    (('a', 'b', 'c', 'e', 'f'), ('d',))
+    """
+    groups = [(tasks.groups or tasks.names)[row] for row in tasks.rows.tolist()]
+    if len(set(groups)) < 4:
+        raise ValueError(
+            f"training set: {len(tasks)} tasks that show {len(set(groups))} things, expected at least 4 (some are kept "
+            "for validation)."
+        )
+    validating = set(sorted(set(groups))[3::8])
+    rows = range(len(tasks))
+    return (
+        tasks.select([row for row in rows if groups[row] not in validating]),
+        tasks.select([row for row in rows if groups[row] in validating]),
+    )
+
+
+def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> float:
+    """The mean error of fits of all tasks with fixed seeds, as tables print it; infinite if a fit diverges.
+
+    Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
+    """
+    paradigm, app = paradigm.unguarded(), paradigm.app
+    total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
+    for seed in range(seeds):
+        rng = Generator(tasks.rows.device).manual_seed(seed)
+        for rows in torch.arange(len(tasks)).split(AT_ONCE):
+            part = tasks.select(rows)
+            try:
+                theta = paradigm.fit(phi, part, rng)
+            except FloatingPointError:
+                return float("inf")
+            total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
+    return app.scale * total / (seeds * float(weights.sum()))
 
 
 def preparing(paradigm: Paradigm, name: str) -> Paradigm:
-    """The paradigm that prepares a checkpoint: "general", "quickft", or a learned rule.
-
-    A checkpoint is learned through the recipe's number of steps.
-    """
+    """The paradigm that trains "general", "quickft" or a learned rule, for the recipe's number of steps."""
     if name in PARADIGMS:
         return PARADIGMS[name](paradigm.app, paradigm.recipe, paradigm.rule_name)
     return Meta(paradigm.app, paradigm.recipe, name)
 
 
-def training_of(paradigm: Paradigm, steps: int | None) -> OuterLoop | None:
-    """The outer loop of a preparation, with other steps than the recipe's; None where there is only a search."""
-    training = paradigm.training
-    if training and training.steps and steps is not None:
-        training = replace(training, steps=steps)
-    return training
+def with_steps(training: OuterLoop, steps: int | None) -> OuterLoop:
+    """An outer loop of another number of steps; None keeps its own."""
+    return training if steps is None else replace(training, steps=steps)
 
 
 def describe(paradigm: Paradigm, state: TrainState, steps: int | None = None) -> dict[str, object]:
-    """The description of a checkpoint in its file: JSON-ready.
+    """The description of a checkpoint in its file, JSON-ready.
 
     Args:
-        paradigm: that prepared it.
+        paradigm: that trained it.
         state: at the end.
-        steps: outer steps instead of the recipe's.
+        steps: outer steps in place of the recipe's.
     """
-    recipe, training = paradigm.recipe, training_of(paradigm, steps)
+    recipe, training = paradigm.recipe, paradigm.training
     return {
         "app": paradigm.app.name,
         "checkpoint": paradigm.needs[-1],
         "inner_steps": recipe.steps,
         "batch": recipe.batch,
-        "training": training and asdict(training),
+        "training": asdict(with_steps(training, steps if training.steps else None)) if training.tasks else None,
         "validation_error": state.validation,
         "best_step": state.best_step,
         "curve": state.curve,

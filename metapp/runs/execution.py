@@ -22,6 +22,7 @@ from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
+from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.files import named
 from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
 
@@ -224,8 +225,8 @@ def _with_checkpoint(run: Run) -> Run:
         from metapp.runs.training import train_checkpoint
 
         with ranks.joined(run.device):
-            trained = train_checkpoint(run, run.options.train_steps)
-        run = replace(run, options=replace(run.options, checkpoint=trained.path))
-        if run.paradigm.name == "quickft" and trained.general:  # which may ship
-            return replace(run, checkpoint=tuned_by(trained.general, trained.state.phi, trained.path))
+            path, general = train_checkpoint(run, run.options.train_steps)
+        run = replace(run, options=replace(run.options, checkpoint=path))
+        if run.paradigm.name == "quickft" and general:  # which may ship
+            return replace(run, checkpoint=tuned_by(general, load_checkpoint(path)[0], path))
     return with_checkpoint(run) if ranks.number() == 0 else run

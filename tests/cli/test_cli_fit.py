@@ -183,7 +183,7 @@ def test_a_training_begins_at_the_general_that_is_named(fit: Callable) -> None:
 def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
     # a recipe that moves too far, and a search that looks at one other
     monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0)))
-    monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
+    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
     assert fit("general", *STEPS).code == 0
     (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
     assert "no Adam was tuned" in fit("quickft", "--checkpoint", general).err

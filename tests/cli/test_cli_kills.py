@@ -8,11 +8,11 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
-from metapp.storage.training_checkpoint import TrainingCheckpoint
+from metapp.runs.checkpoints import training
 from tests import forks
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -55,7 +55,10 @@ def command(ten_materials: Path, tmp_path: Path) -> Callable[..., Command]:
 
 
 def _killed_when_it_is_done(*words: str) -> None:
-    TrainingCheckpoint.remove = lambda self: os._exit(9)
+    unlink = Path.unlink
+    Path.unlink = lambda path, **how: (
+        os._exit(9) if path.name == "general.training.safetensors" else unlink(path, **how)
+    )
     forks.metapp(*words)
 
 
@@ -71,15 +74,15 @@ def test_a_kill_after_the_checkpoint_is_written_keeps_it_once(command: Callable[
 
 def _stops_once_kept(*words: str) -> None:
     """Be the command, and stop where a training checkpoint is first written after a validation, until it may go on."""
-    write = TrainingCheckpoint.write
+    write = training.save_state
 
-    def written(self: TrainingCheckpoint) -> None:
-        write(self)
-        if self.path.is_file() and self.state.curve:
-            TrainingCheckpoint.write = write
+    def written(path: Path, fields: dict[str, Any], settings: dict[str, Any]) -> None:
+        write(path, fields, settings)
+        if path.is_file() and fields["curve"]:
+            training.save_state = write
             os.kill(os.getpid(), signal.SIGSTOP)
 
-    TrainingCheckpoint.write = written
+    training.save_state = written
     forks.metapp(*words)
 
 

@@ -58,7 +58,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     quick = replace(quick, app=app, steps=3, overfit_steps=3, general=general, meta=short)
     monkeypatch.setitem(recipes, "quick", quick)
     monkeypatch.setitem(recipes, "full", quick)
-    monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
+    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
     return request.param
 
 

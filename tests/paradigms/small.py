@@ -29,12 +29,12 @@ from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, last
-from metapp.learning.progress import TrainState
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.paradigms.training import TrainState
 from metapp.rules import rule_names, rule_of
 from tests.marked import long
 from tests.small_spheres import shrink_spheres

@@ -12,13 +12,10 @@ import torch
 
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import TrainState
 from metapp.learning.task import Tasks
-from metapp.paradigms import Paradigm, outer_loop
+from metapp.paradigms import Paradigm, training
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import TrainingData
-from metapp.paradigms.training import preparing
-from metapp.paradigms.validation import split_validation, validation_error
+from metapp.paradigms.training import TrainState, prepare, preparing, split_validation, validation_error
 from tests.marked import long
 from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, prepared_for, result, rng
 
@@ -73,7 +70,7 @@ def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
 
 
 def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
-    return result(paradigm.prepare(TrainingData(*split_validation(tasks), rng(3), **options)))
+    return result(prepare(paradigm, tasks, rng(3), **options))
 
 
 @EVERY
@@ -97,7 +94,7 @@ def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
 def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
     """Iteration 0 is among the states to choose from, and it is not written to afterwards."""
     before, errors = look(trained, tasks, steps=0), itertools.count(1)
-    monkeypatch.setattr(outer_loop, "validation_error", lambda *_: float(next(errors)))
+    monkeypatch.setattr(training, "validation_error", lambda *_: float(next(errors)))
     prepared = look(trained, tasks)
     assert (prepared.best_step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
@@ -110,17 +107,17 @@ def test_preparing_improves_what_it_is_prepared_for(
     name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks
 ) -> None:
     """By a share of the error's size: errors may be negative."""
-    training = replace(trained.training, steps=steps, rates={"": rate}, validate_every=10)
-    changed: dict[str, Any] = {"general": training} if name == "general" else {"meta": {name: training}}
+    longer = replace(trained.training, steps=steps, rates={"": rate}, validate_every=10)
+    changed: dict[str, Any] = {"general": longer} if name == "general" else {"meta": {name: longer}}
     prepared = look(replace(trained, recipe=replace(trained.recipe, **changed)), tasks)
     first = prepared.curve[0][2]
     assert first - prepared.validation > 0.1 * abs(first)
 
 
-def meta_by(meta: Paradigm, **training: Any) -> Paradigm:
+def meta_by(meta: Paradigm, **settings: Any) -> Paradigm:
     """Meta with other settings of its training."""
     recipe = meta.recipe
-    return Meta(meta.app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **training)}))
+    return Meta(meta.app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **settings)}))
 
 
 def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
@@ -130,7 +127,7 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[
     mean = {key: value.mean(0) for key, value in predicted.items()}
     random = {key: value[0] for key, value in app.init(rng(3), 1).items()}
     for start, given, expected in (("mean", encoder, mean), ("random", encoder, random), ("mean", None, random)):
-        phi = look(meta_by(fits["meta"], initialisation=start), tasks, encoder=given, steps=0).phi
+        phi = look(meta_by(fits["meta"], initialisation=start), tasks, general=given, steps=0).phi
         assert not phi.encoder
         for key, value in expected.items():
             if expected is mean:
@@ -143,11 +140,11 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[
 def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
     encoder, meta = prepared_for(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
-    first = look(meta, tasks, encoder=encoder, steps=0).phi
+    first = look(meta, tasks, general=encoder, steps=0).phi
     assert not first.theta
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
     meta = meta_by(meta, steps=20, rates={"": 1e-3}, validate_every=5)
-    prepared = look(meta, tasks, encoder=encoder)
+    prepared = look(meta, tasks, general=encoder)
     assert prepared.best_step > 0
     assert prepared.validation < prepared.curve[0][2]
     assert not prepared.phi.theta
@@ -169,6 +166,6 @@ def test_training_never_sees_a_validation_task(
     for key, value in tasks.data.items():
         own = value.stride(0) != 0  # what all tasks share is no task's
         spoilt[key] = value.float().index_fill(0, rows, math.nan) if own else value
-    monkeypatch.setattr(outer_loop, "validation_error", lambda *_: 1.0)
+    monkeypatch.setattr(training, "validation_error", lambda *_: 1.0)
     prepared = look(trained, Tasks(tasks.names, spoilt, tasks.rows), steps=12)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import random
 import struct
 from collections.abc import Callable
@@ -14,14 +15,12 @@ import pytest
 import torch
 
 from metapp.learning.learn import MetaParameters
-from metapp.learning.progress import TrainState
 from metapp.learning.task import Tasks
-from metapp.paradigms import Paradigm, tuning
+from metapp.paradigms import Paradigm, training
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import TrainingData
-from metapp.paradigms.validation import split_validation
+from metapp.paradigms.training import TrainState, prepare
 from metapp.storage.checkpoints import save_checkpoint
-from metapp.storage.training_checkpoint import TrainingCheckpoint
+from metapp.storage.training_checkpoint import load_state, save_state
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, rng, untrained
 
@@ -34,42 +33,30 @@ class Cut(Exception):
     """A kill: what was not written before is lost."""
 
 
-class Cutting(TrainingCheckpoint):
-    """Writes every time, and ends the program after so many."""
-
-    def __init__(self, start: Path, after: float) -> None:
-        super().__init__(start, SETTINGS)
-        self.seconds, self.after, self.steps = 0.0, after, []
-
-    def keep(self, progress: TrainState) -> None:
-        super().keep(progress)
-        self.steps.append(progress.outer.step if progress.outer else -len(progress.errors))
-        if len(self.steps) >= self.after:
-            raise Cut
-
-
 @pytest.fixture
 def trained(kind: str, fits: dict[str, Paradigm], monkeypatch: pytest.MonkeyPatch) -> Paradigm:
     """What prepares a checkpoint: general, quickft, or a rule, the Adam of which may be tuned first."""
-    monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
+    monkeypatch.setattr(training, "SEARCHED", SEARCHED)
     if kind in fits:
         return fits[kind]
     recipe = fits["meta"].recipe
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in recipe.meta else "meta-encoder"  # networks are for grids alone
-    training = replace(recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
-    return Meta(fits["meta"].app, replace(recipe, meta={rule: training}), rule)
+    settings = replace(recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
+    return Meta(fits["meta"].app, replace(recipe, meta={rule: settings}), rule)
 
 
-def run(paradigm: Paradigm, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> TrainState:
-    encoder = MetaParameters(encoder=untrained(paradigm).encoder)
-    options: dict[str, Any] = {"encoder": None if paradigm.name == "general" else encoder}
-    if checkpoint is not None:
-        options["since"] = checkpoint.load()
-    for progress in paradigm.prepare(TrainingData(*split_validation(tasks), rng(3), **options)):
-        if checkpoint is not None:
-            checkpoint.keep(progress)
-    return progress
+def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float = math.inf) -> TrainState:
+    """Train, from the training checkpoint `path` if there is one, and write that each time; `most` yields kill it."""
+    general = None if paradigm.name == "general" else MetaParameters(encoder=untrained(paradigm).encoder)
+    fields = load_state(path, SETTINGS) if path else None
+    since = TrainState(**fields) if fields else None
+    for count, state in enumerate(prepare(paradigm, tasks, rng(3), general=general, since=since), 1):
+        if path:
+            save_state(path, state._asdict(), SETTINGS)
+        if count >= most:
+            raise Cut(state)
+    return state
 
 
 def as_file(prepared: TrainState, path: Path) -> bytes:
@@ -92,16 +79,15 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
     kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path
 ) -> None:
     expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
-    path, chance, seen = tmp_path / "start.safetensors", random.Random(kind), [0]
+    path, chance, cuts = tmp_path / "training.safetensors", random.Random(kind), 0
     while True:
-        checkpoint = Cutting(path, after=chance.randint(1, 3))
         try:
-            made = run(trained, tasks, checkpoint)
+            made = run(trained, tasks, path, most=chance.randint(1, 3))
             break
         except Cut:
-            seen += checkpoint.steps
-    assert len(seen) > 3  # it was cut off
-    assert as_file(made, path) == expected
+            cuts += 1
+    assert cuts > 1
+    assert as_file(made, tmp_path / "made.safetensors") == expected
 
 
 @pytest.mark.parametrize(
@@ -114,7 +100,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
 ) -> None:
     """In the middle of an outer step or of a validation, as signals come; what is written is of between two."""
     expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
-    path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
+    path, chance, reached = tmp_path / "training.safetensors", random.Random(kind), [(False, -1)]
     of = type(trained.app)
     augment, errors, calls = of.augment, of.errors, [0]
 
@@ -130,18 +116,16 @@ def test_ctrl_c_at_any_moment_loses_no_step(
 
     for _ in range(100):
         calls[0] = chance.randint(2, 5)
-        checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
             patch.setattr(of, "augment", interrupting(augment))
             patch.setattr(of, "errors", interrupting(errors))
             try:
-                made = run(trained, tasks, checkpoint)
+                made = run(trained, tasks, path)
                 break
             except KeyboardInterrupt:
-                checkpoint.write()
-                now = checkpoint.state
-                reached.append((len(now.errors), now.outer.step if now.outer else -1))
-    assert as_file(made, path) == expected
+                if fields := load_state(path, SETTINGS):
+                    reached.append((bool(fields["moments"]), fields["step"]))
+    assert as_file(made, tmp_path / "made.safetensors") == expected
     assert len(reached) > 1  # it was cut off
     assert reached == sorted(reached)
 
@@ -149,30 +133,26 @@ def test_ctrl_c_at_any_moment_loses_no_step(
 @pytest.fixture
 def cut(fits: dict[str, Paradigm], tasks: Tasks, tmp_path: Path) -> Path:
     """A training checkpoint of a General."""
-    checkpoint = Cutting(tmp_path / "general.safetensors", after=4)
+    path = tmp_path / "general.training.safetensors"
     with pytest.raises(Cut):
-        run(fits["general"], tasks, checkpoint)
-    return checkpoint.path
-
-
-def reopened(cut: Path, **more: Any) -> TrainingCheckpoint:
-    return TrainingCheckpoint(cut.with_name("general.safetensors"), {**SETTINGS, **more})
+        run(fits["general"], tasks, path, most=4)
+    return path
 
 
 @ONE_APP
 def test_layouts_and_types_are_kept(cut: Path) -> None:
-    checkpoint = reopened(cut)
-    progress = checkpoint.load()
-    assert progress.outer is not None
+    fields = load_state(cut, SETTINGS)
+    assert fields is not None
     turned = torch.arange(6.0).reshape(2, 3).T
-    theta = {"b": turned, "a": torch.ones(2, dtype=torch.float64)}
-    outer = progress.outer._replace(theta=theta)
-    checkpoint.keep(progress._replace(errors=(0.5, float("inf")), outer=outer))
-    checkpoint.write()
-    again = checkpoint.load()
-    assert again.errors == (0.5, float("inf"))
-    assert again.outer is not None
-    found = again.outer.theta
+    current = {"b": turned, "a": torch.ones(2, dtype=torch.float64)}
+    state = TrainState(**fields)._replace(searched=(0.5, math.inf), current=current)
+    save_state(cut, state._asdict(), SETTINGS)
+    again = load_state(cut, SETTINGS)
+    assert again is not None
+    assert again.keys() == fields.keys()
+    found = again["current"]
+    assert again["searched"] == (0.5, math.inf)
+    assert again["curve"] == state.curve
     assert list(found) == ["b", "a"]
     assert found["b"].stride() == turned.stride()
     assert torch.equal(found["b"], turned)
@@ -181,12 +161,11 @@ def test_layouts_and_types_are_kept(cut: Path) -> None:
 
 @ONE_APP
 def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
-    before = cut.read_bytes()
-    other = reopened(cut, seed=4, more=1)
+    before, others = cut.read_bytes(), {**SETTINGS, "seed": 4, "more": 1}
     with pytest.raises(ValueError, match=r"other settings \(more, seed\), put aside as general.training.aside"):
-        other.load()
+        load_state(cut, others)
     assert cut.with_name("general.training.aside.safetensors").read_bytes() == before
-    assert other.load() == TrainState()
+    assert load_state(cut, others) is None
 
 
 def damaged(raw: bytes) -> list[bytes]:
@@ -203,9 +182,9 @@ def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
     for each in damaged(raw):
         cut.write_bytes(each)
         with pytest.raises(ValueError, match="a damaged training checkpoint, put aside"):
-            reopened(cut).load()
+            load_state(cut, SETTINGS)
     cut.write_bytes(raw)
-    assert reopened(cut).load().outer is not None
+    assert load_state(cut, SETTINGS) is not None
 
 
 @ONE_APP
@@ -221,26 +200,9 @@ def test_a_full_disk_ends_no_training(
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    checkpoint = reopened(cut)
-    checkpoint.seconds = 0.0
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        made = run(fits["general"], tasks, checkpoint)
+        made = run(fits["general"], tasks, cut)
     assert f"{cut.parent}: No space left on device; {cut.name} was not written" in str(recwarn[0].message)
     assert cut.read_bytes() == before
     assert as_file(made, cut.with_name("made")) == expected
-
-
-def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [100.0]
-    monkeypatch.setattr("metapp.storage.training_checkpoint.time.process_time", lambda: clock[0])
-    first = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
-    clock[0] += 7
-    assert first.spent == 7
-    first.state = first.state._replace(errors=(1.0,))
-    first.write()
-    clock[0] += 1000
-    second = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
-    assert second.load().errors == (1.0,)
-    clock[0] += 5
-    assert second.spent == 12

@@ -15,11 +15,9 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import Paradigm, tuning
+from metapp.paradigms import Paradigm, training
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QuickFT
-from metapp.paradigms.validation import split_validation
 from metapp.rules import rule_of
 from tests.paradigms.small import result, rng
 from tests.quick import app_by
@@ -27,6 +25,8 @@ from tests.quick import app_by
 # The search of QuickFT's Adam, on errors in closed form
 
 
+GENERAL = MetaParameters(encoder={"w": torch.ones(2)})
+TASKS = Tasks(tuple("abcd"), {}, torch.arange(4))
 BEST = Adam(rate=0.05, beta1=0.5, beta2=0.97, eps=1e-4, final=0.1)
 
 
@@ -54,10 +54,8 @@ class Search:
             self.looked.append(self.quickft.adam(prepared))
             return error(self.looked[-1])
 
-        monkeypatch.setattr(tuning, "validation_error", told)
-        none: Any = None  # what errors are told without
-        encoder = MetaParameters(encoder={"w": torch.ones(2)})
-        self.path = list(self.quickft.prepare(TrainingData(none, none, rng(), encoder)))
+        monkeypatch.setattr(training, "validation_error", told)
+        self.path = list(training.prepare(self.quickft, TASKS, rng(), general=GENERAL))
         self.tuned = result(self.path)
         self.found = self.quickft.adam(self.tuned.phi)
 
@@ -79,10 +77,10 @@ def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPat
     """One line of choices at a time changes its own quantities, and those before it stay at their best."""
     first = Adam(0.05, 0.9, 0.999, 1e-8, 1.0)
     search = Search(monkeypatch, first)
-    looked, lines = search.looked, [len(line) for line in tuning.SEARCHED]
+    looked, lines = search.looked, [len(line) for line in training.SEARCHED]
     assert (looked[0], len(looked)) == (first, 1 + sum(lines))
     for i, now in enumerate(search.path, 1):
-        assert (now.done, now.total, now.errors) == (i, len(looked), tuple(map(bowl, looked[:i])))
+        assert (now.step, now.total, now.searched) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
         best, found = min(looked[:i], key=bowl), result([now])
         assert search.quickft.adam(found.phi) == best == looked[found.best_step - 1]
@@ -118,10 +116,9 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
         looked.append(len(tasks))
         return 1.0
 
-    monkeypatch.setattr(tuning, "validation_error", told)
-    encoder = MetaParameters(encoder={"w": torch.ones(2)})
+    monkeypatch.setattr(training, "validation_error", told)
     data = Tasks(names, {}, torch.arange(240))
-    assert len(list(quickft.prepare(TrainingData(*split_validation(data), rng(), encoder, 3)))) == 3
+    assert len(list(training.prepare(quickft, data, rng(), general=GENERAL, steps=3))) == 3
     assert looked == [count] * 3
 
 
@@ -132,13 +129,13 @@ def test_a_rule_is_tuned_as_quickft_is(
     rule: str, outer: int, app: App, fits: dict[str, Paradigm], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
-    monkeypatch.setattr(tuning, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
+    monkeypatch.setattr(training, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
     recipe = fits["meta"].recipe
-    training = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
-    meta = Meta(app, replace(recipe, meta={rule: training}), rule)
+    tuned = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
+    meta = Meta(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(rng()))
-    made = result(meta.prepare(TrainingData(*split_validation(tasks), rng(), encoder)))
-    plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, training.first)
+    made = result(training.prepare(meta, tasks, rng(), general=encoder))
+    plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta
     for name, value in made.phi.alpha.items():

@@ -23,7 +23,7 @@ from metapp.extensions.baselines.baseline import (
 from metapp.extensions.baselines.components import EPSILON, Components, principal
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.paradigms.validation import split_validation
+from metapp.paradigms.training import split_validation
 
 COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples

@@ -30,7 +30,7 @@ from metapp.extensions.baselines.brdf import (
 from metapp.extensions.baselines.components import DELTA, EPSILON, Components, principal, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms.validation import split_validation
+from metapp.paradigms.training import split_validation
 
 APP = Brdf()
 

@@ -55,7 +55,9 @@ def test_relief_that_a_photo_does_not_tell_is_best_left_out(
 @pytest.mark.usefixtures("weights")
 def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
-    phi, loss = General(app, replace(RECIPE, general=training)).outer_problem(rng)
+    general = General(app, replace(RECIPE, general=training))
+    phi = general.first_phi(None, tasks, rng)
+    loss = general.outer_loss(phi)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch
     flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
     assert float(flat.normal[:, 2].mean()) > 0.99
