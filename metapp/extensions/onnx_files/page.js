@@ -1,7 +1,7 @@
 // A photo to maps in the page: onnxruntime-web and the model come as text in scripts, since a page from disk may read nothing else.
 "use strict";
 
-const MAPS = JSON.parse(document.getElementById("about").textContent).maps;
+const MAPS = Array.from(document.querySelectorAll("#maps canvas"), (canvas) => canvas.id);
 const COLOURS = ["diffuse", "specular"];  // linear RGB, shown as sRGB
 const LARGEST = 4096;  // px of a photo's square that is read
 

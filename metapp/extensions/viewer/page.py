@@ -6,7 +6,9 @@ import base64
 import json
 import zlib
 from collections.abc import Sequence
+from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -14,7 +16,7 @@ from torch import Tensor
 
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document
-from metapp.storage.html import data_script, element, page
+from metapp.storage.files import write_atomically
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
@@ -22,6 +24,13 @@ _BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawin
 SCRIPTS = (*_BEFORE, *KINDS, "listing", "main")  # in this order
 TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
 
+HEAD = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+"""
 BODY = """<header>
 <h1></h1><p class="caption"></p><span class="spacer"></span>
 <button id="options" type="button" aria-controls="controls" aria-expanded="false">Controls</button>
@@ -95,17 +104,34 @@ def picture(pixels: Tensor) -> str:
 
 
 def html(data: Document) -> str:
-    """The page of a document, as of `document`."""
+    """The page of a document, as of `document`; ValueError where a number is not finite."""
     facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
     scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in SCRIPTS)]
-    return page(
-        data["title"],
-        _text("page.css"),
-        BODY,
-        element("script", _text("three.min.js")),
-        data_script("data", data),
-        element("script", "\n".join(scripts)),
-    )
+    content = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # no text can end the script
+    lines = [
+        f"{HEAD}<title>{escape(data['title'])}</title>",
+        f"<style>{_text('page.css')}</style>",
+        f"</head>\n<body>\n{BODY}",
+        f"<script>{_text('three.min.js')}</script>",
+        f'<script type="application/json" id="data">{content}</script>',
+        *("<script>", *scripts, "</script>"),
+        "</body>\n</html>\n",
+    ]
+    return "\n".join(lines)
+
+
+def write_page(title: str, groups: Sequence[Group], path: Path) -> Path:
+    """Write the page of fits, whole or not at all.
+
+    Returns:
+        The file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    text = html(document(title, groups))
+    write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8", errors="backslashreplace"))
+    return path
 
 
 def _text(name: str) -> str:

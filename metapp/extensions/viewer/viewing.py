@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from data_tools.synthetic.examples import EXAMPLES, write_example
-from metapp.extensions.viewer.page import Group, Shown, document, html
+from metapp.extensions.viewer.page import Group, Shown, write_page
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -26,7 +26,6 @@ from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.files import file_name
 from metapp.storage.fits import read_params
-from metapp.storage.html import write_page
 
 if TYPE_CHECKING:
     from metapp.runs.fit import Fit
@@ -90,7 +89,7 @@ def view_page(
     for line in lacking:
         say(f"warning: left out: {line}")
     title = f"metapp: {', '.join(dict.fromkeys(title_of(fit.app) for fit in fits))}"
-    return write_page(html(document(title, groups)), page)
+    return write_page(title, groups, page)
 
 
 def _fits(run: Recorded, inputs: Sequence[Path], data: Path | None) -> list[FitOfRun]:
@@ -168,8 +167,8 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     title, record = title_of(fit.app), {"error": fit.error, "seconds": fit.seconds}
     with threads(threads_of(fit.app)):
         shown = shown_of(fit.app, fit.settings["paradigm"], record, fit.parameters, fit.task)
-    page = html(document(f"metapp: {title}", [Group(fit.name, title, [shown])]))
-    return write_page(page, Path(os.fsdecode(path or f"{file_name(fit.name)}.html")))
+    page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
+    return write_page(f"metapp: {title}", [Group(fit.name, title, [shown])], page)
 
 
 def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from metapp.extensions.viewer.page import Group, Shown, document, html
+from metapp.extensions.viewer.page import Group, Shown, write_page
 from metapp.extensions.viewer.view import View
-from metapp.storage.html import write_page
 from tests.browser import Page, browsing
 
 
@@ -18,7 +17,7 @@ def written(folder: Path, *fits: View | list[Shown]) -> Path:
     """A page of groups: of one fit, `meta`, or of several side by side."""
     several = [each if isinstance(each, list) else [Shown("meta", "error 0.1", each)] for each in fits]
     groups = [Group(f"fit {i}", "Fits", each) for i, each in enumerate(several)]
-    return write_page(html(document("metapp", groups)), folder / "view.html")
+    return write_page("metapp", groups, folder / "view.html")
 
 
 @pytest.fixture(scope="module")

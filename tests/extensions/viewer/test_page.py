@@ -7,6 +7,7 @@ import io
 import json
 import re
 import zlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture
+from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture, write_page
 from metapp.extensions.viewer.view import View
 
 LARGEST = 3_000_000  # bytes of a page beside the run's own data
@@ -64,6 +65,15 @@ def test_no_text_of_a_user_ends_or_starts_an_element() -> None:
     assert "alert(1)</script>" not in text
     read = read_data(text)["groups"][0]
     assert (read["title"], read["fits"][0]["facts"]["note"]) == (name, name)
+    assert "<title>a &lt; b</title>" in html(document("a < b", []))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        html(page_of(View("pictures", facts={"error": float("nan")})))
+
+
+def test_a_page_is_written_whatever_its_names_are(tmp_path: Path) -> None:
+    text = write_page("\ud800", [], tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text.startswith("<!doctype html>")
+    assert "<title>\\ud800</title>" in text
 
 
 def test_what_fits_share_stands_once() -> None:
