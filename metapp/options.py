@@ -11,11 +11,12 @@ Nothing here imports torch or typer, so that options are checked before anything
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from metapp.registry import did_you_mean
 
@@ -29,7 +30,7 @@ class BadOption(ValueError):
 
 @dataclass(frozen=True)
 class Option:
-    """Help and limits of an option.
+    """An option: help and limits, and, of the field that it annotates, name, type and default.
 
     Attributes:
         help: one or two sentences.
@@ -39,9 +40,10 @@ class Option:
         panel: of --help. Of an application's own options it also says what they change: INPUT how files are read, FIT
             the recipe, OUTPUT what is written of a fit.
         protocol: the value of --observe that the option needs; "" for any.
+        unused_by: paradigms that ignore it; scripts give all paradigms the same options.
         parse: value -> value of the field; ValueError states the expected form.
-        flags: names on the command line; () for the field's name with - for _.
-        argument: whether the command line takes it by its place.
+        short: the letter of a further name on the command line; "" for none.
+        name, kind, default: of the field.
     """
 
     help: str = ""
@@ -51,23 +53,22 @@ class Option:
     choices: tuple[str, ...] = ()
     panel: str = INPUT
     protocol: str = ""
+    unused_by: tuple[str, ...] = ()
     parse: Callable[[Any], object] | None = None
-    flags: tuple[str, ...] = ()
-    argument: bool = False
-
-
-class Declared(NamedTuple):
-    """An option of a dataclass: its name, type, default and `Option`."""
-
-    name: str
-    kind: Any
-    default: object
-    option: Option
+    short: str = ""
+    name: str = ""
+    kind: Any = None
+    default: object = None
 
     @property
     def flag(self) -> str:
         """Name on the command line."""
         return f"--{self.name.replace('_', '-')}"
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """The types of which a value has one."""
+        return get_args(self.kind) if isinstance(self.kind, UnionType) else (self.kind,)
 
     def value(self, given: object) -> object:
         """The field's value of a given one.
@@ -75,36 +76,32 @@ class Declared(NamedTuple):
         Raises:
             BadOption: another type, or a value that the option cannot have.
         """
-        kinds = get_args(self.kind) if isinstance(self.kind, UnionType) else (self.kind,)
+        kinds = self.kinds
         if given is None and NoneType in kinds:
             return None
-        if (path_of := self._paths(given, kinds)) is not None:
-            given = path_of
-        elif not (self.option.parse and get_origin(kinds[0]) is tuple) and not _is_one_of(given, kinds):
+        if Path in kinds and isinstance(given, str):
+            given = Path(given)
+        elif any(get_origin(kind) is tuple and get_args(kind)[0] is Path for kind in kinds):
+            some = [given] if isinstance(given, str | Path) else given
+            given = tuple(Path(path) for path in some)  # type: ignore[attr-defined]
+        elif not (self.parse and get_origin(kinds[0]) is tuple) and not _is_one_of(given, kinds):
             names = " or ".join(getattr(kind, "__name__", str(kind)).replace("NoneType", "None") for kind in kinds)
             raise BadOption(f"{self.flag} {given!r}: expected {names}.")
-        option = self.option
-        low, high = (given if end is None else end for end in (option.low, option.high))
+        low, high = (given if end is None else end for end in (self.low, self.high))
         if isinstance(given, int | float) and not low <= given <= high:  # type: ignore[operator]
-            least, most = (f"{end:,}" if end is not None else "" for end in (option.low, option.high))
+            least, most = (f"{end:,}" if end is not None else "" for end in (self.low, self.high))
             expected = f"{least} to {most}" if least and most else f"{least} or more" if least else f"{most} or less"
             raise BadOption(f"{self.flag} {given}: expected {expected}.")
-        if option.choices and given not in option.choices:
-            expected = f"{', '.join(option.choices)}.{did_you_mean(str(given), option.choices)}"
-            raise BadOption(f"{self.flag} '{given}': expected one of {expected}")
+        if self.choices and given not in self.choices:
+            expected = ", ".join(self.choices)
+            raise BadOption(
+                f"{self.flag} '{given}': expected one of {expected}.{did_you_mean(str(given), self.choices)}"
+            )
         try:
-            return option.parse(given) if option.parse else given
+            return self.parse(given) if self.parse else given
         except (ValueError, TypeError, AttributeError) as error:
-            raise BadOption(f"{self.flag} '{_text(given)}': {error}.") from None
-
-    def _paths(self, given: object, kinds: tuple[Any, ...]) -> object:
-        """Paths of text, where the option takes them; None where it does not."""
-        if Path in kinds and isinstance(given, str | Path):
-            return Path(given)
-        if any(get_origin(kind) is tuple and get_args(kind)[0] is Path for kind in kinds):
-            some = [given] if isinstance(given, str | Path) else given
-            return tuple(Path(path) for path in some)  # type: ignore[attr-defined]
-        return None
+            text = " ".join(map(str, given)) if isinstance(given, tuple) else given
+            raise BadOption(f"{self.flag} '{text}': {error}.") from None
 
 
 def _is_one_of(value: object, kinds: tuple[Any, ...]) -> bool:
@@ -113,24 +110,19 @@ def _is_one_of(value: object, kinds: tuple[Any, ...]) -> bool:
     return isinstance(value, plain) and (bool in plain or not isinstance(value, bool))
 
 
-def _text(value: object) -> str:
-    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+def declared(options: type) -> Mapping[str, Option]:
+    """The options of a dataclass by name, in the order of its fields."""
+    return _declared(options)
 
 
-def declared(options: type) -> tuple[Declared, ...]:
-    """The options of a dataclass, in the order of its fields."""
-    hints = get_type_hints(options, include_extras=True)
-    found = []
+@functools.cache
+def _declared(options: type) -> Mapping[str, Option]:
+    hints, found = get_type_hints(options, include_extras=True), {}
     for field in fields(options):
-        kind = hints[field.name]
-        if get_origin(kind) is Annotated:
-            about = next((note for note in kind.__metadata__ if isinstance(note, Option)), None)
-            found += [Declared(field.name, get_args(kind)[0], _default(field), about)] if about else []
-    return tuple(found)
-
-
-def _default(field: Field[Any]) -> object:
-    return field.default if field.default_factory is MISSING else field.default_factory()
+        kind, *notes = get_args(hints[field.name]) if get_origin(hints[field.name]) is Annotated else (None,)
+        if about := next((note for note in notes if isinstance(note, Option)), None):
+            found[field.name] = replace(about, name=field.name, kind=kind, default=field.default)
+    return found
 
 
 def parse(options: type[Options], values: Mapping[str, object], **checked: object) -> Options:
@@ -144,12 +136,13 @@ def parse(options: type[Options], values: Mapping[str, object], **checked: objec
     Raises:
         BadOption: an option that the class does not have, or a value that it cannot have.
     """
-    by_name = {one.name: one for one in declared(options)}
+    known = declared(options)
     for name in values:
-        if name not in by_name:
-            names = ", ".join(sorted(by_name))
-            raise BadOption(f"{name}: not an option, expected one of {names}.{did_you_mean(name, by_name)}")
-    given = {name: by_name[name].value(value) for name, value in values.items() if value is not None}
+        if name not in known:
+            raise BadOption(
+                f"{name}: not an option, expected one of {', '.join(sorted(known))}.{did_you_mean(name, known)}"
+            )
+    given = {name: known[name].value(value) for name, value in values.items() if value is not None}
     return options(**given, **checked)
 
 
@@ -160,17 +153,13 @@ class AppOptions:
     def given(self, *panels: str) -> dict[str, Any]:
         """The options of these panels, of all where none is named, that are not at their default."""
         return {
-            one.name: getattr(self, one.name)
-            for one in declared(type(self))
-            if (not panels or one.option.panel in panels) and getattr(self, one.name) != one.default
+            name: getattr(self, name)
+            for name, option in declared(type(self)).items()
+            if (not panels or option.panel in panels) and getattr(self, name) != option.default
         }
 
-    def defaults(self, *panels: str) -> dict[str, Any]:
-        """The defaults of the options of these panels."""
-        return {one.name: one.default for one in declared(type(self)) if one.option.panel in panels}
-
     def reading(self) -> dict[str, Any]:
-        """Keywords of readers; a reader takes those that its format names."""
+        """Keywords of readers; a reader takes those that it has."""
         return self.given(INPUT)
 
     def adapt(self, recipe: Any) -> Any:

@@ -65,13 +65,13 @@ def test_nothing_is_unpickled() -> None:
 
 
 def test_every_extension_is_offered() -> None:
-    """A folder that no entry point names would be installed and never found."""
+    """A folder that no entry point is called as would be installed and never found."""
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg", "utf-8")
     points = setup["options.entry_points"]["metapp.extensions"].split("\n")
-    offered = {point.partition(" = ")[2] for point in points}
+    offered = dict(point.split(" = ") for point in points if point)
     folders = {path.parent.name for path in (ROOT / "metapp" / "extensions").glob("*/__init__.py")}
-    assert {f"metapp.extensions.{name}" for name in folders} <= offered
+    assert offered == {name: f"metapp.extensions.contents:{name}" for name in folders}
 
 
 @pytest.mark.parametrize("arguments", [[], ["data"], ["data", "merl"], ["meta", "brdf"]])

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from metapp import registry as module
-from metapp.registry import WITHOUT, Entry, Export, Recipe, Registry, extended, left_out_with, load, registry
+from metapp.registry import WITHOUT, Registry, left_out_with, load, registry
 
 ROOT = Path(__file__).parent.parent
 RUN = "import sys\nfrom metapp.cli import main\nmain()"
-GOOD = "from metapp.registry import Entry, Export, Recipe\n\n\ndef register(registry):\n"
+GOOD = "from metapp.registry import Application, Entry, Export, Recipe\n\n\ndef register(registry):\n"
 GOOD += '    registry.tables["strange"] = Entry("math:gcd")\n'
 
 # the end of a module whose first line registers something good -> why it is left out
@@ -32,7 +32,7 @@ BROKEN = {
     ),
     'registry.exports.update({("brdf", "glsl"): Export("math:gcd")})': "but there is one of metapp already",
     'registry.tables["strange"] = Entry("math:lcm")': "ValueError: strange: there is one of this name already",
-    'registry.steps = Entry("math:gcd")': "ValueError: steps: of stranger, but there is one of metapp already",
+    'registry.hooks["steps"] = Entry("math:gcd")': "ValueError: hooks steps: of stranger, but there is one of metapp",
     'registry.parts["adam"] = Entry("math:gcd")': "ValueError: rules adam: of stranger, but there is one of metapp",
     'registry.commands["data merl"] = Entry("math:gcd")': "ValueError: commands data merl: of stranger, but there",
     'registry.commands["meta"] = Entry("math:gcd")': "ValueError: commands meta: of stranger, but there",
@@ -41,10 +41,13 @@ BROKEN = {
     ),
     'registry.exports["brdf", "mine"] = "math:gcd"': "TypeError: brdf mine: a str, expected Export",
     'registry.exports.update({("brdf", "mine"): Entry("math:gcd")})': "TypeError: brdf mine: a Entry, expected Export",
+    'registry.applications["mine"] = Application("math:gcd", options="nothing_at_all:Options")': (
+        "ImportError: nothing_at_all:Options: no such module"
+    ),
     'registry.exports["mine"] = Export("math:gcd")': "TypeError: 'mine': no name of 2 words",
     'registry.tables[""] = Entry("math:gcd")': "TypeError: '': no name of 1 words",
-    "registry.exports = {}": "TypeError: exports: a dict",
-    "registry.steps = 7": "TypeError: steps: a int",
+    "registry.exports = {}": "AttributeError: exports: cannot be set; add entries to tables",
+    "registry.steps = 7": "AttributeError: steps: cannot be set; add entries to tables",
     "registry.smells": "AttributeError: 'Registry' object has no attribute 'smells'",
     "raise SystemExit(7)": "SystemExit: 7",
     "raise BaseException('no\\n  more')": "BaseException: no more",
@@ -177,38 +180,21 @@ def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: C
         assert list(there.loaded("networks", "brdf")) == list(there.networks.of("brdf"))[:-1]
 
 
-def test_a_program_has_entries_of_its_own_for_a_while() -> None:
-    def register(own: Registry) -> None:
-        own.exports["brdf", "own"] = Export("math:gcd")
-
-    assert ("brdf", "own") not in registry().exports
-    with extended("own", register):
-        assert registry().exports["brdf", "own"].load()(4, 6) == 2
-    assert ("brdf", "own") not in registry().exports
-
-
-def test_errors_of_a_program_are_raised() -> None:
-    def register(own: Registry) -> None:
-        own.recipes["brdf", "", "own"] = Recipe("math:gcd", kind="phi_h")
-
-    match = "recipes of brdf for inputs of kind phi_h: of this program, but there is one of metapp already"
-    with extended("own", register), pytest.raises(ValueError, match=match):
-        registry()
-    assert registry().recipes["brdf", "", "anisotropic"].kind == "phi_h"
-
-
 def test_the_registry_is_built_once() -> None:
     assert registry() is registry()
 
 
+def test_an_entry_point_may_name_a_function(installed: Callable[..., Registry], tmp_path: Path) -> None:
+    install(tmp_path, GOOD, "stranger")
+    (tmp_path / "stranger-1.0.dist-info" / "entry_points.txt").write_text(
+        f"[{module.GROUP}]\nstranger = stranger_module:register\n"
+    )
+    module._built.cache_clear()
+    assert registry().tables["strange"].load()(12, 18) == 6
+
+
 def test_all_that_ships_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
-        for reference in entry.references() if isinstance(entry, Entry) else ():
-            assert load(reference) is not None
-
-
-def test_references_of_an_entry_are_all_that_it_names() -> None:
-    application = registry().applications["brdf"]
-    files = "data_tools.synthetic.examples:write_example"
-    assert application.references() == [application.reference, files]
-    assert Recipe("a:B", lacks="c:d", checkpoints="e.f", kind="few").references() == ["a:B", "c:d"]
+        for name in ("reference", "options", "lacks"):
+            if reference := getattr(entry, name, ""):
+                assert load(reference) is not None

@@ -1,20 +1,28 @@
-"""The formats of files that tasks come from or fits are written in.
-
-Each module here registers some: what a format is called, whose tasks it holds, which options its conversion takes;
-commands and help texts are made of these. What finds, reads and writes the files is a module of `data_tools.readers`,
-imported on first use.
-"""
+"""The formats of files that tasks come from or fits are written in; `data_tools.readers` has their readers."""
 
 from __future__ import annotations
 
-from data_tools.formats import brdf, light, pictures
-from metapp.registry import Export, Format, Registry, registry
+from dataclasses import dataclass
+from typing import ClassVar
+
+from metapp.registry import Export, Format, registry
 
 
-def register(registry: Registry) -> None:
-    """Add the formats that ship."""
-    for module in (brdf, pictures, light):
-        module.register(registry)
+@dataclass(frozen=True)
+class Converter:
+    """The command `metapp data NAME` that converts files of the format NAME: its options are fields, its help the text.
+
+    Attributes:
+        split_help: of --split, where files or names tell more than the general rule.
+    """
+
+    split_help: ClassVar[str] = (
+        "Where the tasks belong. auto: of the sorted names, every fifth is a test task (80 give 64 + 16)."
+    )
+
+    def arguments(self) -> dict[str, object]:
+        """The options as keywords of the format's `read_task`."""
+        return dict(vars(self))
 
 
 def formats() -> dict[str, Format]:
@@ -24,7 +32,7 @@ def formats() -> dict[str, Format]:
 
 def inputs_of(app: str) -> dict[str, Format]:
     """Return the formats that fits of an application take as INPUT, by name."""
-    return {name: form for name, form in sorted(registry().formats.items()) if form.app == app and form.inputs}
+    return {name: form for name, form in formats().items() if form.app == app and form.inputs}
 
 
 def exports_of(app: str) -> dict[str, Export]:

@@ -181,3 +181,7 @@ def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0
     for material in synthetic_materials(split, count, seed):
         write_merl(Path(folder) / f"{material.name}.binary", tabulate(material.evaluate))
         yield material.name
+
+
+# other forms that the set can be written in: `write(folder, split, count, seed)`, names of files, and a file's bytes
+FILES = {"merl": (write_merl_files, 34_992_012)}

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted
 from metapp.learning.task import Task
-from metapp.registry import load, registry
+from metapp.registry import registry
+
+
+class Measure(NamedTuple):
+    """A measure of pictures of fits against their references, a row of the table `image`.
+
+    Attributes:
+        value: of such pictures; NaN where there is none.
+        source: by which package and version; ValueError where that is missing. None where metapp does.
+        more_is_better: whether a higher value is better.
+    """
+
+    value: Callable[[Compared], float]
+    source: Callable[[], str] | None = None
+    more_is_better: bool = False
 
 
 def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
@@ -16,8 +31,9 @@ def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
     notes, missing = {}, []
     for name, entry in registry().measures.items():
         if app in entry.apps:
+            measure: Measure = entry.load()
             try:
-                notes[name] = ", ".join([entry.help, *([load(entry.source)()] if entry.source else [])])
+                notes[name] = ", ".join([entry.help, *([measure.source()] if measure.source else [])])
             except ValueError as error:
                 missing.append(f"{name}: {error}")
     return notes, missing
@@ -25,7 +41,7 @@ def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
 
 def further_errors(app: str, compared: Compared) -> dict[str, float]:
     """What extensions measure of an application's pictures, by name; what lacks something, or is not finite, not."""
-    values = {name: registry().measures[name].load()(compared) for name in picture_measures(app)[0]}
+    values = {name: registry().measures[name].load().value(compared) for name in picture_measures(app)[0]}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

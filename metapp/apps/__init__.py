@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from metapp.options import AppOptions
-from metapp.registry import Application, did_you_mean, registry
+from metapp.registry import Application, did_you_mean, load, registry
 from metapp.registry import Recipe as RecipeEntry
 
 if TYPE_CHECKING:
@@ -50,7 +50,8 @@ def protocols_of(name: str) -> tuple[str, ...]:
 
 def options_of(name: str) -> type[AppOptions]:
     """The dataclass of an application's own options."""
-    return application_of(name).options or AppOptions
+    result: type[AppOptions] = load(application_of(name).options)
+    return result
 
 
 def recipe_names(name: str) -> list[str]:

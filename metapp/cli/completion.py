@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from data_tools.formats import exports_of
 from metapp.apps import app_names, protocols_of, recipe_names
@@ -12,68 +12,38 @@ from metapp.evaluation.tables import ALL, table_names
 from metapp.registry import registry
 from metapp.rules import composition_names, rule_names
 
-DEVICES = ("auto", "cpu", "cuda")
-
 LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
+Words = Callable[[str], list[str]]
 
 
-def applications(incomplete: str) -> list[str]:
-    """Names of applications."""
-    return _that_begin(incomplete, app_names())
+def _words(names: Callable[[], Iterable[str]], between: str = "") -> Words:
+    """The function that typer asks for names that begin as a word does; `between` may stand between several."""
+
+    def complete(incomplete: str) -> list[str]:
+        before, mark, last = incomplete.rpartition(between) if between else ("", "", incomplete)
+        return [before + mark + name for name in dict.fromkeys(names()) if name.startswith(last)]
+
+    return complete
 
 
-def recipes(incomplete: str) -> list[str]:
-    """Recipes of the applications that are named, of all where none is."""
-    return _that_begin(incomplete, (name for app in _named() for name in recipe_names(app)))
+def _of_apps(names: Callable[[str], Iterable[str]]) -> Callable[[], Iterable[str]]:
+    """Names that belong to the applications which the line has so far, also as a part of a run's path; else to all."""
+
+    def of_line() -> Iterable[str]:
+        # by the whole line: typer parses none whose last option has no value yet
+        line, apps = " ".join(os.environ.get(name, "") for name in LINE), app_names()
+        named = [app for app in apps if re.search(rf"(?<![\w-]){app}(?![\w-])", line)]
+        return (name for app in named or apps for name in names(app))
+
+    return of_line
 
 
-def rules(incomplete: str) -> list[str]:
-    """Rules and parts of rules, after a + too."""
-    return _after("+", incomplete, (*rule_names(), *composition_names()))
-
-
-def observations(incomplete: str) -> list[str]:
-    """Protocols, the values of --observe."""
-    return _that_begin(incomplete, (name for app in _named() for name in protocols_of(app)))
-
-
-def exports(incomplete: str) -> list[str]:
-    """Kinds of files that fits are written in, after a comma too."""
-    return _after(",", incomplete, (name for app in _named() for name in exports_of(app)))
-
-
-def kinds(incomplete: str) -> list[str]:
-    """Kinds of files that `metapp export` writes."""
-    return _that_begin(incomplete, (*exports(incomplete), *registry().file_exports))
-
-
-def methods(incomplete: str) -> list[str]:
-    """Baselines."""
-    return _that_begin(incomplete, (name for app in _named() for name in registry().baselines.of(app)))
-
-
-def tables(incomplete: str) -> list[str]:
-    """Tables of `metapp evaluate`."""
-    return _that_begin(incomplete, (*table_names(), ALL))
-
-
-def devices(incomplete: str) -> list[str]:
-    """Devices."""
-    return _that_begin(incomplete, DEVICES)
-
-
-def _named() -> list[str]:
-    """The applications that are named before the word that is completed, also as a part of a run's path; else all."""
-    # by the whole line: typer parses none whose last option has no value yet
-    line = " ".join(os.environ.get(name, "") for name in LINE)
-    return [name for name in app_names() if re.search(rf"(?<![\w-]){name}(?![\w-])", line)] or app_names()
-
-
-def _that_begin(incomplete: str, names: Iterable[str]) -> list[str]:
-    return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
-
-
-def _after(mark: str, incomplete: str, names: Iterable[str]) -> list[str]:
-    """Words of which several may stand with a mark between them."""
-    before, mark_before, last = incomplete.rpartition(mark)
-    return [before + mark_before + name for name in _that_begin(last, names)]
+applications = _words(app_names)
+recipes = _words(_of_apps(recipe_names))
+rules = _words(lambda: (*rule_names(), *composition_names()), "+")
+observations = _words(_of_apps(protocols_of))
+exports = _words(_of_apps(exports_of), ",")
+kinds = _words(lambda: (*_of_apps(exports_of)(), *registry().file_exports))
+methods = _words(_of_apps(lambda app: registry().baselines.of(app)))
+tables = _words(lambda: (*table_names(), ALL))
+devices = _words(lambda: ("auto", "cpu", "cuda"))

@@ -1,4 +1,7 @@
-"""Parts that all commands share: exit codes, standard output and the one place that turns errors into one line."""
+"""The terminal: standard output, messages and progress bars, and the one place that turns errors into one line.
+
+rich is imported where something is printed, since completion prints nothing.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +15,27 @@ import re
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
-from metapp.cli.streams import leave, one_line
 from metapp.options import BadOption
-from metapp.runs.reporter import Reporter, reporting
+from metapp.runs.reporter import Bar, Reporter, reporting
 from metapp.storage import Document
 from metapp.storage.files import as_text
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
-
-def out() -> Console:
-    """Standard output, for tables; a pipe has no width of its own."""
-    from metapp.cli.terminal import plain_console
-
-    return plain_console(width=None if sys.stdout.isatty() else 120)
+LONGEST = 300  # characters of an error or a warning
+LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
+REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
+INTERRUPTED = (
+    "interrupted; the same command goes on with training where it was, with --resume with fits that are not finished; "
+    "conversions start over."
+)
 
 
 class Exit(enum.IntEnum):
@@ -41,6 +46,107 @@ class Exit(enum.IntEnum):
     USAGE = 2
     INTERRUPTED = 130
     UNREAD = 141  # whoever read the output went away, as shells say it of other programs
+
+
+def plain_console(*, stderr: bool = False, width: int | None = None) -> Console:
+    """A console that prints text as it is: names of files and tasks may look like markup or emoji codes."""
+    from rich.console import Console
+
+    return Console(stderr=stderr, width=width, highlight=False, markup=False, emoji=False)
+
+
+def out() -> Console:
+    """Standard output, for tables; a pipe has no width of its own."""
+    return plain_console(width=None if sys.stdout.isatty() else 120)
+
+
+def print_json(document: Document) -> None:
+    """Write an object as one line of standard output, at once."""
+    sys.stdout.write(json.dumps(as_text(document), allow_nan=False, default=float) + "\n")
+    sys.stdout.flush()
+
+
+def escaped(text: str) -> str:
+    """A text with control characters, also those of the direction of writing, as Python writes them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def one_line(message: str) -> str:
+    """A message without control characters, its long paths cut, then its middle: the ends hold subject and remedy."""
+    text = escaped(message)
+    if len(text) > LONGEST:
+        text = re.sub(r"[^\s(]{60,}", lambda word: f"...{word[0][-45:]}", text)  # long paths: their ends tell most
+    half = (LONGEST - 5) // 2
+    return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
+
+
+class _Bar(Bar):
+    """A row of a progress bar, or, of long work where there is no terminal, lines by `lines`."""
+
+    def __init__(self, bars: Progress, title: str, total: int | None, done: int, lines: Terminal | None) -> None:
+        self.bars, self.lines, self.title = bars, lines, title
+        self.row = bars.add_task(title, total=total, completed=done, note="")
+
+    def advance(self, note: str = "") -> None:
+        self.bars.update(self.row, advance=1, note=note)
+
+    def name(self, note: str) -> None:
+        self.bars.update(self.row, note=note)
+
+    def at(self, done: int, total: int | None, note: str = "") -> None:
+        self.bars.update(self.row, completed=done, total=total, note=note)
+        if self.lines:
+            self.lines.say_at_times(f"{self.title}: step {done} of {total}, {note}", last=done == total)
+
+
+class Terminal(Reporter):
+    """Messages and progress on standard error."""
+
+    def __init__(self) -> None:
+        self._console = plain_console(stderr=True)
+        self._warned: set[str] = set()
+        self._last_line = float("-inf")
+
+    def say(self, message: str) -> None:
+        """Print a message; an error, a warning or a problem is one line of LONGEST characters, a warning once."""
+        if message in self._warned:
+            return
+        if message.startswith("warning: "):
+            self._warned.add(message)
+        if message.startswith(("error: ", "warning: ", "problem: ")):
+            message = one_line(message)
+        message = "\n".join(map(escaped, message.split("\n")))
+        try:
+            self._console.print(message, soft_wrap=True)
+        except OSError:
+            _leave(sys.stderr)
+
+    def say_at_times(self, line: str, *, last: bool) -> None:
+        """Print a line about long work, where the one before is old enough or this is the last."""
+        if last or time.monotonic() - self._last_line > LINE_SECONDS:
+            self._last_line = time.monotonic()
+            self.say(line)
+
+    @contextlib.contextmanager
+    def bar(self, title: str, total: int | None, done: int, long: bool) -> Iterator[Bar]:
+        """Show a bar with the time left, the speed in steps a second and a note."""
+        from rich import progress, text
+
+        class Speed(progress.ProgressColumn):
+            def render(self, task: progress.Task) -> text.Text:
+                return text.Text(f"{task.speed:.1f}/s" if task.speed else "")
+
+        columns: tuple[progress.ProgressColumn, ...] = (
+            progress.TextColumn("{task.description}", markup=False),
+            progress.BarColumn(bar_width=24),
+            progress.MofNCompleteColumn(),
+            progress.TimeRemainingColumn(),
+            Speed(),
+            progress.TextColumn("{task.fields[note]}", markup=False),
+        )
+        is_terminal = self._console.is_terminal
+        with progress.Progress(*columns, console=self._console, disable=not is_terminal, transient=True) as bars:
+            yield _Bar(bars, title, total, done, self if long and not is_terminal else None)
 
 
 @contextlib.contextmanager
@@ -57,17 +163,9 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def print_json(document: Document) -> None:
-    """Write an object as one line of standard output, at once."""
-    sys.stdout.write(json.dumps(as_text(document), allow_nan=False, default=float) + "\n")
-    sys.stdout.flush()
-
-
 def run(command: Callable[[], object]) -> int:
     """Run a command; an error of the user's or of the data is one line on standard error, never a traceback."""
     import typer
-
-    from metapp.cli.terminal import Terminal  # here: completion needs none of it
 
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -79,15 +177,17 @@ def run(command: Callable[[], object]) -> int:
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", module=r"(metapp|data_tools)\b")
     warnings.showwarning = lambda message, *_, **__: terminal.say(f"warning: {message}")
-    _end_like_ctrl_c()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _interrupt)  # by which clusters end a program; it keeps what Ctrl-C keeps
+    code: object = None
     try:
         with reporting(terminal):
             code = command()
         sys.stdout.flush()
     except typer.Exit as error:
         return error.exit_code
-    except typer.Abort:
-        return _interrupted(terminal)
+    except (typer.Abort, KeyboardInterrupt):
+        code = Exit.INTERRUPTED
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
         if hasattr(error, "message"):
             error.message = one_line(str(error.message))
@@ -98,37 +198,22 @@ def run(command: Callable[[], object]) -> int:
     except BadOption as error:
         typer.BadParameter(one_line(str(error))).show()
         return Exit.USAGE
-    except KeyboardInterrupt:
-        return _interrupted(terminal)
     except (BrokenPipeError, SystemExit) as error:
         if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
             raise  # not click's word for a broken pipe: it has ended well, as --show-completion does
         # a reader such as `head` went away: say nothing, also not when Python flushes at exit
-        leave(sys.stdout)
+        _leave(sys.stdout)
         return Exit.UNREAD
     except Exception as error:
         terminal.say(f"error: {what_failed(error)}")
         try:
             sys.stdout.flush()
         except OSError:
-            leave(sys.stdout)  # it is full
+            _leave(sys.stdout)  # it is full
         return Exit.FAILED
     if code == Exit.INTERRUPTED:  # typer turns Ctrl-C into this code by itself
-        return _interrupted(terminal)
+        terminal.say(INTERRUPTED)
     return code if isinstance(code, int) else Exit.DONE
-
-
-def _remedy(message: str) -> str:
-    """A remedy for an application that was forgotten or is no command, or a word that is no choice; else ""."""
-    from metapp.apps import app_names
-    from metapp.registry import did_you_mean
-
-    if message == "Missing argument 'APP'.":
-        return f" It is one of {', '.join(app_names())}."
-    if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message):
-        return did_you_mean(choice[1], choice[2].strip("'").split("', '"))
-    given = re.fullmatch(r"No such command '(\w+)'\.", message)
-    return f" {given[1]} is an application: metapp meta {given[1]}." if given and given[1] in app_names() else ""
 
 
 def what_failed(error: Exception) -> str:
@@ -145,22 +230,24 @@ def what_failed(error: Exception) -> str:
     return what if foreseen else f"{type(error).__name__}: {cut}; {REPORT}"
 
 
-def _end_like_ctrl_c() -> None:
-    """SIGTERM, by which clusters and systems end a program, keeps what Ctrl-C keeps."""
+def _remedy(message: str) -> str:
+    """A remedy for an application that was forgotten or is no command, or a word that is no choice; else ""."""
+    from metapp.apps import app_names
+    from metapp.registry import did_you_mean
 
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, stop)
-
-
-REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
+    if message == "Missing argument 'APP'.":
+        return f" It is one of {', '.join(app_names())}."
+    if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message):
+        return did_you_mean(choice[1], choice[2].strip("'").split("', '"))
+    given = re.fullmatch(r"No such command '(\w+)'\.", message)
+    return f" {given[1]} is an application: metapp meta {given[1]}." if given and given[1] in app_names() else ""
 
 
-def _interrupted(terminal: Reporter) -> int:
-    terminal.say(
-        "interrupted; the same command goes on with training where it was, with --resume with fits that are not "
-        "finished; conversions start over."
-    )
-    return Exit.INTERRUPTED
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _leave(stream: IO[str]) -> None:
+    """Let a stream that cannot be written to lead nowhere, so that Python does not fail at it again when it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -11,8 +11,7 @@ from data_tools.formats import exports_of
 from metapp.apps import app_names
 from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.data.convert import check_folder
-from metapp.cli.options import FittedData, Json
+from metapp.cli.options import FittedData, Json, check_folder
 from metapp.registry import registry
 from metapp.runs.reporter import say
 

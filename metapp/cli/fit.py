@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
+import functools
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,10 +12,10 @@ import typer
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import options_of, protocols_of, recipe_names
-from metapp.cli.console import Exit, importing, out, print_json
+from metapp.cli.commands import app_group
+from metapp.cli.console import Exit, escaped, importing, one_line, out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
-from metapp.cli.streams import escaped, one_line
-from metapp.options import INPUT, OUTPUT, Declared, declared
+from metapp.options import INPUT, OUTPUT, declared
 from metapp.registry import registry
 from metapp.rules import rule_names
 from metapp.runs.options import TASKS, FitOptions, fit_options
@@ -36,20 +36,6 @@ SUMMARIES = {
     "quickft": "As many Adam steps as Meta takes, from General's result.",
     "meta": "A few steps of a learned rule from a learned initialisation.",
 }
-NO_RULE = {"rule": "only meta has learned rules"}
-# options that a paradigm takes and ignores, since scripts give all paradigms the same ones, and why
-IGNORED: dict[str, dict[str, str]] = {
-    "general": {**NO_RULE, "steps": "general takes none"},
-    "overfit": {
-        **NO_RULE,
-        "checkpoint": "overfit begins at random",
-        "train": "overfit has nothing to train",
-        "train_steps": "overfit has nothing to train",
-    },
-    "finetune": NO_RULE,
-    "quickft": NO_RULE,
-    "meta": {},
-}
 NARROWEST = 50  # columns of a table, so that titles stay on a line
 LISTED = 20  # tasks in the table of a run that lists what failed
 
@@ -58,42 +44,32 @@ def command_of(paradigm: str, app: str) -> Callable[..., None]:
     """The command that fits tasks of an application by a paradigm."""
 
     def command(inputs: list[Path] | None, json: bool, export: Sequence[str] | None, **values: Any) -> None:
-        for option, remark in IGNORED[paradigm].items():
-            if values.pop(option) not in (None, False):
-                say(f"--{option.replace('_', '-')}: {remark}; the option is ignored.")
+        for option in unused:
+            if values.pop(option.name) not in (None, False):
+                say(f"{option.flag}: {paradigm} has no use for it; the option is ignored.")
         options = fit_options(app, paradigm, inputs or (), export=",".join(export or ()), **values)
         with importing():
             from metapp.runs.run import Run
         fit(Run.of(options), json=json)
 
-    shown = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
-    as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
-    parameters = [parameter("inputs", Annotated[list[Path] | None, shown])]
-    texts = _texts(app)
-    for one in (*declared(FitOptions), *declared(options_of(app))):
-        text = texts.get(one.name, one.option.help)
-        hidden = not text or one.name in IGNORED[paradigm]
-        parameters.append(_option(one, text, hidden=hidden))
-    parameters.append(parameter("json", Annotated[bool, as_json], False))
-    return signed(command, command, parameters)
-
-
-def _texts(app: str) -> dict[str, str]:
-    """Help that differs between applications; "" of an option that one does not have."""
+    unused = [option for option in declared(FitOptions).values() if paradigm in option.unused_by]
     exports = ", ".join(exports_of(app))
-    texts = {
+    texts = {  # that differ between applications; "" of an option that one does not have
+        "observe": declared(FitOptions)["observe"].help if protocols_of(app) else "",
         "export": f"{exports}; several separated by commas." if exports else "",
         "recipe": f"{', '.join(recipe_names(app))}; default: full, the best that ships.",
         "rule": f"{', '.join(rule_names())}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
-    return texts if protocols_of(app) else texts | {"observe": ""}
-
-
-def _option(one: Declared, text: str, *, hidden: bool) -> inspect.Parameter:
-    shown = parameter_of(one, help=text, hidden=hidden, show_default=False, rich_help_panel=one.option.panel)
-    if one.name == "export":  # which may be given several times, too
-        return parameter("export", Annotated[list[str] | None, shown.annotation.__metadata__[0]])
-    return shown
+    files = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
+    as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
+    parameters = [parameter("inputs", Annotated[list[Path] | None, files])]
+    for option in (*declared(FitOptions).values(), *declared(options_of(app)).values()):
+        text = texts.get(option.name, option.help)
+        hidden = not text or option in unused
+        shown = {"help": text, "hidden": hidden, "show_default": False, "rich_help_panel": option.panel}
+        parameters.append(parameter_of(option, **shown))
+    parameters.append(parameter("json", Annotated[bool, as_json], False))
+    return signed(command, command, parameters)
 
 
 def _inputs(app: str) -> str:
@@ -197,3 +173,6 @@ def table_of(
         cells += [f"{pictures[record['name']]}"] if any(pictures.values()) else []
         table.add_row(Text(escaped(record["name"])), *cells)
     return table
+
+
+COMMANDS = {name: app_group(functools.partial(command_of, name), summary) for name, summary in SUMMARIES.items()}

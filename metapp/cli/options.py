@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+import enum
 import inspect
 import os
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from types import UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
+from data_tools.formats import Converter
 from metapp.cli import completion
-from metapp.options import Declared, declared, parse
+from metapp.options import Option, declared, parse
 
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]
-FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the last line of output.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
-Seed = Annotated[int, typer.Option(metavar="S", min=0, max=2**63 - 1, help="Of all random draws.")]
-COMPLETIONS: dict[str, Callable[[str], list[str]]] = {
+COMPLETIONS = {
     "observe": completion.observations,
     "recipe": completion.recipes,
     "rule": completion.rules,
@@ -35,6 +31,34 @@ def check_new(path: Path | None, overwrite: bool) -> None:
         raise typer.BadParameter(f"{path}: is there already, expected a new file; add --overwrite to replace it.")
 
 
+def check_folder(path: Path | None) -> Path | None:
+    """Refuse a folder to write to that cannot be one, before any work is done."""
+    for part in (path, *path.parents) if path else ():
+        if part.exists() and not part.is_dir():
+            raise typer.BadParameter(f"{part}: a file, expected a folder to write to; choose another one.")
+    return path
+
+
+class Split(enum.StrEnum):
+    """Where tasks belong."""
+
+    TRAIN = "train"
+    TEST = "test"
+    AUTO = "auto"
+
+
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]
+FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the last line of output.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+Seed = Annotated[int, typer.Option(metavar="S", min=0, max=2**63 - 1, help="Of all random draws.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+Out = Annotated[
+    Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
+]
+SplitOption = Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=Converter.split_help)]
+
+
 def takes(*classes: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a command of a function whose first parameters are instances of dataclasses of options.
 
@@ -47,10 +71,8 @@ def takes(*classes: type) -> Callable[[Callable[..., None]], Callable[..., None]
             parts = [_instance(kind, {one.name: values.pop(one.name) for one in fields(kind)}) for kind in classes]
             function(*parts, **values)
 
-        own = list(inspect.signature(function).parameters)[len(classes) :]
-        parameters = [parameter for kind in classes for parameter in parameters_of(kind)]
-        parameters += [parameter for parameter in parameters_of(function) if parameter.name in own]
-        return signed(command, function, parameters)
+        own = parameters_of(function)[len(classes) :]
+        return signed(command, function, [one for kind in classes for one in parameters_of(kind)] + own)
 
     return decorate
 
@@ -61,10 +83,10 @@ def _instance(kind: type, values: dict[str, Any]) -> object:
 
 def parameters_of(source: Callable[..., object]) -> list[inspect.Parameter]:
     """The parameters of a function or of a dataclass, as typer reads them."""
-    own = {one.name: one for one in declared(source)} if isinstance(source, type) else {}
+    options = declared(source) if isinstance(source, type) else {}
     hints = get_type_hints(source, include_extras=True)
     return [
-        parameter_of(own[name]) if name in own else parameter(name, hints[name], old.default)
+        parameter_of(options[name]) if name in options else parameter(name, hints[name], old.default)
         for name, old in inspect.signature(source).parameters.items()
         if old.kind is not old.VAR_KEYWORD
     ]
@@ -75,37 +97,25 @@ def parameter(name: str, annotation: object, default: object = None) -> inspect.
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def parameter_of(one: Declared, **changes: Any) -> inspect.Parameter:
+def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
     """The parameter of a command for an option.
 
     Args:
-        one: the option.
+        option: of a dataclass, as of `declared`.
         changes: arguments of `typer.Option` that differ.
     """
-    option, default = one.option, one.default or None  # 0 and "" say that an option is not given
+    default = option.default or None  # 0 and "" say that an option is not given
     shown: dict[str, Any] = {"help": option.help, "show_default": bool(default)}
     shown |= {"metavar": option.metavar} if option.metavar else {}
-    shown |= {"autocompletion": COMPLETIONS[one.name]} if one.name in COMPLETIONS else {}
-    if option.argument:
-        kind: Any = typer.Argument(**shown | changes)
-    else:
-        names = option.flags or (one.flag,)
-        kind = typer.Option(*names, **shown | changes)
-    annotation: Any = Annotated.__class_getitem__((_kind_of(one), kind))  # type: ignore[attr-defined]
-    return parameter(one.name, annotation, default)
-
-
-def _kind_of(one: Declared) -> Any:
-    """The type that typer converts an option's words to."""
-    kinds = get_args(one.kind) if isinstance(one.kind, UnionType) else (one.kind,)
-    kind = kinds[0]
-    if get_origin(kind) is tuple and get_args(kind)[0] is Path:
-        return list[Path] | None
-    if get_origin(kind) is tuple:
-        return str | None  # parsed by the option
-    if kind is bool:
-        return bool
-    return kind | None
+    shown |= {"autocompletion": COMPLETIONS[option.name]} if option.name in COMPLETIONS else {}
+    names = [option.flag, *([f"-{option.short}"] if option.short else [])]
+    kind = option.kinds[0]
+    if get_origin(kind) is tuple:  # of paths, or what the option parses
+        kind = list[Path] if get_args(kind)[0] is Path else str
+    if option.name == "export":  # which may be given several times, too
+        kind = list[str]
+    annotation = kind if kind is bool else kind | None
+    return parameter(option.name, Annotated[annotation, typer.Option(*names, **shown | changes)], default)
 
 
 def signed(

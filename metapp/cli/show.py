@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from metapp.cli.console import out, print_json
-from metapp.cli.streams import escaped
+from metapp.cli.console import escaped, out, print_json
 from metapp.evaluation.notes import csv_of, text_table, title_of
 from metapp.evaluation.rows import Column, Row, Table
 from metapp.evaluation.subject import Subject

@@ -1,1 +1,1 @@
-"""Extensions: what the core never imports and finds in its registry, each with its code, tests and a README."""
+"""Extensions: what the core never imports, each with its code, tests and a README; `contents` has their entries."""

@@ -29,7 +29,7 @@ def fastest(*, compiles: bool = False) -> StepsOf:
     Args:
         compiles: whether the steps are so many that compiling them pays.
     """
-    entry = registry().steps
+    entry = registry().hooks.get("steps")
     return functools.partial(entry.load(), compiles=compiles) if entry else torch_steps
 
 

@@ -11,12 +11,13 @@ from typing import Annotated, Any
 
 from data_tools.formats import exports_of
 from metapp.apps import app_names, options_of, protocols_of, recipe_entries
-from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Declared, Option, declared, parse
+from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, parse
 from metapp.registry import did_you_mean
 from metapp.storage.files import file_name
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
 TASKS = "default: the test tasks of --data"
+UNTRAINED = ("overfit",)  # paradigms that begin at random and have nothing to train
 
 
 @dataclass(frozen=True)
@@ -46,18 +47,36 @@ class FitOptions:
     recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", "NAME", panel=FIT)] = ""
     rule: Annotated[
         str,
-        Option("Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.", "NAME", panel=FIT),
+        Option(
+            "Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.",
+            "NAME",
+            panel=FIT,
+            unused_by=("general", "overfit", "finetune", "quickft"),
+        ),
     ] = ""
     steps: Annotated[
-        int | None, Option("Gradient steps; default: the recipe's.", "N", low=0, high=MOST_STEPS, panel=FIT)
+        int | None,
+        Option(
+            "Gradient steps; default: the recipe's.", "N", low=0, high=MOST_STEPS, panel=FIT, unused_by=("general",)
+        ),
     ] = None
     checkpoint: Annotated[
         Path | None,
-        Option("Checkpoint or folder of these; default: shipped.", "FILE", panel=FIT),
+        Option("Checkpoint or folder of these; default: shipped.", "FILE", panel=FIT, unused_by=UNTRAINED),
     ] = None
-    train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT)] = False
+    train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT, unused_by=UNTRAINED)] = (
+        False
+    )
     train_steps: Annotated[
-        int | None, Option("Outer training steps; default: the recipe's.", "N", low=1, high=MOST_STEPS, panel=FIT)
+        int | None,
+        Option(
+            "Outer training steps; default: the recipe's.",
+            "N",
+            low=1,
+            high=MOST_STEPS,
+            panel=FIT,
+            unused_by=UNTRAINED,
+        ),
     ] = None
     seed: Annotated[int, Option("Random seed; default: 0.", "N", low=0, high=MOST_SEEDS, panel=FIT)] = 0
     device: Annotated[
@@ -75,7 +94,7 @@ class FitOptions:
         str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)
     ] = ""
     out: Annotated[Path, Option("Folder for runs and checkpoints; default: runs.", "DIR", panel=OUTPUT)] = Path("runs")
-    quiet: Annotated[bool, Option("No progress bar, no table.", flags=("--quiet", "-q"), panel=OUTPUT)] = False
+    quiet: Annotated[bool, Option("No progress bar, no table.", short="q", panel=OUTPUT)] = False
 
     @property
     def exports(self) -> tuple[str, ...]:
@@ -110,20 +129,11 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
         raise BadOption(f"paradigm: {paradigm!r}, expected str.")
     check_name(app)
     own_kind = options_of(app)
-    general = {one.name for one in declared(FitOptions)}
-    mine = {one.name for one in declared(own_kind)}
+    own = {name: values.pop(name) for name in declared(own_kind) if name in values}
     for name in values:
-        if name not in general | mine:
-            raise BadOption(_unknown(name, app, general | mine))
-    own_values = {name: value for name, value in values.items() if name in mine}
-    options = parse(
-        FitOptions,
-        {name: value for name, value in values.items() if name in general},
-        app=app,
-        paradigm=paradigm,
-        inputs=tuple(inputs),
-        own=parse(own_kind, own_values),
-    )
+        if name not in declared(FitOptions):
+            raise BadOption(_unknown(name, app))
+    options = parse(FitOptions, values, app=app, paradigm=paradigm, inputs=tuple(inputs), own=parse(own_kind, own))
     _check(options)
     return options
 
@@ -165,12 +175,13 @@ def check_export(name: str, app: str) -> None:
         raise BadOption(f'--export {name} needs {needs[1]}: pip install "metapp[export]"')
 
 
-def _unknown(name: str, app: str, names: set[str]) -> str:
+def _unknown(name: str, app: str) -> str:
     """An error line about an option that an application does not have."""
-    others = [other for other in app_names() if name in {one.name for one in declared(options_of(other))}]
+    others = [other for other in app_names() if name in declared(options_of(other))]
     if others:
         flag = f"--{name.replace('_', '-')}"
         return f"{flag}: {app} has no such option, only {', '.join(others)}; leave it out."
+    names = {**declared(FitOptions), **declared(options_of(app))}
     return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{did_you_mean(name, names)}"
 
 
@@ -192,19 +203,14 @@ def _check(options: FitOptions) -> None:
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
     protocol = options.observe or next(iter(protocols_of(app)), "")
-    given = [one for one in declared(type(options.own)) if one.name in options.own.given()]
-    for one in given:
-        _check_use(one, options, protocol)
-
-
-def _check_use(one: Declared, options: FitOptions, protocol: str) -> None:
-    option = one.option
-    if option.protocol and option.protocol != protocol:
-        raise BadOption(f"{one.flag}: only with --observe {option.protocol}; add that.")
-    if option.panel == INPUT and not options.inputs:
-        raise BadOption(f"{one.flag}: about INPUT alone; name what to fit.")
-    if option.panel == FIT and options.train:
-        raise BadOption(f"{one.flag}: of fits; checkpoints are trained without it, leave --train out.")
+    for name in options.own.given():
+        option = declared(type(options.own))[name]
+        if option.protocol and option.protocol != protocol:
+            raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
+        if option.panel == INPUT and not options.inputs:
+            raise BadOption(f"{option.flag}: about INPUT alone; name what to fit.")
+        if option.panel == FIT and options.train:
+            raise BadOption(f"{option.flag}: of fits; checkpoints are trained without it, leave --train out.")
 
 
 def own_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
@@ -212,11 +218,11 @@ def own_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> 
 
     Options that the application does not have are left out.
     """
-    kinds = {one.name: one for one in declared(options_of(app))}
+    known = declared(options_of(app))
     return {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in recorded.items()
-        if name in kinds and (inputs or kinds[name].option.panel != INPUT)
+        if name in known and (inputs or known[name].panel != INPUT)
     }
 
 

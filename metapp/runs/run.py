@@ -13,7 +13,7 @@ from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
-from metapp.options import FIT, BadOption
+from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
 from metapp.registry import did_you_mean
 from metapp.rules import composition_names, rule_names, rule_of
@@ -66,7 +66,7 @@ class Run:
         usual = recipes_of(options.app, options.observe)[name]
         recipe = _adapted(options, name, usual)
         if recipe == usual:  # by options that say what it does anyway
-            options = replace(options, own=replace(options.own, **options.own.defaults(FIT)))
+            options = replace(options, own=type(options.own)(**options.own.given(INPUT, OUTPUT)))
         rule = _rule_name(options, recipe)
         app = app_of(options.app, recipe, options.observe, rule=rule if kind.name == "meta" else "")
         try:

@@ -16,7 +16,7 @@ import torch
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.cli.streams import LONGEST, one_line
+from metapp.cli.console import LONGEST, one_line
 from metapp.learning.recipe import Adam
 from metapp.runs import fitting
 from metapp.storage.fits import PARAMS, RECORD, read_fits

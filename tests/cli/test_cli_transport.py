@@ -59,7 +59,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None
     task, app = box, app_by("transport")
     shown, theta = app, uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
-    with_nee = [images.REGULAR_NEE, *(plugin.row for plugin in images.integrators().values())]
+    with_nee = [images.REGULAR_NEE, *map(images.row_of, images.integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}

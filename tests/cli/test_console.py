@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.console import run
-from metapp.cli.group import ORDER, Group
-from metapp.cli.terminal import Terminal
+from metapp.cli.commands import ORDER
+from metapp.cli.console import Terminal, run
+from metapp.registry import Entry, registry
 
 # names are printed as they are, whatever they look like: markup, emoji codes
 NAMES = ("bad:x:b.csv", "[red]a[/red].csv", "[/].csv", ":smile:.csv")
@@ -61,8 +61,8 @@ def test_help_lists_commands_in_the_order_of_their_use_and_those_of_other_packag
     names = [*listed[0], *listed[1]]
     assert names == [*ORDER]
     assert (len(listed[0]), len(listed[1]), listed[1][0]) == (15, 18, "synth")
-    monkeypatch.setattr(Group, "own", lambda self: {"mine": print})
-    assert Group().list_commands(None)[-1] == "mine"
+    monkeypatch.setitem(registry().commands, "mine", Entry("os:getcwd"))
+    assert re.findall(r"^│ ([a-z][a-z-]*)", metapp("--help").out, re.MULTILINE)[-1] == "mine"
 
 
 def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 
 import pytest
 
 from data_tools.formats import formats
-from metapp.registry import Export, Format, registry
+from metapp.registry import Export, registry
 
 
-@pytest.mark.parametrize("form", formats().values(), ids=formats())
-def test_modules_have_what_entries_say(form: Format) -> None:
+@pytest.mark.parametrize("name", formats())
+def test_modules_have_what_entries_say(name: str) -> None:
+    form = registry().formats[name]
     module = form.load()
     assert callable(module.find)
     assert not form.inputs or callable(module.recognises)
-    assert set(form.takes) <= set(inspect.signature(module.read_task).parameters)
-    if form.help:
-        assert module.UNITS
-        options = {field.name for field in fields(form.options)} if form.options else set()
-        assert options <= set(inspect.signature(module.read_task).parameters)
+    command = registry().commands.get(f"data {name}")
+    if command and is_dataclass(converter := command.load()):
+        options = [field.name for field in fields(converter)]
+        if hasattr(module, "conversion"):
+            assert list(inspect.signature(module.conversion).parameters)[2:] == options
+        else:
+            assert module.UNITS
+            assert set(options) <= set(inspect.signature(module.read_task).parameters)
 
 
 @pytest.mark.parametrize("form", registry().exports.values(), ids=map("-".join, registry().exports))

@@ -55,7 +55,7 @@ def test_help_fits_a_screen_and_shows_the_options_that_are_used(paradigm: str, n
     assert len(shown.splitlines()) <= 43
     assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output"]
     options = set(re.findall(r"^│ (?:-q, )?--([a-z-]+)", shown, re.MULTILINE))
-    every = {one.flag.removeprefix("--") for one in declared(FitOptions)} | SHOWN[name] | {"json"}
+    every = {option.flag.removeprefix("--") for option in declared(FitOptions).values()} | SHOWN[name] | {"json"}
     assert options == every - (OWN - SHOWN[name]) - UNUSED[paradigm]
     assert ("MERL" in shown) == (name == "brdf")  # the inputs are those of the application, too
 

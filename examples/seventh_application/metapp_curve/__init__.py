@@ -1,23 +1,30 @@
 """Curves as a seventh application of metapp, with their files, an export and a baseline."""
 
-from metapp.registry import Application, Entry, Export, Format, Registry
+from dataclasses import dataclass
+from typing import ClassVar
 
-HELP = """Convert curves, text files of 32 numbers.
+from data_tools.formats import Converter
+from metapp.registry import Application, Entry, Export, Format, Recipe, Registry
 
-Example:
-  metapp data curve curves --out set
-"""
+
+@dataclass(frozen=True)
+class Curve(Converter):
+    """Convert curves, text files of 32 numbers.
+
+    Example:
+      metapp data curve curves --out set
+    """
+
+    noun: ClassVar = "curve"
+    paths: ClassVar = ".curve files, and folders of them."
 
 
 def register(registry: Registry) -> None:
     """Add the application and all that it has."""
     registry.applications["curve"] = Application("metapp_curve.app:Curve", help="Curves: a network of one variable.")
-    registry.add_recipes("curve", "metapp_curve.recipes:RECIPES", "quick", "paper")
-    registry.formats["curve"] = Format(
-        "metapp_curve.files",
-        app="curve",
-        inputs=".curve files of 32 numbers",
-        help=HELP,
-    )
+    registry.recipes["curve", "", "quick"] = Recipe("metapp_curve.recipes:RECIPES.quick")
+    registry.recipes["curve", "", "paper"] = Recipe("metapp_curve.recipes:RECIPES.paper")
+    registry.formats["curve"] = Format("metapp_curve.files", app="curve", inputs=".curve files of 32 numbers")
+    registry.commands["data curve"] = Entry("metapp_curve:Curve")
     registry.exports["curve", "csv"] = Export("metapp_curve.files:export")
     registry.baselines["curve", "line"] = Entry("metapp_curve.line:baselines")

@@ -16,7 +16,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.pictures import REFERENCE, Compared, Fitted
 from metapp.learning.task import Params, Task
-from metapp.registry import Plugin, registry
+from metapp.registry import Entry, registry
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_samples
 from metapp.rendering.scenes.rules import scene_of
@@ -150,9 +150,14 @@ def _studio(scene: bytes, size: int, next_event: bool) -> Studio:
     return Studio(scene, size, next_event)
 
 
-def integrators() -> dict[str, Plugin]:
+def integrators() -> dict[str, Entry]:
     """Integrators of extensions by name, by whose pictures those that fits guide are judged."""
-    return {name: plugin for name, plugin in registry().plugins.items() if plugin.row}
+    return {name: plugin for name, plugin in registry().plugins.items() if plugin.help}
+
+
+def row_of(integrator: str) -> str:
+    """The title of an integrator's row in tables; all have next-event estimation."""
+    return f"{integrator.removeprefix('metapp_')} + NEE"
 
 
 def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
@@ -177,7 +182,7 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) 
         REGULAR: {**regular, "time": 1.0, FIXED: 0.0, EQUAL_TIME: regular["MAPE"]},
     }
     without_fit = {REGULAR_NEE: studio.path}
-    without_fit |= {plugin.row: functools.partial(studio.by, name) for name, plugin in integrators().items()}
+    without_fit |= {row_of(name): functools.partial(studio.by, name) for name in integrators()}
     for name, shoot in without_fit.items():
         shoot(min(SPP, 64), 0)  # the first call compiles
         errors[name] = _errors(studio, shoot)

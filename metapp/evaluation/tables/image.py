@@ -70,7 +70,7 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
     figures, app, measure = paper(), subject.app.name, registry().measures.get(key)
     bound, ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
-    more_is_better = ssim or (measure is not None and measure.more_is_better)
+    more_is_better = ssim or (measure is not None and measure.load().more_is_better)
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)

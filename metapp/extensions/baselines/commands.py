@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,10 +11,10 @@ import typer
 
 from metapp.apps import options_of, protocols_of
 from metapp.cli import completion
-from metapp.cli.apps import app_group
+from metapp.cli.commands import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
-from metapp.options import FIT, INPUT, OUTPUT, BadOption, Declared, declared
+from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared
 from metapp.registry import did_you_mean, registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import progress, say
@@ -43,17 +42,15 @@ def command_of(app: str) -> Callable[..., None]:
     )
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
     taken = [name for name in TAKEN if name != "observe" or protocols_of(app)]
-    general = [one for one in declared(FitOptions) if one.name in taken]
-    own = [one for one in declared(options_of(app)) if one.option.panel != OUTPUT]
+    general = [declared(FitOptions)[name] for name in taken]
+    own = [option for option in declared(options_of(app)).values() if option.panel != OUTPUT]
     parameters = [parameter("json", Annotated[bool, as_json], False)]
     parameters += [parameter("inputs", Annotated[list[Path] | None, files])]
-    parameters += [_option(one) for one in (*general, *own)]
+    parameters += [
+        parameter_of(option, show_default=False, rich_help_panel=option.panel) for option in (*general, *own)
+    ]
     parameters += [parameter("method", Annotated[str, methods], "nearest")]
     return signed(command, command, parameters)
-
-
-def _option(one: Declared) -> inspect.Parameter:
-    return parameter_of(one, show_default=False, rich_help_panel=one.option.panel)
 
 
 baseline = app_group(command_of, "Run a baseline without a neural network and evaluate it in the same way as fits.")

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli.console import out, print_json
+from metapp.cli.console import escaped, out, print_json
 from metapp.cli.options import FittedData, Json, Overwrite, RunPath, check_new, takes
-from metapp.cli.streams import escaped
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:

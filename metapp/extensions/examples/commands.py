@@ -8,22 +8,20 @@ from typing import Annotated
 
 import typer
 
-from metapp.apps import app_names, application_of
 from metapp.cli import completion
 from metapp.cli.console import out, print_json
-from metapp.cli.data.convert import check_folder
-from metapp.cli.options import Json
-from metapp.registry import did_you_mean, left_out_with, load, registry
+from metapp.cli.options import Json, check_folder
+from metapp.registry import did_you_mean, left_out_with, registry
 from metapp.runs.reporter import say
 
+READ_VGG = ("svbrdf_stationary", "texture")  # applications whose fits do
 FOLDER = Path("example-inputs")  # of the input files that commands name
 
 
 def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
     """The first commands of an application on input files in a folder, and what each makes."""
     place = shlex.quote(str(folder))
-    of_outputs = [example for output in registry().outputs.of(app).values() for example in output.examples]
-    examples = [example for example in (*application_of(app).examples, *of_outputs) if not _left_out(example[0])]
+    examples = [example for example in registry().examples[app].load() if not _left_out(example[0])]
     return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
 
 
@@ -57,20 +55,21 @@ def command(
 
     Example: metapp examples brdf --make example-inputs
     """
-    applications = {name: application_of(name) for name in app_names() if application_of(name).examples}
-    if app and app not in applications:
-        expected = f"expected one of {', '.join(applications)}.{did_you_mean(app, applications)}"
-        raise typer.BadParameter(f"'{app}': {expected}")
-    apps, files = [app] if app else list(applications), list[Path]()
-    for name in apps if folder else ():
-        files += load(applications[name].files)(name, folder) if applications[name].files else []
+    known = sorted(registry().examples)
+    if app and app not in known:
+        raise typer.BadParameter(f"'{app}': expected one of {', '.join(known)}.{did_you_mean(app, known)}")
+    apps, files = [app] if app else known, list[Path]()
+    if folder:
+        from data_tools.synthetic.examples import EXAMPLES, write_example
+
+        files = [file for name in apps if name in EXAMPLES for file in write_example(name, folder)]
     examples = {name: lines_of(name, folder or FOLDER, None if app else 2) for name in apps}
     if json:
         commands = [{"app": name, "command": line, "makes": makes} for name in apps for line, makes in examples[name]]
         print_json({"files": [str(file) for file in files], "commands": commands})
         return
     first = [] if folder else [(f"metapp examples {f'{app} ' if app else ''}--make {FOLDER}", "the input files, first")]
-    if needy := [name for name in apps if applications[name].needs_vgg]:
+    if needy := [name for name in apps if name in READ_VGG]:
         first.append(("metapp data vgg", f"what fits of {' and '.join(needy)} read, once: 64 to 550 MB"))
     lines = [*first, *(line for name in apps for line in examples[name])]
     out().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), soft_wrap=True)

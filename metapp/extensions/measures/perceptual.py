@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
 from metapp.appearance.features import Features, describe_features, hann, load_features, weights_path
+from metapp.appearance.picture_measures import Measure
 from metapp.learning.pictures import Compared
 from metapp.storage.files import read_bytes
 
@@ -141,3 +142,7 @@ def source() -> str:
     if not weights_path().is_file():
         raise ValueError("the weights of VGG-16 are missing: metapp data vgg")
     return f"{describe_features()}, weights of {PACKAGE} {importlib.metadata.version(PACKAGE)}"
+
+
+LPIPS = Measure(lpips, source)
+DISTS = Measure(dists, source)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colorimetry import colour_difference
+from metapp.appearance.picture_measures import Measure
 from metapp.learning.pictures import Compared
 
 MOST = 100.0  # dB, of pictures that are equal to rounding
@@ -49,3 +50,8 @@ def _quantile(compared: Compared, share: float) -> float:
 def _counted(values: Tensor, compared: Compared) -> Tensor:
     """Values [B, 3, H, W] of the pixels that count, [B, 3, N]."""
     return values.flatten(2) if compared.mask is None else values[..., compared.mask.to(torch.bool)]
+
+
+PSNR = Measure(psnr, more_is_better=True)
+MEDIAN = Measure(median_difference, by)
+HIGH = Measure(high_difference, by)

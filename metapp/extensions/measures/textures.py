@@ -7,6 +7,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.features import load_features
 from metapp.appearance.order import lattice_of, order_kept
+from metapp.appearance.picture_measures import Measure
 from metapp.learning.pictures import Compared
 
 JUDGING = ("relu2_2", "relu3_3", "relu4_3")  # beside those that fits are compared by
@@ -38,3 +39,7 @@ def sliced_wasserstein(maps: Tensor, target: Tensor) -> Tensor:
 def order(compared: Compared) -> float:
     """The share of the exemplar's order that a texture keeps; NaN where the exemplar has none."""
     return order_kept(lattice_of(compared.references[0]), compared.pictures[0])
+
+
+WASSERSTEIN = Measure(wasserstein)
+ORDER = Measure(order, more_is_better=True)

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.data.convert import Quiet
-from metapp.cli.options import Json
+from metapp.cli.options import Json, Quiet
 from metapp.runs.reporter import progress, say
 
 

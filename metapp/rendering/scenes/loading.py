@@ -46,7 +46,7 @@ def checked(scene: SceneDict) -> SceneDict:
     """
     if not isinstance(scene, dict):
         raise ValueError("no scene, expected an object of type 'scene'.")
-    if entry := registry().scene_check:
+    if entry := registry().hooks.get("scene"):
         result: SceneDict = entry.load()(scene)
         return result
     if "xml" in scene:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from metapp.registry import Format
+from metapp.registry import registry
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
 
@@ -35,7 +35,6 @@ def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[s
 
 def convert(
     name: str,
-    form: Format,
     paths: Iterable[Path],
     out: Path,
     split: str,
@@ -50,7 +49,6 @@ def convert(
 
     Args:
         name: of the format.
-        form: the format.
         paths: files, and folders to search.
         out: folder of the data set.
         split: "train", "test" or "auto".
@@ -64,6 +62,7 @@ def convert(
     """
     from metapp.storage.shards import AUTO, ShardWriter
 
+    form = registry().formats[name]
     reader = form.load()
     found, skipped = _find(reader.find, paths)
     own = getattr(reader, "entries", entries_by_place)(list(found), {*found.values()} - {None}, split)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import shutil
 import time
@@ -28,7 +29,8 @@ def embedded_module(app: str) -> Any:
     """The module that draws an application's embedded set.
 
     It has COUNTS, tasks by split; UNITS, of their tensors; `synthetic_tasks(split, count, seed, **options)`, an
-    iterator; and may have VERSION, raised when its draw changes; BESIDE, what lies beside a shard.
+    iterator; and may have VERSION, raised when its draw changes; BESIDE, what lies beside a shard; and FILES, other
+    forms by name: `write(folder, split, count, seed)`, an iterator of names of files, and a file's bytes.
 
     Raises:
         ValueError: there is none; the message lists the applications that have one.
@@ -119,7 +121,7 @@ def embedded_data(
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
-    module, offered = embedded_module(app), registry().synthetic[app].options
+    module, offered = embedded_module(app), _options(app)
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
     for name, value in options.items():
         if name not in offered:
@@ -129,9 +131,13 @@ def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Do
     return notes
 
 
+def _options(app: str) -> list[str]:
+    return [*inspect.signature(embedded_module(app).synthetic_tasks).parameters][3:]
+
+
 def _drawn(app: str, notes: Document) -> dict[str, object]:
     """The options that a set was drawn by."""
-    return {name: notes[name] for name in registry().synthetic[app].options if name in notes}
+    return {name: notes[name] for name in _options(app) if name in notes}
 
 
 def embedded_exists(app: str) -> bool:

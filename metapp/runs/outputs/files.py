@@ -14,7 +14,7 @@ from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
-from metapp.registry import Output, registry
+from metapp.registry import Entry, registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.recipes import QUICK
@@ -26,7 +26,7 @@ from metapp.storage.images import write_exr, write_png
 WRITERS = 2  # pictures compressed at a time
 
 
-def outputs_of(options: FitOptions) -> list[tuple[Output, object]]:
+def outputs_of(options: FitOptions) -> list[tuple[Entry, object]]:
     """The outputs of a run beside files of its fits, and the values of the options that ask for them."""
     given = options.own.given(OUTPUT)
     return [(output, given[name]) for name, output in registry().outputs.of(options.app).items() if name in given]
@@ -34,7 +34,7 @@ def outputs_of(options: FitOptions) -> list[tuple[Output, object]]:
 
 def write_outputs(
     app: App,
-    outputs: Sequence[tuple[Output, object]],
+    outputs: Sequence[tuple[Entry, object]],
     folder: Path,
     task: Task,
     theta: Params,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps import app_names, application_of
-from metapp.extensions.examples.commands import FOLDER, lines_of
+from metapp.apps import app_names
+from metapp.extensions.examples.commands import FOLDER, READ_VGG, lines_of
 from tests.needs_mitsuba import skip_without_mitsuba
 
 
@@ -70,7 +70,7 @@ def test_the_first_command_of_an_application_works(works: Callable, app: str) ->
 @pytest.mark.usefixtures("inputs")
 @pytest.mark.parametrize("app", app_names())
 def test_the_other_commands_work(request: pytest.FixtureRequest, works: Callable, app: str) -> None:
-    if application_of(app).needs_vgg:
+    if app in READ_VGG:
         request.getfixturevalue("vgg")
     for line, _ in lines_of(app, FOLDER)[1:]:
         works(line)

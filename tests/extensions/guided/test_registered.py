@@ -17,7 +17,6 @@ from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
 from metapp.apps.transport.recipes import RECIPES
-from metapp.extensions.guided import GUIDED_NEE
 from metapp.learning.task import Task
 from metapp.rendering.paths import path_space
 from metapp.rendering.scenes.rules import scene_bytes
@@ -47,7 +46,7 @@ def test_the_integrator_has_a_row_in_the_table_of_pictures(monkeypatch: pytest.M
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 64)
     shown, task = Transport(FLOW, picture=16), task_of(0)
-    assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, GUIDED_NEE]
+    assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, "guided_path + NEE"]
 
 
 @needs_mitsuba

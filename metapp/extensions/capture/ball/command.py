@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.data.convert import Out, Quiet
-from metapp.cli.options import Json, Overwrite, check_new, takes
+from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
 from metapp.extensions.capture.options import field_of_view
 from metapp.runs.reporter import progress, say
 

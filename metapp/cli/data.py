@@ -1,68 +1,55 @@
-"""The commands of `metapp data` that make data sets of data sets, or of Cornell boxes."""
+"""The commands of `metapp data` that convert files, join data sets and check them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from data_tools.formats import Converter
 from metapp.cli.console import Exit, out, print_json
-from metapp.cli.data.convert import Out, Quiet, Split, SplitOption, report
-from metapp.cli.options import Json, Overwrite, Seed, takes
-from metapp.runs.inputs.convert import converted
+from metapp.cli.options import Json, Out, Overwrite, Quiet, Split, parameters_of, signed
+from metapp.options import parse
+from metapp.runs.inputs.convert import Converted, convert, converted
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
 
 
-@dataclass(frozen=True)
-class Cornell:
-    """The options of `cornell`."""
+def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
+    """The command that converts files of the format of that name, with the converter's help and options."""
 
-    folder: Out
-    count: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Scenes.")] = 10
-    seed: Seed = 0
-    split: SplitOption = Split.AUTO
-    samples: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
-    ] = 32_768
-    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192
-    overwrite: Overwrite = False
-    quiet: Quiet = False
-    as_json: Json = False
+    def command(
+        paths: Annotated[
+            list[Path], typer.Argument(metavar="PATHS...", help="Files, and folders that are searched at any depth.")
+        ],
+        folder: Out,
+        split: Split = Split.AUTO,
+        overwrite: Overwrite = False,
+        quiet: Quiet = False,
+        as_json: Json = False,
+        **own: object,
+    ) -> None:
+        options = parse(converter, own).arguments()
+        done = convert(name, paths, folder, split.value, options, overwrite=overwrite, quiet=quiet)
+        report(done, quiet, as_json)
+
+    command.__annotations__ |= {
+        "split": Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=converter.split_help)],
+    }
+    return signed(command, converter, [*parameters_of(command), *parameters_of(converter)])
 
 
-@takes(Cornell)
-def cornell(options: Cornell) -> None:
-    """Draw Cornell boxes and trace their light paths.
-
-    In each are one to five spheres of diffuse, glass or metal material, a mirror on a side wall and an area light on
-    the ceiling, all at random places. Its samples are points of primary sample space, in proportion to the luminance
-    that their paths carry; 2 s each. The scene, a dictionary of Mitsuba 3, is a .json file beside its shard.
-
-    Examples:
-      metapp data cornell --count 20 --seed 7 --out boxes
-      metapp data cornell --count 4 --samples 288000 --split test --out boxes
-    """
-    from data_tools.synthetic import transport
-    from metapp.storage.shards import ShardWriter
-
-    count, seed, split = options.count, options.seed, options.split.value
-    tasks = transport.cornell_tasks(count, seed, samples=options.samples, held=options.held)
-    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
-    bars = progress("Cornell boxes", count, quiet=options.quiet)
-    new = ShardWriter(
-        options.folder, "transport", transport.UNITS, notes, transport.BESIDE, overwrite=options.overwrite
-    )
-    with new as writer, bars as bar:
-        for task in tasks:
-            writer.add(task, split)
-            bar.advance(task.name)
-        done = converted("transport", options.folder, writer.entries())
-    report(done, options.quiet, options.as_json)
+def report(done: Converted, quiet: bool, as_json: bool) -> None:
+    """Say what was written, for a person and for scripts."""
+    if not quiet:
+        skipped = f"; {len(done.skipped)} skipped" if done.skipped else ""
+        say(f"{done.app}: {len(done.train)} train + {len(done.test)} test tasks in {done.out}{skipped}")
+    if as_json:
+        print_json(done._asdict())
 
 
 def join(

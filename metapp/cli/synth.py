@@ -1,4 +1,4 @@
-"""`metapp data synth`: draw an embedded data set."""
+"""`metapp data synth` and `metapp data cornell`: draw data sets."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from typing import Annotated
 import typer
 
 from metapp.cli import completion
-from metapp.cli.data.convert import Quiet, check_folder, report
-from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
+from metapp.cli.data import report
+from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, Split, SplitOption, check_folder, check_new, takes
 from metapp.options import Option
-from metapp.registry import did_you_mean, load, registry
+from metapp.registry import did_you_mean, registry
 from metapp.runs.inputs.convert import Converted, converted
-from metapp.runs.inputs.embedded import embedded_apps, embedded_data, split_counts
+from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.runs.reporter import progress
 
 SHARDS = "shards"
-_SETS = registry().synthetic
-_FORMS = [form for embedded in _SETS.values() for form, _, _ in embedded.files]
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ def synth(
         typer.Option(
             "--as",
             metavar="FORM",
-            help=f"shards, what metapp reads, or {', '.join(_FORMS)}: files in DIR/train and DIR/test.",
+            help="shards, what metapp reads, or merl: files in DIR/train and DIR/test.",
         ),
     ] = SHARDS,
     overwrite: Overwrite = False,
@@ -117,7 +115,7 @@ def _write_files(
     """Write an embedded set in another form than shards."""
     from metapp.storage.shards import only_writer
 
-    forms = {word: (write, size) for word, write, size in _SETS[name].files}
+    forms = getattr(embedded_module(name), "FILES", {})
     if form not in forms:
         expected = ", ".join([SHARDS, *forms])
         raise typer.BadParameter(f"'{form}': expected {expected} for {name}.", param_hint="--as")
@@ -138,7 +136,7 @@ def _write_files(
     with only_writer(folder), progress(f"{form} files", sum(counts.values()), quiet=quiet) as bar:
         for split, number in counts.items():
             names[split] = []
-            for task in load(write)(folder / split, split, number, seed):
+            for task in write(folder / split, split, number, seed):
                 names[split].append(task)
                 bar.advance(task)
     return Converted(name, str(folder), names["train"], names["test"], [])
@@ -147,7 +145,54 @@ def _write_files(
 synth.__doc__ = "\n\n".join(
     [
         str(synth.__doc__),
-        "\n".join(["Sets:", *(f"  {name}: {embedded.help}" for name, embedded in _SETS.items())]),
+        "\n".join(["Sets:", *(f"  {name}: {embedded.help}" for name, embedded in registry().synthetic.items())]),
         "Examples:\n  metapp data synth brdf\n  metapp data synth brdf --count 10 --seed 1 --as merl --out materials",
     ]
 )
+
+
+@dataclass(frozen=True)
+class Cornell:
+    """The options of `cornell`."""
+
+    folder: Out
+    count: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Scenes.")] = 10
+    seed: Seed = 0
+    split: SplitOption = Split.AUTO
+    samples: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
+    ] = 32_768
+    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192
+    overwrite: Overwrite = False
+    quiet: Quiet = False
+    as_json: Json = False
+
+
+@takes(Cornell)
+def cornell(options: Cornell) -> None:
+    """Draw Cornell boxes and trace their light paths.
+
+    In each are one to five spheres of diffuse, glass or metal material, a mirror on a side wall and an area light on
+    the ceiling, all at random places. Its samples are points of primary sample space, in proportion to the luminance
+    that their paths carry; 2 s each. The scene, a dictionary of Mitsuba 3, is a .json file beside its shard.
+
+    Examples:
+      metapp data cornell --count 20 --seed 7 --out boxes
+      metapp data cornell --count 4 --samples 288000 --split test --out boxes
+    """
+    from data_tools.synthetic import transport
+    from metapp.storage.shards import ShardWriter
+
+    count, seed, split = options.count, options.seed, options.split.value
+    tasks = transport.cornell_tasks(count, seed, samples=options.samples, held=options.held)
+    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
+    bars = progress("Cornell boxes", count, quiet=options.quiet)
+    new = ShardWriter(
+        options.folder, "transport", transport.UNITS, notes, transport.BESIDE, overwrite=options.overwrite
+    )
+    with new as writer, bars as bar:
+        for task in tasks:
+            writer.add(task, split)
+            bar.advance(task.name)
+        done = converted("transport", options.folder, writer.entries())
+    report(done, options.quiet, options.as_json)

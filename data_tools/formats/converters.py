@@ -1,0 +1,202 @@
+"""The commands of `metapp data` that convert files of formats: their help and options."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from data_tools.formats import Converter
+from metapp.networks.options import field_of_view
+from metapp.options import Option
+
+Samples = Annotated[
+    int,
+    Option("Samples (pairs of directions) per material; the first half is for fits to see.", "N", low=2, high=10**7),
+]
+Size = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
+Normals = Annotated[
+    str,
+    Option(
+        "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a "
+        "height field could have it.",
+        "opengl|directx|auto",
+        choices=("opengl", "directx", "auto"),
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Merl(Converter):
+    """Convert MERL tables, measured BRDFs.
+
+    A table (Matusik et al. 2003) has 34,992,012 bytes. It becomes samples (angles in rad, reflectance in 1/sr, linear
+    RGB) at the centres of measured bins. A bad file that was named ends the conversion and nothing is written; one
+    found in a folder is skipped with a warning.
+
+    Examples:
+      metapp data merl BRDFDatabase/brdfs --out merl
+      metapp data merl gold.binary steel.binary --split test --out metals
+    """
+
+    samples: Samples = 65_536
+
+
+@dataclass(frozen=True)
+class Nbrdf(Converter):
+    """Convert NBRDF networks, BRDFs as small neural networks.
+
+    A network (Sztrajman et al. 2021) is a folder with fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy. It becomes
+    samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon, named by its folder. Several may share
+    a folder, each with its name in front: gold_fc1.npy. A folder without a usable network ends the conversion and
+    nothing is written; further bad networks are skipped with a warning.
+
+    Examples:
+      metapp data nbrdf trained --out nbrdf
+      metapp data nbrdf trained/gold trained/tin --split test --out metals
+    """
+
+    samples: Samples = 65_536
+
+
+@dataclass(frozen=True)
+class Images(Converter):
+    """Convert photographs of textures.
+
+    Any format of OpenImageIO: JPEG, PNG, TIFF, EXR and more. Of each the central square is taken, upright, scaled in
+    linear light to --size, and kept as 8-bit sRGB. A bad file that was named ends the conversion and nothing is
+    written; one found in a folder is skipped with a warning.
+
+    Examples:
+      metapp data images photographs --out textures
+      metapp data images bark.jpg sand.png --split test --size 512 --out textures
+    """
+
+    size: Size = 256
+
+
+@dataclass(frozen=True)
+class Flash(Converter):
+    """Convert flash photographs of flat materials.
+
+    Of each the central square is taken, where the flash is, upright, scaled in linear light to --size, and kept as
+    8-bit sRGB. Fits take the camera for one of 45 degrees along the shorter side: of a wider one, as EXIF or --fov
+    tells, only the part within 45 degrees is taken. All photographs of a material belong to one split. A bad file that
+    was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+    The material is told by <split>_<material>_<image>.jpg, by <split>/<material>/<image>.jpg (Henzler et al. 2021),
+    or by <material>/<image>.jpg below the folder; any other photograph is of a material of its own.
+
+    Examples:
+      metapp data flash flash_images --out flash
+      metapp data flash wood.jpg tiles.jpg --split test --out flash
+    """
+
+    split_help: ClassVar = (
+        "Where the tasks belong. auto: as names or folders say (train, test), if they say both; else of the sorted "
+        "materials every fifth is for tests."
+    )
+    size: Size = 256
+    fov: Annotated[
+        float,
+        Option(
+            "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
+            "DEGREES",
+            low=0.0,
+            high=150.0,
+            parse=field_of_view,
+        ),
+    ] = 0.0
+
+    def arguments(self) -> dict[str, object]:
+        """As of `Converter`; the field of view in radians."""
+        return {"size": self.size, "fov_rad": math.radians(self.fov)}
+
+
+@dataclass(frozen=True)
+class Maps(Converter):
+    """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
+
+    Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, where there are any, specular or
+    metallic; any case and format. Colours of 8 or 16 bit are sRGB. Of each map the central square is taken, scaled to
+    --size, and the photograph under a flash is rendered. A bad material is skipped with a warning.
+
+    A colour without such a word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's: its gloss is how
+    strongly a highlight shines, which is converted to a roughness.
+
+    Examples:
+      metapp data maps materials --out svbrdf
+      metapp data maps materials/rock --normals directx --split test --out rock
+    """
+
+    split_help: ClassVar = (
+        "Where the tasks belong. auto: of the sorted names, every fifth is a test task; variants with the same normal "
+        "map stay together."
+    )
+    size: Size = 256
+    normals: Normals = "auto"
+
+
+def _folder(path: Path) -> Path:
+    if not path.is_dir():
+        raise ValueError("no such folder, expected one of predicted maps")
+    return path
+
+
+@dataclass(frozen=True)
+class Strips(Converter):
+    """Convert strips, images of five squares: flash photograph, normal, diffuse, roughness, specular.
+
+    As Deschaintre et al. 2018 publish theirs: linear, normals with y up. A bad file that was named ends the conversion
+    and nothing is written; one found in a folder is skipped with a warning. Base materials are told by
+    <number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a material of its own. Where base
+    materials cannot be parted, since all are blended with all, their presets are.
+
+    Examples:
+      metapp data strips DeepMaterialsData/trainBlended --out svbrdf
+      metapp data strips strips --gamma 2.2 --white 1 --split test --out svbrdf
+      metapp data strips strips --predicted maps --split test --out svbrdf
+    """
+
+    split_help: ClassVar = (
+        "Where the tasks belong. auto: no base material on both sides, a fifth or more for tests; blends of both sides "
+        "are left out."
+    )
+    size: Size = 256
+    gamma: Annotated[float, Option("Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)] = 1.0
+    white: Annotated[
+        float,
+        Option(
+            "How bright white would be right below the flash, where 1 clips; that of the published ones by default.",
+            "W",
+            low=0.01,
+            high=100,
+        ),
+    ] = 1.35
+    predicted: Annotated[
+        Path | None,
+        Option(
+            "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; "
+            "where they show the middle alone, so do the tasks.",
+            "FOLDER",
+            parse=_folder,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class Laval(Converter):
+    """Convert HDR environment maps, such as those of the Laval indoor set.
+
+    Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
+    linear Rec.709 of 64 x 128 texels (--rows), averaged over solid angle, of mean luminance 1 beside the scale it had,
+    and four photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one
+    found in a folder is skipped with a warning.
+
+    Examples:
+      metapp data laval IndoorHDR --out laval
+      metapp data laval office.exr street.hdr --split test --out maps
+    """
+
+    rows: Annotated[int, Option("Rows of the maps; the recipe full fits 128.", "N", low=32, high=1024)] = 64

@@ -1,1 +1,0 @@
-"""`metapp data`: turn measurements and models into task shards."""

@@ -1,0 +1,225 @@
+"""All that extensions which ship have, by name: a function for each, which an entry point in setup.cfg names."""
+
+from __future__ import annotations
+
+from metapp.registry import Entry, Export, Format, Recipe, Registry
+
+_MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
+_HERE = "metapp.extensions"
+
+
+def assets(registry: Registry) -> None:
+    """Fitted materials and textures as other programs take them: glTF, USD, MaterialX, Mitsuba, Blender, pictures."""
+    here = f"{_HERE}.assets"
+    for app in (*_MATERIALS, "texture"):
+        registry.exports[app, "asset"] = Export(f"{here}.pictures:write_asset", of_surface=True)
+        registry.exports[app, "exr"] = Export(f"{here}.pictures:write_exr", of_surface=True)
+        registry.exports[app, "png16"] = Export(f"{here}.pictures:write_png16", of_surface=True)
+    for app in _MATERIALS:
+        registry.exports[app, "blender"] = Export(f"{here}.pictures:write_blender", of_surface=True)
+        registry.exports[app, "gltf"] = Export(f"{here}.gltf:write_gltf", of_surface=True)
+        registry.exports[app, "materialx"] = Export(f"{here}.materialx:write_materialx", of_surface=True)
+        registry.exports[app, "mitsuba"] = Export(f"{here}.mitsuba:write_mitsuba", of_surface=True)
+        registry.exports[app, "usd"] = Export(f"{here}.usd:write_usd", of_surface=True, needs=("pxr", "usd-core"))
+
+
+def baselines(registry: Registry) -> None:
+    """Methods without a network, their command and their table."""
+    methods = {
+        "brdf": ("pca_20", "pca_66", "pca_150", "ggx_2", "nearest"),
+        "illumination": ("sh", "unwrap"),
+        "svbrdf_nonstationary": ("flat", "predicted"),
+        "svbrdf_stationary": ("nearest", "quilting"),
+        "texture": ("nearest", "quilting"),
+    }
+    for app, names in methods.items():
+        for name in names:
+            registry.baselines[app, name] = Entry(f"{_HERE}.baselines.{app}:baselines")
+    registry.commands["baseline"] = Entry(f"{_HERE}.baselines.commands:baseline")
+    registry.tables["baselines"] = Entry(f"{_HERE}.baselines.table:BASELINES")
+
+
+def capture(registry: Registry) -> None:
+    """Light and materials captured by hand: a mirror ball in several photos, flat materials in a sheet of markers."""
+    here = f"{_HERE}.capture"
+    registry.formats["ball"] = Format(f"{here}.ball.reading", app="illumination", inputs="LDR photos of a ball")
+    registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge")
+    registry.commands["data markers"] = Entry(f"{here}.markers.command:markers")
+    registry.commands["data rectify"] = Entry(f"{here}.markers.command:rectify")
+    registry.commands["data ball"] = Entry(f"{here}.ball.command:ball")
+
+
+def compare(registry: Registry) -> None:
+    """Two runs side by side."""
+    registry.commands["compare"] = Entry(f"{_HERE}.compare.command:command")
+
+
+def doctor(registry: Registry) -> None:
+    """What this installation has and lacks."""
+    registry.commands["doctor"] = Entry(f"{_HERE}.doctor.commands:command")
+
+
+def examples(registry: Registry) -> None:
+    """Commands that work as they are, and the input files that they name."""
+    registry.commands["examples"] = Entry(f"{_HERE}.examples.commands:command")
+    for app in ("brdf", "illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport"):
+        registry.examples[app] = Entry(f"{_HERE}.examples.lines:{app.upper()}")
+
+
+def few(registry: Registry) -> None:
+    """BRDFs of few samples: goniometer tables, the recipe that fits them, and what to measure."""
+    here = f"{_HERE}.few"
+    registry.formats["gonio"] = Format(
+        f"{here}.gonio",
+        app="brdf",
+        inputs="goniometer .csv files",
+        kinds=(("phi_h", "is_anisotropic"), ("few", "has_few")),
+    )
+    registry.networks["brdf", "few"] = Entry(f"{here}.network:NETWORK")
+    registry.recipes["brdf", "", "few"] = Recipe(
+        f"{here}.recipe:FEW",
+        help="1,000 samples or fewer",
+        kind="few",
+        paradigms=("meta",),
+        checkpoints=f"{here}.checkpoints",
+    )
+    registry.commands["data gonio"] = Entry(f"{here}.options:Gonio")
+    registry.commands["plan"] = Entry(f"{here}.commands:plan")
+
+
+def guided(registry: Registry) -> None:
+    """Path guiding while rendering: an integrator of Mitsuba 3, and `--render` of transport."""
+    registry.plugins["metapp_guided_path"] = Entry(
+        f"{_HERE}.guided.integrator:register_guided_path",
+        help="guided_path guides all bounces and learns while it renders",
+    )
+    registry.outputs["transport", "render"] = Entry(f"{_HERE}.guided.rendering:rendered")
+
+
+def measures(registry: Registry) -> None:
+    """Measures of the field, of pictures of fits beside the references."""
+    here = f"{_HERE}.measures"
+    # PSNR compares pixel by pixel, which says nothing of pictures that are generated from noise
+    aligned = ("brdf", "svbrdf_nonstationary", "illumination", "transport")
+    flat = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
+    registry.measures["CIE 2000, median"] = Entry(
+        f"{here}.pixels:MEDIAN", "CIE 2000 colour difference (D65), of which about 1 is just noticeable", ("brdf",)
+    )
+    registry.measures["CIE 2000, 95 %"] = Entry(f"{here}.pixels:HIGH", "the same, 95th percentile", ("brdf",))
+    registry.measures["sliced Wasserstein"] = Entry(
+        f"{here}.textures:WASSERSTEIN",
+        "distance of the distributions of features that no fit is compared by, over their deviation",
+        ("texture",),
+    )
+    registry.measures["order"] = Entry(
+        f"{here}.textures:ORDER",
+        "of exemplars that repeat, the autocorrelation's peaks on their lattice, as high as the exemplar's at 1",
+        ("texture",),
+    )
+    registry.measures["PSNR"] = Entry(f"{here}.pixels:PSNR", "dB, at most 100, more is better", aligned)
+    registry.measures["LPIPS"] = Entry(
+        f"{here}.perceptual:LPIPS",
+        "Zhang et al. 2018, version 0.1, 0 for equal pictures",
+        (*flat, "illumination", "transport"),
+    )
+    registry.measures["DISTS"] = Entry(f"{here}.perceptual:DISTS", "Ding et al. 2020, 0 for equal pictures", flat)
+
+
+def mitsuba_bsdfs(registry: Registry) -> None:
+    """Fits as BSDFs of Mitsuba 3."""
+    registry.plugins["neural_brdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_brdf:register_neural_brdf")
+    registry.plugins["neural_svbrdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_svbrdf:register_maps_bsdf")
+
+
+def native(registry: Registry) -> None:
+    """Steps of learning in C, and by torch, compiled."""
+    registry.hooks["steps"] = Entry(f"{_HERE}.native.fastest:steps")
+
+
+def onnx_files(registry: Registry) -> None:
+    """Fitted BRDFs, and General of flash photographs, as ONNX models."""
+    here = f"{_HERE}.onnx_files"
+    registry.exports["brdf", "onnx"] = Export(f"{here}.brdf:write_onnx", needs=("onnxscript", "onnx and onnxscript"))
+    for kind in ("onnx", "onnx-page"):
+        registry.file_exports[kind] = Entry(
+            f"{here}.checkpoints:write", help="General of photos, by a checkpoint or its name"
+        )
+
+
+def pretrained(registry: Registry) -> None:
+    """General of flash photos over frozen features of VGG-16, and real materials to train it on."""
+    here = f"{_HERE}.pretrained"
+    registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = Recipe(
+        f"{here}.recipe:PRETRAINED",
+        help="one flash photo",
+        kind="photo",
+        paradigms=("general", "quickft", "meta"),
+        lacks=f"{here}.encoder:lacks",
+        checkpoints=f"{here}.checkpoints",
+    )
+    registry.formats["materials"] = Format(f"{here}.materials", app="svbrdf_nonstationary")
+    registry.commands["data materials"] = Entry(f"{here}.options:Materials")
+
+
+def rgl(registry: Registry) -> None:
+    """BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
+    here = f"{_HERE}.rgl"
+    registry.formats["bsdf"] = Format(
+        f"{here}.rgl", app="brdf", inputs="RGL .bsdf files", kinds=(("phi_h", "is_anisotropic"),)
+    )
+    registry.commands["data bsdf"] = Entry(f"{here}.options:Bsdf")
+    registry.exports["brdf", "bsdf"] = Export(f"{here}.rgl:export")
+    registry.exports["brdf", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
+    registry.exports["brdf", "mitsuba"] = Export(f"{here}.scene:export")
+    for kind in ("merl", "bsdf", "bsdf-spectral"):
+        registry.file_exports[kind] = Entry(
+            f"{here}.convert:write", help="MERL tables, RGL files, NBRDF networks, folders of them"
+        )
+
+
+def scene_files(registry: Registry) -> None:
+    """Scene files of Mitsuba as inputs of light transport."""
+    here = f"{_HERE}.scene_files"
+    registry.formats["mitsuba"] = Format(
+        f"{here}.reading", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
+    )
+    registry.objects["transport"] = Entry(f"{here}.reading:from_object")
+    registry.hooks["scene"] = Entry(f"{here}.checking:stored")
+
+
+def several(registry: Registry) -> None:
+    """Several flash photos of one flat material, with the places of camera and flash."""
+    here = f"{_HERE}.several"
+    registry.formats["placed"] = Format(
+        f"{here}.photos",
+        app="svbrdf_nonstationary",
+        inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
+        kinds=(("places", ""),),
+    )
+    registry.recipes["svbrdf_nonstationary", "photo", "several"] = Recipe(
+        f"{here}.recipe:SEVERAL", help="several photos", kind="places", checkpoints=f"{here}.checkpoints"
+    )
+
+
+def shaders(registry: Registry) -> None:
+    """Fitted BRDFs as source code of shaders."""
+    weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into these
+    for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "slang", "wgsl"):
+        registry.exports["brdf", name] = Export(f"{_HERE}.shaders.files:write_{name}", holds=weights)
+
+
+def vgg(registry: Registry) -> None:
+    """ImageNet weights of VGG-16, which losses on pictures read: found or fetched, once."""
+    registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.commands:vgg")
+
+
+def viewer(registry: Registry) -> None:
+    """Interactive HTML pages of fits."""
+    here = f"{_HERE}.viewer"
+    registry.commands["view"] = Entry(f"{here}.commands:view")
+    registry.commands["try"] = Entry(f"{here}.commands:try_all")
+    registry.methods["view"] = Entry(f"{here}.viewing:view_fit")
+    for app in ("brdf", "illumination", "transport"):
+        registry.pages[app] = Entry(f"{here}.pages.{app}:view")
+    for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture"):
+        registry.pages[app] = Entry(f"{here}.pages.flat:{app}")

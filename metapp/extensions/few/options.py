@@ -1,0 +1,24 @@
+"""Help of `metapp data gonio`."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from data_tools.formats import Converter
+
+
+@dataclass(frozen=True)
+class Gonio(Converter):
+    """Convert goniometer measurements, CSV files.
+
+    A line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light), theta_o_deg,
+    phi_o_deg (detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as wavelengths (400nm,
+    410nm, ...). Lines that begin with # are comments. The measurements themselves are the samples, in random order; a
+    bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+    Examples:
+      metapp data gonio paint.csv --out measured
+      metapp data gonio measurements --split test --out measured
+    """
+
+    noun: ClassVar = "CSV file"
+    paths: ClassVar = ".csv files, and folders searched at any depth."

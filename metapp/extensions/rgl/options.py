@@ -1,0 +1,28 @@
+"""Help and options of `metapp data bsdf`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from data_tools.formats import Converter
+from data_tools.formats.converters import Samples
+
+
+@dataclass(frozen=True)
+class Bsdf(Converter):
+    """Convert RGL measurements, BRDFs, isotropic or anisotropic.
+
+    A file of the RGL material database (Dupuy and Jakob 2018), _rgb.bsdf or _spec.bsdf. Mitsuba evaluates it; it
+    becomes samples (angles in rad, reflectance in 1/sr, linear RGB, spectra in D65) above the horizon.
+    A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a
+    warning.
+
+    Examples:
+      metapp data bsdf chm_orange_rgb.bsdf --out rgl
+      metapp data bsdf measurements --split test --out rgl
+    """
+
+    noun: ClassVar = "RGL file"
+    paths: ClassVar = ".bsdf files, and folders searched at any depth."
+    samples: Samples = 65_536
