@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 
 import pytest
 
@@ -19,7 +19,7 @@ def test_modules_have_what_entries_say(name: str) -> None:
     assert not form.inputs or callable(module.recognises)
     command = registry().commands.get(f"data {name}")
     if command and is_dataclass(converter := command.load()):
-        options = [field.name for field in fields(converter)]
+        options = list(converter().arguments())
         if hasattr(module, "conversion"):
             assert list(inspect.signature(module.conversion).parameters)[2:] == options
         else:
