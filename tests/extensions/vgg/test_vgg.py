@@ -53,7 +53,7 @@ def archive(data: bytes, monkeypatch: pytest.MonkeyPatch) -> bytes:
     return buffer.getvalue()
 
 
-REAL = vgg.BLOCKS
+REAL = vgg.VGG_BLOCKS
 
 
 @pytest.fixture(autouse=True)
