@@ -150,7 +150,7 @@ def pretrained(registry: Registry) -> None:
     """General of flash photos over frozen features of VGG-16, and real materials to train it on."""
     here = f"{_HERE}.pretrained"
     registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = Recipe(
-        f"{here}.recipe:PRETRAINED",
+        f"{here}.app:PRETRAINED",
         help="one flash photo",
         kind="photo",
         paradigms=("general", "quickft", "meta"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Generator, Tensor
@@ -17,11 +17,14 @@ from metapp.apps.svbrdf_nonstationary.app import (
     WANTED,
     SvbrdfNonstationary,
     blots,
+    field_of,
 )
 from metapp.apps.svbrdf_nonstationary.encoder import PARTS, scales, surprise
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
+from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.extensions.pretrained.augmentation import variants
-from metapp.extensions.pretrained.encoder import SMALLER, FeatureEncoder, beside_smaller, halves_of
+from metapp.extensions.pretrained.encoder import FULL_APP, full_encoder, init_decoder, read_photos
+from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 from metapp.networks.field import LocalField
@@ -30,6 +33,37 @@ WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures 
 SHALLOW, STEEPER = 0.1, 1.5  # the slope that is halved, how many times as steep others are: by validation materials
 FLAT = 0.05  # of the slopes of untrained fields
 OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
+DECODER = "decoder."
+BESIDE = "full."  # before the names of the parameters of General's field by "full"
+SHARE = 0.5  # of that field in diffuse colour, roughness and specular colour; it has none in slopes
+
+
+class MeanField(LocalField):
+    """A field and that of General by "full", each with its own code; the mean of both, but of slopes its own.
+
+    Networks of other features and other training materials err differently. `z` holds both codes, its own first.
+    """
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of both fields: each tensor [count, ...]."""
+        full = FULL_APP.network._replace(rows=self.rows, columns=self.columns)
+        own, other = super().init(rng, count), full.init(rng, count)
+        z = torch.cat([own["z"], other.pop("z")], 1)
+        return own | {f"{BESIDE}{key}": value for key, value in other.items()} | {"z": z}
+
+    def decoded(self, theta: Params, code: Tensor, places: Tensor) -> Tensor:
+        """The mean at texels with both codes [T, 2 codes, h, w] and `places` [T, inputs, h, w]: [T, outputs, h, w]."""
+        return self.mean(*self.both(theta, code, places))
+
+    def both(self, theta: Params, code: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+        """Each field's outputs, as of `decoded`."""
+        full = {key.removeprefix(BESIDE): value for key, value in theta.items() if key.startswith(BESIDE)}
+        own = super().decoded(theta, code[:, : self.code], places)
+        return own, FULL_APP.network.decoded(full, code[:, self.code :], places)
+
+    def mean(self, own: Tensor, full: Tensor) -> Tensor:
+        """The mean of both fields' outputs [T, outputs, h, w]."""
+        return torch.cat([own[:, : RAW[0]], torch.lerp(own[:, RAW[0] :], full[:, RAW[0] :], SHARE)], 1)
 
 
 @dataclass(frozen=True)
@@ -40,6 +74,7 @@ class FromFeatures(SvbrdfNonstationary):
     it is made up.
     """
 
+    network: MeanField = field()
     sure: bool = True  # always
 
     @property
@@ -60,24 +95,14 @@ class FromFeatures(SvbrdfNonstationary):
         known = task.data.get("known", torch.ones(len(PARTS)))
         return super().prepare(task) | {"known": known.float()}
 
-    @property
-    def general_network(self) -> LocalField:
-        """General's part of the network of one task, which is as wide as that and the smaller one together."""
-        code, hidden = self.network.code - SMALLER.network.code, self.network.hidden - SMALLER.network.hidden
-        return self.network._replace(code=code, hidden=hidden)
-
-    @property
-    def encoder(self) -> FeatureEncoder:  # type: ignore[override]
-        """A decoder over features of VGG-16."""
-        return FeatureEncoder(self.general_network.code)
-
     def init(self, rng: Generator, count: int) -> Params:
         """Of maps that are nearly flat: fits hold their normals."""
         return _flat(super().init(rng, count))
 
     def init_encoder(self, rng: Generator) -> Params:
-        """Its own part, of maps that are nearly flat: training begins where nothing is known of relief."""
-        return encoder_of(self.encoder.init(rng), _flat(self.general_network.init(rng, 1)), ("z",))
+        """Its own field, of maps that are nearly flat: training begins where nothing is known of relief."""
+        own = LocalField(*self.network)
+        return encoder_of(init_decoder(rng, own.code), _flat(own.init(rng, 1)), ("z",))
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Windows of the same materials of half the field's side, photographed anew."""
@@ -89,15 +114,19 @@ class FromFeatures(SvbrdfNonstationary):
         window = {key: tasks.data[key][tasks.rows] for key in ("inputs", *OF_PATCH) if key in tasks.data}
         return super().condition(tasks, rng) | window
 
+    def read(self, reader: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None) -> Params:
+        """Both codes and the flash in the network's units, and the deviations, as of `read_photos`."""
+        own = read_photos(reader, photos, place, patch)
+        return own | {key: own[key] / self.network.gain for key in ("z", "flash")}
+
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """By both networks; of windows, which training sees, a code in each of their pixels."""
-        encoder = beside_smaller(encoder)
+        """With the field of "full"; of windows, which training sees, a code in each of their pixels."""
+        full = full_encoder(condition["photo"].device).items()
+        beside = {key.replace(DECODER, DECODER + BESIDE): value for key, value in full if key.startswith(DECODER)}
         if "inputs" not in condition:
-            return super().encode(encoder, condition)
+            return super().encode(encoder | beside, condition)
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
-        own = self.encoder(reader_of(encoder), condition["photo"], place, patch or None)
-        own |= {key: own[key] / self.network.gain for key in ("z", "flash")}
-        return with_decoder(own, encoder)
+        return with_decoder(self.read(reader_of(encoder), condition["photo"], place, patch or None), encoder | beside)
 
     def maps_from(self, raw: Tensor) -> Maps:
         """Slopes s are s |s|^2 / (|s|^2 + SHALLOW^2) times STEEPER.
@@ -110,16 +139,13 @@ class FromFeatures(SvbrdfNonstationary):
         return super().maps_from(torch.cat([STEEPER * square / (square + SHALLOW**2) * slopes, rest], 1))
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the photograph, which moves the smaller network's code and the flash alone, [T].
+        """Of the photograph, which moves the code of "full" and the flash alone, [T].
 
         So normals stay those of General: a photograph under one light says less of them than General has read.
         """
-        own, inputs = self.general_network, inputs_of(batch["photo"])
-        field = {key: value if key == "z" else value.detach() for key, value in theta.items()}
-        held, moved = halves_of(field, own.code, own.hidden)
-        with torch.no_grad():
-            kept = self._raw(held, inputs)
-        return self._photo_loss(theta, self.maps_from(kept + self._raw(moved, inputs)), batch, learned)
+        fixed = {key: value.detach() for key, value in theta.items()}
+        own, full = self.network.both(fixed, self.network.gain * theta["z"], inputs_of(batch["photo"]))
+        return self._photo_loss(theta, self.maps_from(self.network.mean(own.detach(), full)), batch, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
@@ -151,17 +177,7 @@ class FromFeatures(SvbrdfNonstationary):
 
     def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
         """The maps [T, C, h, w] of a code in each texel, of the field's inputs [T, 8, h, w]."""
-        return decoded(self._raw(theta, inputs))
-
-    def _raw(self, theta: Params, inputs: Tensor) -> Tensor:
-        """What maps are made of, [T, sum(RAW), h, w], of the field or of one of its halves."""
-        return self.network.decoded(theta, self.network.gain * theta["z"], inputs)
-
-
-def wide_field(own: LocalField) -> LocalField:
-    """The network of one task, of General's own and the smaller one."""
-    other = SMALLER.network
-    return own._replace(code=own.code + other.code, hidden=own.hidden + other.hidden)
+        return decoded(self.network.decoded(theta, self.network.gain * theta["z"], inputs))
 
 
 def _flat(theta: Params) -> Params:
@@ -169,3 +185,14 @@ def _flat(theta: Params) -> Params:
     factor = theta["out.shift"].new_tensor([FLAT] * RAW[0] + [1.0] * sum(RAW[1:]))
     last = {name: value for name, value in theta.items() if name.startswith("out.")}
     return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last.items()}
+
+
+_FULL = RECIPES["photo"]["full"]
+SEARCHED = replace(_FULL.quickft, rate=8e-3, final=0.1)
+PRETRAINED = replace(
+    _FULL,
+    app=FromFeatures(MeanField(*field_of(256, 32))),
+    quickft=SEARCHED,
+    meta={"meta-encoder": replace(_FULL.meta["meta-encoder"], first=SEARCHED)},
+    general=OuterLoop(steps=8_000, tasks=4, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+)

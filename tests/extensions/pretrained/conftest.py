@@ -15,15 +15,14 @@ from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.features import VGG_BLOCKS
 from metapp.apps import app_of
 from metapp.apps.svbrdf_nonstationary.app import field_of
-from metapp.extensions.pretrained.app import FromFeatures, wide_field
-from metapp.extensions.pretrained.recipe import PRETRAINED
+from metapp.extensions.pretrained.app import PRETRAINED, FromFeatures, MeanField
 from metapp.learning.app import stack
 from metapp.learning.task import Tasks
 from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
 SIDE = 32
-RECIPE = replace(PRETRAINED, app=FromFeatures(wide_field(field_of(SIDE, 8))))
+RECIPE = replace(PRETRAINED, app=FromFeatures(MeanField(*field_of(SIDE, 8))))
 
 
 @pytest.fixture(scope="module")

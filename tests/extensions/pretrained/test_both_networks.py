@@ -10,11 +10,12 @@ from torch import Generator
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, inputs_of
-from metapp.extensions.pretrained.app import SHALLOW, STEEPER, FromFeatures
-from metapp.extensions.pretrained.encoder import SHARE, SMALLER, _smaller, beside_smaller, patch_of
+from metapp.extensions.pretrained.app import SHALLOW, SHARE, STEEPER, FromFeatures
+from metapp.extensions.pretrained.encoder import FULL_APP, full_encoder, patch_of
 from metapp.learning.learn import descend, last, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Tasks
+from metapp.networks.field import LocalField
 from tests.extensions.pretrained.conftest import RECIPE, SIDE
 
 
@@ -26,16 +27,15 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     inputs = inputs_of(photo)
     theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **patch_of(photo)})
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
-    own = app.general_network._replace(**size)
+    own = LocalField(*app.network)._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
     first = own(alone | {"z": theta["z"][:, : own.code]}, inputs)
-    _, smaller = _smaller(torch.device("cpu"))
-    beside = {key.removeprefix("decoder."): value[None] for key, value in smaller.items() if "decoder." in key}
-    second = SMALLER.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
+    full = full_encoder(torch.device("cpu"))
+    beside = {key.removeprefix("decoder."): value[None] for key, value in full.items() if "decoder." in key}
+    second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
     joined = app.network._replace(**size)(theta, inputs)
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
-    assert set(beside_smaller(encoder)) == set(encoder)
 
 
 def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures) -> None:
@@ -82,7 +82,7 @@ def test_a_step_by_a_photo_is_that_of_the_whole_field_but_for_what_is_held(
 ) -> None:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
-    batch, own = app.sample(tasks, rng, 1), app.general_network.code
+    batch, own = app.sample(tasks, rng, 1), app.network.code
     loss = app.loss(theta, batch, {})
     whole = SvbrdfNonstationary.loss(app, theta, batch, {})
     torch.testing.assert_close(loss, whole)

@@ -14,14 +14,14 @@ from metapp.apps.svbrdf_nonstationary.maps import FLASH, inputs_of
 from metapp.extensions.pretrained.augmentation import variants
 from metapp.extensions.pretrained.encoder import (
     DARK,
+    FULL_APP,
     GUESS,
     OVERVIEW,
-    SMALLER,
-    FeatureEncoder,
     _balanced,
-    _smaller,
-    overview_of,
+    full_encoder,
+    init_decoder,
     patch_of,
+    read_photos,
 )
 from metapp.storage.checkpoints import tensor_digest
 from tests.extensions.pretrained.conftest import APP
@@ -31,30 +31,27 @@ DIGEST = "f6bf608fb21e"  # the digest of General by "full" that the checkpoint's
 
 @pytest.mark.usefixtures("weights")
 def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
-    encoder = FeatureEncoder(5)
-    parameters = encoder.init(rng)
+    decoder = init_decoder(rng, 5)
     for side in (32, 64):
-        read = encoder(parameters, torch.rand(2, 3, side, side, generator=rng))
-        assert read["z"].shape == (2, 5 + SMALLER.network.code, side, side)
+        read = read_photos(decoder, torch.rand(2, 3, side, side, generator=rng))
+        assert read["z"].shape == (2, 5 + FULL_APP.network.code, side, side)
         assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
         assert read["flash"].shape == (2, FLASH)
     with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
-        encoder(parameters, torch.rand(1, 3, 44, 44))
+        read_photos(decoder, torch.rand(1, 3, 44, 44))
 
 
 @pytest.mark.usefixtures("weights")
 def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
     """It is not in most windows."""
-    encoder = FeatureEncoder(5)
-    parameters, photos = encoder.init(rng), torch.rand(2, 3, 32, 32, generator=rng) ** 2
-    smaller, its = _smaller(photos.device)
-    side = smaller.network.height
+    decoder, photos = init_decoder(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
+    side = FULL_APP.network.height
     large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
     with torch.no_grad():
-        seen = smaller.network.gain * smaller.encode(its, {"photo": large})["flash"]
-    torch.testing.assert_close(encoder(parameters, photos)["flash"], seen)
+        seen = FULL_APP.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
+    torch.testing.assert_close(read_photos(decoder, photos)["flash"], seen)
     window = photos[..., :16, :16], positions(32, 32)[None, :, :16, :16]
-    torch.testing.assert_close(encoder(parameters, *window, patch_of(photos))["flash"], seen)
+    torch.testing.assert_close(read_photos(decoder, *window, patch_of(photos))["flash"], seen)
 
 
 def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
@@ -85,27 +82,26 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
             torch.testing.assert_close(each["photo"].mean((2, 3), keepdim=True), coarse)
     fine = torch.rand(1, 3, 512, 512, generator=rng)
     smooth = torch.nn.functional.avg_pool2d(fine, 2)
-    torch.testing.assert_close(overview_of(fine), overview_of(smooth))
-    encoder = FeatureEncoder(5)
-    untrained = encoder.init(rng)
+    torch.testing.assert_close(*(patch_of(photo)["overview"] for photo in (fine, smooth)))
+    untrained = init_decoder(rng, 5)
     trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
     patch, middle = patch_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
     window = (smooth[middle], positions(256, 256)[None][middle])
     for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
         turned = patch | {"overview": patch["overview"].flip(3)}
-        read, other = (encoder(parameters, *window, each)["z"] for each in (patch, turned))
+        read, other = (read_photos(parameters, *window, each)["z"] for each in (patch, turned))
         assert torch.allclose(read, other, atol=1e-5) == same
 
 
 def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
     """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
-    assert tensor_digest(_smaller(torch.device("cpu"))[1]) == DIGEST, "train pretrained beside this General, too"
+    assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "train pretrained beside this General, too"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
     guess = patch_of(photo)["guess"]
-    small, smaller = app_of(APP, recipes_of(APP, "photo")["full"], "photo"), _smaller(torch.device("cpu"))[1]
-    assert isinstance(small, SvbrdfNonstationary)
+    full = app_of(APP, recipes_of(APP, "photo")["full"], "photo")
+    assert isinstance(full, SvbrdfNonstationary)
     with torch.no_grad():
-        maps = small.maps_of(small.encode(smaller, {"photo": photo}), photo)
+        maps = full.maps_of(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)
     assert guess.shape == (1, GUESS, 256, 256)
     torch.testing.assert_close(guess[:, :1], maps.roughness)
     torch.testing.assert_close(guess[:, 1:].exp() - DARK, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
@@ -115,12 +111,11 @@ def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
 
 @pytest.mark.usefixtures("weights")
 def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
-    encoder = FeatureEncoder(5)
-    untrained = encoder.init(rng)
+    untrained = init_decoder(rng, 5)
     trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
     photo = torch.rand(1, 3, 32, 32, generator=rng)
     patch = patch_of(photo)
     for parameters, same in ((untrained, True), (trained, False)):
         changed = patch | {"guess": 1 - patch["guess"]}
-        read, other = (encoder(parameters, photo, patch=each)["z"] for each in (patch, changed))
+        read, other = (read_photos(parameters, photo, patch=each)["z"] for each in (patch, changed))
         assert torch.allclose(read, other, atol=1e-5) == same
