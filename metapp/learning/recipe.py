@@ -26,12 +26,11 @@ class Guard:
     """Which fits by a learned rule are doubtful, and the Adam used as fallback (`metapp.learning.guard`).
 
     Attributes:
-        adam: the fallback, which continues a doubtful fit from its best iterate for as many steps again.
+        adam: the fallback, which continues a doubtful fit for as many steps again, from its end or its initialisation.
         fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 where
             losses may be negative.
-        rise: and one whose loss rises in the second half of the steps above so many times its lowest so far, or in the
-            last step at all; infinite where the losses of different steps do not compare, as other samples or learned
-            loss parameters change them.
+        rise: and one whose loss rises in the second half of the steps above so many times its lowest so far; infinite
+            where losses of different steps do not compare, as other samples or learned loss parameters change them.
     """
 
     adam: Adam

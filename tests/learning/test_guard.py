@@ -147,18 +147,6 @@ def test_a_loss_that_rises_late_is_doubtful(
         assert torch.equal(found.theta["x"], alone["x"])
 
 
-def test_a_last_step_that_rises_is_doubtful(start: Params, tasks: Tasks) -> None:
-    """Adam that hardly moves leaves the iterate before it."""
-    rule = at_steps(*climb(STEPS - 1, 1.2))
-    still = Adam(1e-30)
-    found, alone = fit(rule, start, tasks, guard=Guard(still, rise=10.0))
-    before = learn(start, rule, tasks, EXACT, steps=STEPS - 1, rng=Generator())
-    assert found.guarded.all()
-    assert torch.equal(found.theta["x"], before["x"])
-    found, _ = fit(rule, start, tasks, guard=Guard(still))
-    assert torch.equal(found.theta["x"], alone["x"])
-
-
 def test_learned_loss_parameters_hide_nothing(start: Params, tasks: Tasks) -> None:
     """What steps descend falls, as its learned scale does, but the loss itself rises; and the other way round."""
     for rate, scales, acts in ((DIVERGING, (1.0, 1e-30), True), (FAST, (1.0, 1e30), False)):
