@@ -24,8 +24,8 @@ from torch import Generator, Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native.fastest import steps as fastest
-from metapp.learning.adjoint import Drawn, Loss
-from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
+from metapp.learning.adjoint import Draw, Loss
+from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, task_loss
 from metapp.learning.task import Batch
 from metapp.rules import rule_of
 
@@ -68,14 +68,22 @@ def draw(size: Size, rng: Generator) -> Batch:
 
 def loss_of(size: Size) -> Loss:
     """The application's loss on samples that are drawn now, the same at each step."""
-    drawn = Drawn(tuple(map(str, range(size.tasks))), draw(size, Generator().manual_seed(0)))
+    drawn = Draw(tuple(map(str, range(size.tasks))), draw(size, Generator().manual_seed(0)))
     return replace(task_loss(APP, size.samples), draw=lambda data, rng, done: drawn)
 
 
 def fit(size: Size, start: MetaParameters, loss: Loss) -> None:
     """Descend by the rule."""
-    theta, rng = spread(start.theta, size.tasks, 0), Generator().manual_seed(0)
-    learn(theta, RULE.rule(spread(start.alpha, size.tasks, 1)), None, loss, steps=size.steps, rng=rng, steps_of=fastest)
+    theta, rng = expand_tasks(start.theta, size.tasks, 0), Generator().manual_seed(0)
+    learn(
+        theta,
+        RULE.rule(expand_tasks(start.alpha, size.tasks, 1)),
+        None,
+        loss,
+        steps=size.steps,
+        rng=rng,
+        steps_of=fastest,
+    )
 
 
 def train(size: Size, start: MetaParameters, loss: Loss) -> None:

@@ -50,8 +50,8 @@ from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.fastest import compiled_steps
 from metapp.extensions.native.fastest import steps as fastest
-from metapp.learning.adjoint import Drawn, Loss, StepsOf, torch_steps
-from metapp.learning.learn import MetaParameters, after_learning, learn, spread
+from metapp.learning.adjoint import Draw, Loss, StepsOf, torch_steps
+from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, sgd
 from metapp.learning.task import Batch, Params
@@ -299,7 +299,7 @@ def bench_brdf() -> None:
     plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
     plain_last = [one_task(last, task) for task in range(TASKS)]
     supply: list[Iterator[Batch]] = [iter(())]
-    loss = Loss(lambda data, rng, done: Drawn((), next(supply[0])), APP.loss)
+    loss = Loss(lambda data, rng, done: Draw((), next(supply[0])), APP.loss)
     first = Adam(5e-3, beta2=0.99, eps=META_EPS)
     rules = {"sgd": (sgd, alpha), "default": (rule_of(DEFAULT).rule, rule_of(DEFAULT).alpha(APP, theta, STEPS, first))}
 
@@ -324,7 +324,7 @@ def bench_brdf() -> None:
 
     def adapt(steps_of: StepsOf, rule: str = "sgd", tasks: int = TASKS) -> Callable[[], Params]:
         make, alpha = rules[rule]
-        start, made = spread(theta, tasks, 0), make(spread(alpha, tasks, 1))
+        start, made = expand_tasks(theta, tasks, 0), make(expand_tasks(alpha, tasks, 1))
         some = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
@@ -470,7 +470,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
 
     photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)
     batch = {"photo": photos[0], "target": photos[1]}
-    loss = Loss(lambda data, rng, done: Drawn((), batch), value)
+    loss = Loss(lambda data, rng, done: Draw((), batch), value)
     weights = sum(each.numel() for each in theta.values())
     print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
     peaks = []

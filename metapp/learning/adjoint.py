@@ -17,7 +17,7 @@ AnyBatch = Any  # what it draws: tensors by name, or a tuple of such
 RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
 
 
-class Drawn(NamedTuple):
+class Draw(NamedTuple):
     """A batch, and the names of the tasks whose samples it holds."""
 
     names: tuple[str, ...]
@@ -29,14 +29,14 @@ class Loss:
     """Alg. 2 in two halves, so that the random one stays outside of what is differentiated and compiled.
 
     Attributes:
-        draw: (data, rng, done) -> Drawn; all randomness is here; rng is a generator, or one for each task (`draws`);
+        draw: (data, rng, done) -> Draw; all randomness is here; rng is a generator, or one for each task (`draws`);
             done is the share of the descent's steps that were taken, in [0, 1]: at 1 all of the data is drawn from.
         value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
         shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
             each task has its own (it follows the sum, which moves each as if it were alone).
     """
 
-    draw: Callable[[AnyData, Any, float], Drawn]
+    draw: Callable[[AnyData, Any, float], Draw]
     value: Callable[[Params, AnyBatch, Params], Tensor]
     shared: bool = False
 

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.pictures import Compared, Fitted, Picture, Visible
-from metapp.learning.task import RESERVED, Batch, Linear, Params, Task, Tasks, TensorSpec
+from metapp.learning.task import RESERVED, Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
 Surface = Any  # metapp.appearance.surface.Surface
@@ -129,7 +129,7 @@ class App(ABC):
         """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
         return {}
 
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         """Least squares near the inner loss, in `linear_parameter`; without one it is not called."""
         raise NotImplementedError
 

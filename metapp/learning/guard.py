@@ -13,10 +13,11 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
-from metapp.learning.learn import Step, checked, descend, last
+from metapp.learning.draws import Rng, clone_rng, select_rng
+from metapp.learning.learn import Step, check_finite, descend, final_item
 from metapp.learning.recipe import Guard
-from metapp.learning.rules import fixed_adam, like
-from metapp.learning.task import Params, Rng, Tasks, copied, picked
+from metapp.learning.rules import append_axes, fixed_adam
+from metapp.learning.task import Params, Tasks
 
 
 def descend_guarded(
@@ -51,14 +52,14 @@ def descend_guarded(
     Raises:
         FloatingPointError: the loss of an initialisation is not finite.
     """
-    batch = loss.draw(tasks, copied(rng), 1.0).batch
+    batch = loss.draw(tasks, clone_rng(rng), 1.0).batch
 
     def visible(theta: Params) -> Tensor:
         with torch.no_grad():
             return loss.value(theta, batch, {}).nan_to_num(math.inf, math.inf, math.inf)
 
     losses: list[Tensor] = []
-    for end in checked(descend(params, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0):
+    for end in check_finite(descend(params, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0):
         losses += [] if end.loss is None else [end.loss]
         yield end
     first, after = visible(params), visible(end.theta)
@@ -70,8 +71,10 @@ def descend_guarded(
         theta = {key: value[rows] for key, value in best.items()}
         adam = fixed_adam(guard.adam, theta, steps)
         plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule follows
-        own = picked(copied(rng), rows)
-        further = last(descend(theta, adam, tasks.select(rows), plain, steps=steps, rng=own, steps_of=steps_of)).theta
+        own = select_rng(clone_rng(rng), rows)
+        further = final_item(
+            descend(theta, adam, tasks.select(rows), plain, steps=steps, rng=own, steps_of=steps_of)
+        ).theta
         further = {key: value.index_put((doubtful,), further[key]) for key, value in best.items()}
         best, lowest = _lower(best, lowest, further, visible(further))
     yield end._replace(theta=best, guarded=lowest < after)
@@ -90,5 +93,5 @@ def _rises(losses: list[Tensor], factor: float) -> Tensor:
 def _lower(theta: Params, loss: Tensor, other: Params, other_loss: Tensor) -> tuple[Params, Tensor]:
     """The parameters and loss [T] of the lower loss, task by task; the first where they are equal."""
     wins = other_loss < loss
-    lower = {key: torch.where(like(wins, value), other[key], value) for key, value in theta.items()}
+    lower = {key: torch.where(append_axes(wins, value), other[key], value) for key, value in theta.items()}
     return lower, torch.where(wins, other_loss, loss)

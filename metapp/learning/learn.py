@@ -17,7 +17,7 @@ from torch import Generator, Tensor
 from metapp.learning.adjoint import (
     AnyBatch,
     AnyData,
-    Drawn,
+    Draw,
     Loss,
     StepsOf,
     UpdateRule,
@@ -26,7 +26,8 @@ from metapp.learning.adjoint import (
     torch_steps,
 )
 from metapp.learning.app import App
-from metapp.learning.task import KIND, Params, Rng, Tasks, drawn
+from metapp.learning.draws import Rng, draw_per_task
+from metapp.learning.task import KIND, Params, Tasks
 
 
 class MetaParameters(NamedTuple):
@@ -107,7 +108,7 @@ def descend(
         yield now
 
 
-def checked(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
+def check_finite(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
     """The same descent; the losses of some steps, of the first and of the last must be finite.
 
     Args:
@@ -142,7 +143,7 @@ def _require_finite(now: Step) -> None:
 Item = TypeVar("Item")
 
 
-def last(items: Iterable[Item]) -> Item:
+def final_item(items: Iterable[Item]) -> Item:
     """The last of at least one."""
     for item in items:  # noqa: B007
         pass
@@ -164,7 +165,7 @@ def learn(
     Raises:
         FloatingPointError: a loss is not finite; names the tasks and the step.
     """
-    return last(checked(descend(params, rule, data, loss, steps=steps, rng=rng, steps_of=steps_of))).theta
+    return final_item(check_finite(descend(params, rule, data, loss, steps=steps, rng=rng, steps_of=steps_of))).theta
 
 
 # Losses and the combinators that lift them
@@ -187,13 +188,13 @@ def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
     # one function for one loss: compiled steps are found by it
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
-    def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
-        return Drawn(tasks.picked_names, drawn(lambda some, own: sample(some, own, batch), tasks, rng))
+    def draw(tasks: Tasks, rng: Rng, done: float) -> Draw:
+        return Draw(tasks.selected_names, draw_per_task(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    return staged(Loss(draw, value), app.stage)
+    return with_stages(Loss(draw, value), app.stage)
 
 
-def staged(loss: Loss, stage: Callable[[AnyData, float], AnyData]) -> Loss:
+def with_stages(loss: Loss, stage: Callable[[AnyData, float], AnyData]) -> Loss:
     """The same loss of a part of the data, (data, done) -> data, that depends on how far a descent is."""
     return replace(loss, draw=lambda data, rng, done: loss.draw(stage(data, done), rng, done))
 
@@ -207,7 +208,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
     Of several kinds as many are drawn of each on average. `augment` is applied to the drawn tasks before sampling.
     """
 
-    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> Draw:
         if KIND in tasks.data:
             rows = torch.multinomial(tasks.weights(), min(count, len(tasks)), generator=rng)
         else:
@@ -258,18 +259,18 @@ def after_learning(
     """
     last_loss = outer_loss or loss
 
-    def draw(tasks: AnyData, rng: Generator, done: float) -> Drawn:
+    def draw(tasks: AnyData, rng: Generator, done: float) -> Draw:
         inner = [loss.draw(tasks, rng, i / steps).batch for i in range(steps)]
         outer = last_loss.draw(tasks, rng, 1.0)
-        return Drawn(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
+        return Draw(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
 
     def value(phi: Params, batch: AnyBatch, _: Params) -> Tensor:
         inner, outer, condition = batch
         count = next(iter(outer.values())).shape[0]
         parts = MetaParameters.unflat(phi)
-        theta = encoding.encode(parts.encoder, condition) if encoding else spread(parts.theta, count, 0)
+        theta = encoding.encode(parts.encoder, condition) if encoding else expand_tasks(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
-        theta, alpha = clip_per_task(theta, spread(parts.alpha, count, 1), clip / count)
+        theta, alpha = clip_per_task(theta, expand_tasks(parts.alpha, count, 1), clip / count)
         by = rule(alpha)
         final = learn_through(theta, by, inner, loss, order=order, steps_of=steps_of)
         return steps_of(by, last_loss, final, 1).value(final, outer)
@@ -280,9 +281,9 @@ def after_learning(
 def after_encoding(loss: Loss, encoding: Encoding) -> Loss:
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
-    def draw(tasks: AnyData, rng: Generator, done: float) -> Drawn:
+    def draw(tasks: AnyData, rng: Generator, done: float) -> Draw:
         names, batch = loss.draw(tasks, rng, done)
-        return Drawn(names, (encoding.condition(tasks, rng), batch))
+        return Draw(names, (encoding.condition(tasks, rng), batch))
 
     def value(prepared: Params, batch: AnyBatch, learned: Params) -> Tensor:
         return loss.value(encoding.encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
@@ -290,7 +291,7 @@ def after_encoding(loss: Loss, encoding: Encoding) -> Loss:
     return Loss(draw, value, shared=True)
 
 
-def spread(params: Params, count: int, axis: int) -> Params:
+def expand_tasks(params: Params, count: int, axis: int) -> Params:
     """The same parameters for each of `count` tasks, along a new task axis; nothing is copied."""
     return {
         key: value.unsqueeze(axis).expand(*value.shape[:axis], count, *value.shape[axis:])

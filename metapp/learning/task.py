@@ -1,27 +1,30 @@
-"""Tasks, the tensors that they must hold, and the one tree that all parameters live in."""
+"""Tasks, the tensors that they must hold, and flat trees of parameters and samples."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
-Params = dict[str, Tensor]
-Batch = dict[str, Tensor]
+Params = dict[str, Tensor]  # parameters by name
+Batch = dict[str, Tensor]  # samples by name
 
 
 class Task(NamedTuple):
-    """One thing to reproduce: a material, a texture, a map, a scene.
+    """A thing to reproduce: a material, a texture, a map, a scene.
 
     Attributes:
-        name: what tables and files call it.
-        data: its observations, by name, without a task axis; the application says which it needs.
-        group: what several tasks show, such as the material of several photos: no split parts them; "" for its own.
+        name: in tables and files.
+        data: observations by name, without a task axis; `App.tensors` of the application lists them.
+        group: of tasks that show one thing, such as photos of a material, which no split parts; "" for its own.
+
+    >>> Task("gold", {"target": torch.zeros(3, 8)}).name
+    'gold'
     """
 
     name: str
@@ -29,18 +32,18 @@ class Task(NamedTuple):
     group: str = ""
 
 
-class Linear(NamedTuple):
-    """Weighted least squares near a loss, in a parameter that the network is linear in, W [T, C, F].
+class LeastSquares(NamedTuple):
+    """Weighted least squares near a loss, in a parameter W [T, C, F] that the network is linear in.
 
     Minimising sum_n weights_n |residual_n - change features_n|^2 over the change of W lowers the loss.
 
     Attributes:
-        name: the parameter's.
-        features: what W multiplies, [T, F, N].
-        residual: target minus output, before whatever follows the linear layer, [T, C, N].
+        name: of the parameter.
+        features: factors of W, [T, F, N].
+        residual: target minus output, before the nonlinearity after the linear layer, [T, C, N].
         weights: of the samples, [T, N], above 0.
         losses: of each task, [T].
-        prior: precision of W around its initialisation, added to the rule's own penalties, [T, C, F]; None: 0.
+        prior: precision of W around its initialisation, added to the rule's penalties, [T, C, F]; None: 0.
     """
 
     name: str
@@ -52,13 +55,17 @@ class Linear(NamedTuple):
 
 
 class TensorSpec(NamedTuple):
-    """The form that a tensor of a task must have.
+    """The form of a tensor of a task.
 
     Attributes:
-        shape: sizes; a letter stands for any size, the same wherever it stands in a task.
+        shape: sizes; a letter is any size, equal wherever it stands in a task.
         kind: "float" (16, 32 or 64 bits) or "uint8".
         low, high: least and greatest value.
         optional: whether a task may lack it.
+
+    >>> spec = TensorSpec((3, "N"), low=0.0)
+    >>> problems_of(Task("gold", {"target": torch.zeros(2, 8)}), {"target": spec})
+    ["tensor 'target' is float32 [2, 8], expected float [3, N]"]
     """
 
     shape: tuple[int | str, ...]
@@ -68,60 +75,69 @@ class TensorSpec(NamedTuple):
     optional: bool = False
 
 
-KIND = "kind"  # tensor of tasks of any application: which of several kinds, of which training draws as many of each
+KIND = "kind"  # tensor of tasks of any application: the number of its kind; training draws as many of each kind
 RESERVED = {KIND: TensorSpec((1,), "uint8", optional=True)}
 _KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torch.uint8,)}
 
 
-def problems_of(task: Task, holds: Mapping[str, TensorSpec]) -> list[str]:
-    """List the errors in a task's tensors, a line each: found, expected.
+def problems_of(task: Task, specs: Mapping[str, TensorSpec]) -> list[str]:
+    """The errors in a task's tensors, a line each: found, expected.
 
     Args:
-        task: from a file that anybody may have written.
-        holds: what it must hold, by name; further tensors need only be finite.
+        task: from any file.
+        specs: of its tensors by name; further tensors need only be finite.
+
+    >>> problems_of(Task("gold", {}), {"target": TensorSpec((3, "N"))})
+    ["tensor 'target' is missing, expected float [3, N]"]
     """
-    missing = [key for key, held in holds.items() if key not in task.data and not held.optional]
-    problems = [f"tensor '{key}' is missing, expected {_said(holds[key])}" for key in missing]
+    missing = [key for key, spec in specs.items() if key not in task.data and not spec.optional]
+    problems = [f"tensor '{key}' is missing, expected {_expected(specs[key])}" for key in missing]
     sizes: dict[str, int] = {}
     for key, tensor in task.data.items():
-        held = holds.get(key) or RESERVED.get(key)
+        spec = specs.get(key) or RESERVED.get(key)
         if tensor.is_floating_point() and tensor.dtype not in _KINDS["float"]:
-            problems.append(f"tensor '{key}' is {_of(tensor)}, expected floats of 16, 32 or 64 bits")
-        elif held and (tensor.dtype not in _KINDS[held.kind] or not _has_shape(tensor, held.shape, sizes)):
-            problems.append(f"tensor '{key}' is {_of(tensor)}, expected {_said(held)}")
+            problems.append(f"tensor '{key}' is {_found(tensor)}, expected floats of 16, 32 or 64 bits")
+        elif spec and (tensor.dtype not in _KINDS[spec.kind] or not _has_shape(tensor, spec.shape, sizes)):
+            problems.append(f"tensor '{key}' is {_found(tensor)}, expected {_expected(spec)}")
         elif not bool(torch.isfinite(tensor).all()):
             problems.append(f"tensor '{key}' holds NaN or infinite values, expected finite ones")
-        elif held and not held.low <= float(tensor.min()) <= float(tensor.max()) <= held.high:
+        elif spec and not spec.low <= float(tensor.min()) <= float(tensor.max()) <= spec.high:
             range_of = f"{float(tensor.min()):g} to {float(tensor.max()):g}"
-            problems.append(f"tensor '{key}' holds {range_of}, expected {held.low:g} to {held.high:g}")
+            problems.append(f"tensor '{key}' holds {range_of}, expected {spec.low:g} to {spec.high:g}")
     return problems
 
 
 def _has_shape(tensor: Tensor, shape: tuple[int | str, ...], sizes: dict[str, int]) -> bool:
-    """Match a shape with the sizes that letters stand for so far; add those that they stand for here."""
+    """Whether a shape fits the sizes of letters so far; sizes of further letters are added."""
     if tensor.ndim != len(shape) or tensor.numel() == 0:
         return False
     pairs = zip(tensor.shape, shape, strict=True)
-    return all(size == (sizes.setdefault(of, size) if isinstance(of, str) else of) for size, of in pairs)
+    return all(
+        size == (sizes.setdefault(letter, size) if isinstance(letter, str) else letter) for size, letter in pairs
+    )
 
 
-def _of(tensor: Tensor) -> str:
+def _found(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
 
 
-def _said(held: TensorSpec) -> str:
-    return f"{held.kind} [{', '.join(map(str, held.shape))}]"
+def _expected(spec: TensorSpec) -> str:
+    return f"{spec.kind} [{', '.join(map(str, spec.shape))}]"
 
 
 @dataclass(frozen=True)
 class Tasks:
-    """Tasks side by side: every tensor has a leading task axis, of which `rows` picks some without copying.
+    """Stacked tasks, and the rows of a view of them.
 
     Attributes:
-        names: the names of all stacked tasks, M of them.
-        data: tensors [M, ...]; the application's `prepare` made them.
-        rows: indices [T] of the tasks that this view holds, on the data's device.
-        groups: of the stacked tasks; () where each is its own.
+        names: of all stacked tasks, M of them.
+        data: tensors [M, ...], made by the application's `prepare`.
+        rows: indices [T] of the tasks of this view, on the data's device.
+        groups: of the stacked tasks; () if each is its own.
+
+    >>> tasks = Tasks(("gold", "chalk", "felt"), {}, torch.arange(3))
+    >>> tasks.select([2, 0]).selected_names
+    ('felt', 'gold')
     """
 
     names: tuple[str, ...]
@@ -133,51 +149,22 @@ class Tasks:
         return self.rows.shape[0]
 
     def select(self, rows: Tensor | Sequence[int]) -> Tasks:
-        """The tasks at these positions of this view; nothing is copied."""
+        """A view of the tasks at these positions of this view; nothing is copied."""
         return replace(self, rows=self.rows[torch.as_tensor(rows, device=self.rows.device)])
 
-    @functools.cached_property  # each time a GPU must be waited for
-    def picked_names(self) -> tuple[str, ...]:
+    @functools.cached_property  # reading rows waits for a GPU
+    def selected_names(self) -> tuple[str, ...]:
         """The names of the tasks in this view, in order."""
         return tuple(self.names[row] for row in self.rows.tolist())
 
     def weights(self) -> Tensor:
-        """What each task of this view counts, [T], so that all kinds count alike; 1 where there are none."""
+        """The weights of the tasks of this view, [T], equal in sum for all kinds; 1 without kinds."""
         if KIND not in self.data:
             return torch.ones(len(self), device=self.rows.device)
         kinds = self.data[KIND][self.rows, 0].long()
         return 1 / kinds.bincount()[kinds]
 
     def variants(self, data: dict[str, Tensor]) -> Tasks:
-        """Augmented tasks, one of each in this view, in order: tensors [T, ...]."""
-        names = tuple(f"variant of {name}" for name in self.picked_names)
+        """Augmented tasks of tensors [T, ...], one of each task of this view, in order."""
+        names = tuple(f"variant of {name}" for name in self.selected_names)
         return Tasks(names, data, torch.arange(len(names), device=self.rows.device))
-
-
-Rng = Generator | tuple[Generator, ...]
-
-
-def drawn(draw: Callable[[Tasks, Generator], Params], tasks: Tasks, rng: Rng) -> Params:
-    """Draw for tasks: tensors [T, ...].
-
-    Args:
-        draw: (tasks, generator) -> tensors [T, ...].
-        tasks: T of them.
-        rng: one generator for all, or one for each: then what a task gets does not depend on those beside it.
-    """
-    if isinstance(rng, Generator):
-        return draw(tasks, rng)
-    draws = [draw(tasks.select([i]), own) for i, own in enumerate(rng)]
-    return {key: torch.cat([one[key] for one in draws]) for key in draws[0]}
-
-
-def copied(rng: Rng) -> Rng:
-    """Generators that go on as these, which stay as they are."""
-    if isinstance(rng, Generator):
-        return Generator(rng.device).set_state(rng.get_state())
-    return tuple(Generator(own.device).set_state(own.get_state()) for own in rng)
-
-
-def picked(rng: Rng, rows: Sequence[int]) -> Rng:
-    """The generators of some tasks; one for all stays."""
-    return rng if isinstance(rng, Generator) else tuple(rng[row] for row in rows)

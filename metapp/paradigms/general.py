@@ -6,9 +6,10 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
-from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
+from metapp.learning.draws import Rng, draw_per_task
+from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, task_outer_loss, with_stages
 from metapp.learning.recipe import OuterLoop
-from metapp.learning.task import Batch, Params, Rng, Tasks, drawn
+from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import Paradigm
 
 
@@ -34,7 +35,7 @@ class General(Paradigm):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """The encoder's prediction; where steps follow, beside it the parameters that tasks give themselves."""
-        return (self.app.known(tasks) if self.recipe_steps else {}) | predicted(self.app, phi, tasks, rng)
+        return (self.app.known(tasks) if self.recipe_steps else {}) | predict(self.app, phi, tasks, rng)
 
     def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
         """An untrained encoder."""
@@ -46,12 +47,12 @@ class General(Paradigm):
         loss = after_encoding(task_outer_loss(app, self.recipe.batch), Encoding(app.condition, app.encode))
         outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
         # staged before tasks are augmented: what is not seen need not be made
-        return staged(outer, app.stage)
+        return with_stages(outer, app.stage)
 
 
-def predicted(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+def predict(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """encode(I), the parameters that an encoder predicts of tasks, [T, ...]."""
-    encoded = app.encode(phi.encoder, drawn(app.condition, tasks, rng))
+    encoded = app.encode(phi.encoder, draw_per_task(app.condition, tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 

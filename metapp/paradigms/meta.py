@@ -6,12 +6,13 @@ import torch
 from torch import Generator
 
 from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
-from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_outer_loss
+from metapp.learning.draws import Rng
+from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, over_tasks, task_outer_loss
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules.rule import LearnedRule
-from metapp.learning.task import Params, Rng, Tasks
-from metapp.paradigms.general import encoding, predicted
-from metapp.paradigms.paradigm import AT_ONCE, Paradigm, fastest
+from metapp.learning.task import Params, Tasks
+from metapp.paradigms.general import encoding, predict
+from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, fastest
 from metapp.rules import rule_of
 
 GATHERED = 32  # tasks whose gradients settle parts of a rule
@@ -44,13 +45,13 @@ class Meta(Paradigm):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """theta_0, the same for every task; or the prediction of an encoder that was trained through the steps."""
-        start = predicted(self.app, phi, tasks, rng) if phi.encoder else spread(phi.theta, len(tasks), 0)
+        start = predict(self.app, phi, tasks, rng) if phi.encoder else expand_tasks(phi.theta, len(tasks), 0)
         return self.app.known(tasks) | start
 
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
         """The learned rule, for so many steps."""
         alpha = self.learned.for_steps(phi.alpha, steps)
-        return self.learned.rule(spread(alpha, next(iter(theta.values())).shape[0], 1))
+        return self.learned.rule(expand_tasks(alpha, next(iter(theta.values())).shape[0], 1))
 
     @property
     def loss(self) -> Loss:
@@ -80,7 +81,7 @@ class Meta(Paradigm):
         elif general and kind == "encoder":
             encoder = general.encoder
         elif general and kind == "mean":
-            theta = {key: value.mean(0) for key, value in predicted(app, general, tasks, rng).items()}
+            theta = {key: value.mean(0) for key, value in predict(app, general, tasks, rng).items()}
         random = {key: value[0] for key, value in app.init(rng, 1).items()}
         alpha = self.learned.alpha(app, random, self.steps, self.training.first)
         phi = MetaParameters({} if encoder else theta or random, alpha, encoder)
@@ -115,7 +116,7 @@ class Meta(Paradigm):
             return phi
         total: Params = {}
         count = min(len(tasks), GATHERED)
-        for some in torch.arange(count).split(AT_ONCE):
+        for some in torch.arange(count).split(PARALLEL_TASKS):
             part = tasks.select([int(i) * len(tasks) // count for i in some])
             theta = self.initialisation(phi, part, rng)
             rule = self.rule(phi, theta, self.steps)

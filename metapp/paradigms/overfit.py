@@ -1,8 +1,9 @@
 """Overfit: a random initialisation, Adam until converged; nothing is prepared."""
 
+from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.task import Params, Rng, Tasks, drawn
+from metapp.learning.task import Params, Tasks
 from metapp.paradigms.paradigm import Paradigm
 
 
@@ -22,4 +23,4 @@ class Overfit(Paradigm):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Random parameters, but those that the tasks give themselves."""
-        return drawn(lambda some, own: self.app.init(own, len(some)), tasks, rng) | self.app.known(tasks)
+        return draw_per_task(lambda some, own: self.app.init(own, len(some)), tasks, rng) | self.app.known(tasks)

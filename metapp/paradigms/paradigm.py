@@ -12,14 +12,15 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
+from metapp.learning.draws import Rng
 from metapp.learning.guard import descend_guarded
-from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
+from metapp.learning.learn import MetaParameters, Step, check_finite, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
-from metapp.learning.task import Params, Rng, Tasks
+from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
 
-AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
+PARALLEL_TASKS = 8  # tasks that are fitted side by side where memory would grow with a data set
 NO_OUTER_LOOP = OuterLoop(steps=0, tasks=0, rates={})
 
 
@@ -133,7 +134,7 @@ class Paradigm(ABC):
 
     def fit(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""
-        return last(self.descend(phi, tasks, rng)).theta
+        return final_item(self.descend(phi, tasks, rng)).theta
 
     def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[Step]:
         """Fit tasks, one or many: descend from the initialisation by the rule, one step at a time.
@@ -157,7 +158,7 @@ class Paradigm(ABC):
         if guard:
             yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, steps_of=fastest())
         else:
-            yield from checked(descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest()))
+            yield from check_finite(descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest()))
 
     def unguarded(self, steps: int | None = None) -> Self:
         """The same without a guard, for so many steps."""

@@ -12,13 +12,13 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, Step, checked, descend
+from metapp.learning.learn import MetaParameters, Step, check_finite, descend
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import PARADIGMS, ranks
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import AT_ONCE, Paradigm
+from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm
 
 
 class TrainState(NamedTuple):
@@ -112,7 +112,7 @@ def _outer_loop(
         loss = ranks.SummedOverRanks(loss.draw, loss.value, loss.shared)
     rule, app = outer_adam(training, state.current), paradigm.app
     since = Step(state.step, state.current, state.moments) if state.moments else None
-    for now in checked(descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1):
+    for now in check_finite(descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1):
         losses = state.losses
         if now.loss is not None:
             losses = torch.cat([losses.to(now.loss), now.loss.mean()[None]])
@@ -196,7 +196,7 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
         ValueError: fewer than 4 groups.
 
     >>> train, validate = split_validation(Tasks(tuple("abcdef"), {}, torch.arange(6)))
-    >>> train.picked_names, validate.picked_names
+    >>> train.selected_names, validate.selected_names
     (('a', 'b', 'c', 'e', 'f'), ('d',))
     """
     groups = [(tasks.groups or tasks.names)[row] for row in tasks.rows.tolist()]
@@ -222,7 +222,7 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
     total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
-        for rows in torch.arange(len(tasks)).split(AT_ONCE):
+        for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):
             part = tasks.select(rows)
             try:
                 theta = paradigm.fit(phi, part, rng)

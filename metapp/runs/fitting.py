@@ -14,8 +14,9 @@ import torch
 from torch import Generator
 
 from metapp.learning.app import stack
-from metapp.learning.learn import Step, last
-from metapp.learning.task import Params, Rng, Task, Tasks, drawn
+from metapp.learning.draws import Rng, draw_per_task
+from metapp.learning.learn import Step, final_item
+from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
 from metapp.runs.inputs.sources import Source
 from metapp.runs.reporter import say
@@ -162,7 +163,7 @@ def fit_side_by_side(
     stacked = stack(app, tasks, run.device)
     descent = run.paradigm.descend(run.phi, stacked, rng)
     first = next(descent)
-    end = last(chain([first], descent))
+    end = final_item(chain([first], descent))
     theta = app.finish(end.theta)
     seconds = (_now(run.device) - begin) / len(tasks)
     measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, end)
@@ -239,7 +240,7 @@ def _rises(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
     """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
-        batch = drawn(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)
+        batch = draw_per_task(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)
         before, after = (run.app.loss(step.theta, batch, {}).tolist() for step in (first, fit))
     pairs = zip(before, after, strict=True)
     return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]

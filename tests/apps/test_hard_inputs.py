@@ -22,7 +22,7 @@ from metapp.appearance.flash import Maps, pack
 from metapp.appearance.latlong import directions, solid_angles, sphere_normals
 from metapp.apps import recipes_of
 from metapp.learning.app import App, stack
-from metapp.learning.learn import MetaParameters, Step, last
+from metapp.learning.learn import MetaParameters, Step, final_item
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
@@ -60,7 +60,7 @@ def fitted(app: App, sources: Iterable[Task]) -> Found:
         meta.initialisation(learned, tasks, rng[0]),
         quickft.fit(tuned, tasks, rng[1]),
         meta.unguarded().fit(learned, tasks, rng[2]),
-        last(meta.descend(learned, tasks, rng[3])),
+        final_item(meta.descend(learned, tasks, rng[3])),
     )
 
 

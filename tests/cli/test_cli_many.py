@@ -102,7 +102,7 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
 
     def broken(theta, tasks):
         found = measure(theta, tasks)
-        bad = [i for i, name in enumerate(tasks.picked_names) if name == "m1"]
+        bad = [i for i, name in enumerate(tasks.selected_names) if name == "m1"]
         found["error"][bad] = float("nan")
         return found
 

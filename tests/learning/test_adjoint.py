@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_through, torch_steps
-from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
+from metapp.learning.learn import Encoding, MetaParameters, after_learning, expand_tasks
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
@@ -64,8 +64,10 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
     def mean(order: int, steps_of: StepsOf | None = torch_steps) -> Callable[[Params], Tensor]:
         def unrolled_mean(phi: Params) -> Tensor:
             start = MetaParameters.unflat(phi)
-            learned = rule_of(rule).rule(spread(start.alpha, TASKS, 1))
-            return APP.loss(unrolled(spread(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}).mean()
+            learned = rule_of(rule).rule(expand_tasks(start.alpha, TASKS, 1))
+            return APP.loss(
+                unrolled(expand_tasks(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}
+            ).mean()
 
         if steps_of is None:  # one unrolled graph
             return unrolled_mean

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.guard import descend_guarded
-from metapp.learning.learn import Step, descend, last, learn, spread, task_loss
+from metapp.learning.learn import Step, descend, expand_tasks, final_item, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Params, Tasks
@@ -53,7 +53,7 @@ def fit(
 ) -> tuple[Step, Params]:
     """A guarded fit, and the rule's own."""
     path = list(guarded_descent(start, rule, tasks, loss, Generator().manual_seed(1), guard))
-    alone = last(descend(start, rule, tasks, loss, steps=STEPS, rng=Generator().manual_seed(1)))
+    alone = final_item(descend(start, rule, tasks, loss, steps=STEPS, rng=Generator().manual_seed(1)))
     assert [now.step for now in path] == [*range(STEPS + 1), STEPS]
     assert torch.equal(path[-2].theta["x"], alone.theta["x"]) or alone.theta["x"].isnan().any()
     return path[-1], alone.theta
@@ -72,7 +72,7 @@ def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> N
     assert torch.equal(found.theta["x"][::2], alone["x"][::2])
     guarded, plain = Generator().manual_seed(1), Generator().manual_seed(1)
     rule = rates(*[DIVERGING] * 5)
-    last(guarded_descent(start, rule, tasks, NOISY, guarded, GUARD))
+    final_item(guarded_descent(start, rule, tasks, NOISY, guarded, GUARD))
     learn(start, rule, tasks, NOISY, steps=STEPS, rng=plain)
     assert torch.equal(guarded.get_state(), plain.get_state())
 
@@ -173,10 +173,10 @@ def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
     theta = APP.init(rng, 4)
     learned = rule_of(rule)
     alpha = learned.alpha(APP, {key: value[0] for key, value in theta.items()}, STEPS, Adam(rate))
-    own, loss = learned.rule(spread(alpha, 4, 1)), task_loss(APP, 512)
+    own, loss = learned.rule(expand_tasks(alpha, 4, 1)), task_loss(APP, 512)
     draws = [Generator().manual_seed(2) for _ in range(2)]
-    found = last(guarded_descent(theta, own, materials, loss, draws[0], Guard(Adam(1e-3))))
-    alone = last(descend(theta, own, materials, loss, steps=STEPS, rng=draws[1])).theta
+    found = final_item(guarded_descent(theta, own, materials, loss, draws[0], Guard(Adam(1e-3))))
+    alone = final_item(descend(theta, own, materials, loss, steps=STEPS, rng=draws[1])).theta
     assert found.guarded.tolist() == [rate > 1] * 4
     judged = loss.draw(materials, Generator().manual_seed(2), 1.0).batch
     assert (APP.loss(found.theta, judged, {}) < APP.loss(theta, judged, {})).all()

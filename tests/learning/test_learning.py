@@ -13,7 +13,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.learning.adjoint import Drawn
+from metapp.learning.adjoint import Draw
 from metapp.learning.app import stack
 from metapp.learning.learn import (
     Encoding,
@@ -21,13 +21,13 @@ from metapp.learning.learn import (
     Step,
     after_encoding,
     after_learning,
-    checked,
+    check_finite,
     clip_per_task,
     descend,
-    last,
+    expand_tasks,
+    final_item,
     learn,
     over_tasks,
-    spread,
     task_loss,
 )
 from metapp.learning.recipe import Adam
@@ -92,7 +92,10 @@ def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: G
     alpha = rule_of(rule).alpha(APP, {key: value[0] for key, value in start.items()}, steps, Adam(5e-3, beta2=0.99))
 
     def fit(rows: range) -> Params:
-        theta, own = {key: value[rows] for key, value in start.items()}, rule_of(rule).rule(spread(alpha, len(rows), 1))
+        theta, own = (
+            {key: value[rows] for key, value in start.items()},
+            rule_of(rule).rule(expand_tasks(alpha, len(rows), 1)),
+        )
         draws = tuple(Generator().manual_seed(row) for row in rows)
         return learn(theta, own, materials.select(rows), task_loss(APP, 16), steps=steps, rng=draws)
 
@@ -136,7 +139,7 @@ def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
         descent = [Step(0, {}, {}), *(Step(i + 1, {}, {}, loss, ("felt",)) for i, loss in enumerate(losses))]
         message = rf"^felt: the loss is not finite at step {bad}; lower the learning rate or clip earlier\.$"
         with pytest.raises(FloatingPointError, match=message) if bad in expected else nullcontext():
-            last(checked(iter(descent), every))
+            final_item(check_finite(iter(descent), every))
 
 
 # Combinators
@@ -176,7 +179,7 @@ def test_over_tasks_draws_as_many_of_each_kind(tasks: Tasks, rng: Generator) -> 
 
 def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> None:
     def augment(picked: Tasks, rng: Generator) -> Tasks:
-        names = tuple(f"twice {name}" for name in picked.picked_names)
+        names = tuple(f"twice {name}" for name in picked.selected_names)
         return Tasks(names, {"c": 2 * picked.data["c"][picked.rows]}, torch.arange(len(picked)))
 
     drawn = over_tasks(EXACT, count=2, augment=augment).draw(tasks, rng, 1.0)
@@ -190,7 +193,7 @@ def test_after_learning_is_the_loss_after_learn(steps: int, phi: Params, tasks: 
     drawn = lifted.draw(tasks, Generator().manual_seed(1), 1.0)
     assert drawn.names == NAMES
     rng = Generator().manual_seed(1)
-    final = learn(spread({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=steps, rng=rng)
+    final = learn(expand_tasks({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=steps, rng=rng)
     last = NOISY.draw(tasks, rng, 1.0).batch  # other samples than any step has seen
     torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola(final, last, {}))
 
@@ -199,7 +202,7 @@ def test_inner_steps_draw_by_the_share_of_inner_steps(tasks: Tasks, rng: Generat
     """And the outer loss draws from all of the data, however far the outer loop is."""
     shares: list[float] = []
 
-    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> Draw:
         shares.append(done)
         return EXACT.draw(tasks, rng, done)
 

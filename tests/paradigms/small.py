@@ -28,7 +28,7 @@ from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, last
+from metapp.learning.learn import MetaParameters, final_item
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
@@ -176,7 +176,7 @@ def untrained(paradigm: Paradigm) -> MetaParameters:
 
 def result(preparation: Iterable[TrainState]) -> TrainState:
     """The best state at the end of a preparation."""
-    return last(preparation)
+    return final_item(preparation)
 
 
 def prepared_for(paradigm: Paradigm) -> MetaParameters:

@@ -12,7 +12,7 @@ import torch
 
 from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, last, task_loss
+from metapp.learning.learn import MetaParameters, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import PARADIGMS, Paradigm
@@ -107,7 +107,7 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
     paradigm, rows = replace(fits[name], asked_steps=3), [4, 0, 7]
     prepared, several, loss = prepared_for(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
-    together = last(paradigm.descend(prepared, several, tuple(rng(row) for row in rows)))
+    together = final_item(paradigm.descend(prepared, several, tuple(rng(row) for row in rows)))
     starts = paradigm.initialisation(prepared, several, tuple(rng(row) for row in rows))
     drawn = loss.draw(several, tuple(rng(row) for row in rows), 0.0).batch
     assert (paradigm.guard is not None) == (name == "meta")  # only learned rules are guarded
@@ -119,7 +119,7 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
             torch.testing.assert_close(starts[key][i : i + 1], value)
         for key, value in loss.draw(one, rng(row), 0.0).batch.items():
             assert torch.equal(drawn[key][i : i + 1], value)
-        alone = last(paradigm.descend(prepared, one, rng(row)))
+        alone = final_item(paradigm.descend(prepared, one, rng(row)))
         if together.guarded is not None:
             assert alone.guarded is not None
             assert bool(alone.guarded[0]) == bool(together.guarded[i])
@@ -132,7 +132,7 @@ def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks
     meta, few = fits["meta"], tasks.select([0, 1, 2])
     prepared, rule = prepared_for(meta), rule_of(meta.rule_name)
     alpha = rule.alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
-    found = last(meta.descend(prepared._replace(alpha=alpha), few, rng()))
+    found = final_item(meta.descend(prepared._replace(alpha=alpha), few, rng()))
     assert found.guarded is not None
     if not rule.has("solve"):  # which has no rates
         assert found.guarded.tolist() == [True] * 3

@@ -24,9 +24,9 @@ ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no app
 
 def test_split_keeps_tasks_apart(tasks: Tasks) -> None:
     fit, validate = split_validation(tasks)
-    names = tasks.picked_names
-    assert set(validate.picked_names) == set(sorted(names)[3::8])
-    assert fit.picked_names == tuple(name for name in names if name not in validate.picked_names)
+    names = tasks.selected_names
+    assert set(validate.selected_names) == set(sorted(names)[3::8])
+    assert fit.selected_names == tuple(name for name in names if name not in validate.selected_names)
     with pytest.raises(ValueError, match="training set: 3 tasks that show 3 things, expected at least 4"):
         split_validation(tasks.select([0, 1, 2]))
 
@@ -36,11 +36,11 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
     names = tuple(f"{i:02d}-{photo}" for photo in range(3) for i in range(12))
     groups = tuple(name.split("-")[0] for name in names)
     fit, validate = split_validation(Tasks(names, {}, torch.arange(36), groups))
-    assert {name.split("-")[0] for name in validate.picked_names} == {"03", "11"}
+    assert {name.split("-")[0] for name in validate.selected_names} == {"03", "11"}
     assert (len(fit), len(validate)) == (30, 6)
     turns = tuple(f"{'abcd'[i % 4]}-{i:02d}" for i in range(64))
     _, validate = split_validation(Tasks(turns, {}, torch.arange(64)))
-    assert {name[0] for name in validate.picked_names} == set("abcd")
+    assert {name[0] for name in validate.selected_names} == set("abcd")
 
 
 @pytest.mark.parametrize("app", ["brdf"], indirect=True)

@@ -15,7 +15,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from metapp.apps import app_names, protocols_of
 from metapp.learning import learn as learning
 from metapp.learning.app import stack
-from metapp.learning.learn import checked, descend, last
+from metapp.learning.learn import check_finite, descend, final_item
 from metapp.paradigms.meta import Meta
 from tests.paradigms.small import KINDS, OWN_RULES, SMALL, prepared_for, rng, small_app, small_recipe
 
@@ -71,7 +71,7 @@ def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: 
         theta = meta.initialisation(prepared, tasks, rng())
         rule, draws = meta.rule(prepared, theta, STEPS), rng()
         with where:
-            last(checked(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
+            final_item(check_finite(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
 
     fit(nullcontext())  # constants are made at their first use
     monkeypatch.setattr(learning, "_require_finite", lambda *args: None)

@@ -24,7 +24,7 @@ from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, network_of, samples_at
 from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted, Visible
-from metapp.learning.task import Batch, Linear, Params, Task, Tasks, TensorSpec
+from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 CONDITION_SAMPLES = 1024  # samples that General's encoder reads
 DOTS = 1024  # samples that are drawn in pictures, at most
@@ -100,7 +100,7 @@ class Brdf(App):
         norm = ((d * d + s * s).sqrt() - s).mean(1)
         return (norm * sample_weights(where, learned) if "weights" in learned else norm).mean(1)
 
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
         where, target = batch["where"], batch["target"]
         cos = where[:, 6:7]
@@ -111,7 +111,7 @@ class Brdf(App):
         d = slope * residual
         s = torch.exp(learned["smoothing"])[:, None]
         weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
-        return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
+        return LeastSquares("last", features, residual, weights, d.abs().mean((1, 2)))
 
     def loss_parameters(self, steps: int) -> Params:
         """Smoothing, and log weights of samples where these are not those of least squares."""

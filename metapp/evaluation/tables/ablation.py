@@ -12,9 +12,10 @@ from metapp.evaluation.notes import paired_note, warned
 from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import COMPARED, result_row
+from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
-from metapp.learning.task import Params, Rng, Tasks
+from metapp.learning.task import Params, Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
 from metapp.runs.naming import caption_of

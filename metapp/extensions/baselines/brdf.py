@@ -77,7 +77,7 @@ def rows_in(where: Tensor, tasks: Tasks, rows: Tensor) -> Tensor:
     index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
     found = [index.get(place.tobytes(), -1) for place in places[rows].numpy()]
     if min(found) < 0 or not torch.equal(places[half:], where[half:]):
-        name = tasks.picked_names[0]
+        name = tasks.selected_names[0]
         raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
     return torch.tensor(found)
 

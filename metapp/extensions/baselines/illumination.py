@@ -51,7 +51,7 @@ def unwrapped(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         ValueError: the ball is no mirror.
     """
     data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
-    for name, certain in zip(tasks.picked_names, data["certain"], strict=True):
+    for name, certain in zip(tasks.selected_names, data["certain"], strict=True):
         if not certain.any():
             raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's.")
     numbers = 5 * data["seen"][0, 0].numel()

@@ -44,7 +44,7 @@ def _flat(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
 
 def _predicted(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
     if "predicted" not in tasks.data:
-        (name,) = tasks.picked_names
+        (name,) = tasks.selected_names
         raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")
     maps = tasks.data["predicted"][tasks.rows]
     return BaselineFit(lambda: unpack(maps), maps.numel(), maps.numel())

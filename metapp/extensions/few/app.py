@@ -15,7 +15,7 @@ from metapp.extensions.few.design import Posterior, expected_errors
 from metapp.extensions.few.gaussian import slope_of
 from metapp.extensions.few.network import NETWORK
 from metapp.learning.draws import normal, uniform
-from metapp.learning.task import Batch, Linear, Params, Task, Tasks
+from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks
 
 MOST = 1024  # samples of which a material has few at most
 SHORT = 512  # samples of shorter batches
@@ -61,7 +61,7 @@ class FewSamples(Brdf):
         """Mixtures of these materials, with samples as `few_of` draws them."""
         return tasks.variants(few_of(mixed(tasks, rng), rng))
 
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         """The ridge regression of all samples in logarithms."""
         return gaussian.linear(theta, batch)
 

@@ -15,7 +15,7 @@ from torch.nn.functional import silu
 
 from metapp.appearance.geometry import outgoing_cosine
 from metapp.apps.brdf.featured import inputs_of
-from metapp.learning.task import Batch, Linear, Params
+from metapp.learning.task import Batch, LeastSquares, Params
 
 DARKEST = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
 LARGEST = 14.0  # logarithm of reflectance: 1.2e6 1/sr
@@ -64,7 +64,7 @@ def precision(theta: Params, slope: Tensor) -> Tensor:
     return result
 
 
-def linear(theta: Params, batch: Batch) -> Linear:
+def linear(theta: Params, batch: Batch) -> LeastSquares:
     """The ridge regression of samples that are repeated to fill the batch, `count` [T] different ones."""
     where, target = batch["where"], batch["target"]
     cos = where[:, 6:7]
@@ -75,7 +75,7 @@ def linear(theta: Params, batch: Batch) -> Linear:
     slope = slope_of(seen, where)
     weights = precision(theta, slope) * batch["count"][:, None]
     losses = (slope * (opponent(theta) @ residual)).abs().mean((1, 2))
-    return Linear("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
+    return LeastSquares("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
 
 
 def evidence(theta: Params, batch: Batch) -> Tensor:

@@ -48,7 +48,7 @@ def _one(value: float, device: torch.device) -> Tensor:
     return torch.full((1,), value, device=device)
 
 
-def like(value: Tensor, other: Tensor) -> Tensor:
+def append_axes(value: Tensor, other: Tensor) -> Tensor:
     """A tensor of fewer axes, with ones appended so that it broadcasts from the left (the task axis)."""
     return value.reshape(value.shape + (1,) * (other.ndim - value.ndim))
 
@@ -64,7 +64,7 @@ def sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tupl
 
 
 def _rate(alpha: Params, key: str, grad: Tensor) -> Tensor:
-    return like(alpha[f"rate.{key}"] if f"rate.{key}" in alpha else alpha["rate"], grad)
+    return append_axes(alpha[f"rate.{key}"] if f"rate.{key}" in alpha else alpha["rate"], grad)
 
 
 def adam_state(theta: Params) -> Params:
@@ -82,13 +82,13 @@ def adam_directions(
     after = {"product1": state["product1"] * beta1, "product2": state["product2"] * beta2}
     directions = {}
     for key, grad in grads.items():
-        b1, b2 = like(beta1, grad), like(beta2, grad)
+        b1, b2 = append_axes(beta1, grad), append_axes(beta2, grad)
         first = after[f"m.{key}"] = b1 * state[f"m.{key}"] + (1 - b1) * grad
         second = after[f"v.{key}"] = b2 * state[f"v.{key}"] + (1 - b2) * grad * grad
-        unbiased = second / like(1 - after["product2"], grad)
+        unbiased = second / append_axes(1 - after["product2"], grad)
         # the square root has no derivative at 0, where dead units are
-        floor = like(eps, grad) if isinstance(eps, Tensor) else eps
-        directions[key] = first / like(1 - after["product1"], grad) / ((unbiased + 1e-24).sqrt() + floor)
+        floor = append_axes(eps, grad) if isinstance(eps, Tensor) else eps
+        directions[key] = first / append_axes(1 - after["product1"], grad) / ((unbiased + 1e-24).sqrt() + floor)
     return directions, after
 
 

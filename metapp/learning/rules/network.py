@@ -18,7 +18,7 @@ from torch.nn.functional import conv2d, leaky_relu, pad
 
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.part import Before, Part
+from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
 WIDTH = 32  # channels of its two inner layers
@@ -45,7 +45,7 @@ class Network(Part):
         """Empty memories."""
         return no_memory(alpha, theta)
 
-    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """The parameters and what networks add."""
         results, memories = dict(moved), {}
         for key, value in before.theta.items():

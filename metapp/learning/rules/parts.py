@@ -9,8 +9,8 @@ from torch import Tensor
 
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.descent import adam_directions, adam_state, half_cosine, like
-from metapp.learning.rules.part import Before, Part
+from metapp.learning.rules.descent import adam_directions, adam_state, append_axes, half_cosine
+from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
 META_EPS = 1e-6  # of rules without the part "eps"
@@ -30,7 +30,9 @@ class SignedRates(Part):
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Rate times update; what has no rate stays."""
-        return {key: like(alpha[f"rate.{key}"], up) * up for key, up in updates.items() if f"rate.{key}" in alpha}
+        return {
+            key: append_axes(alpha[f"rate.{key}"], up) * up for key, up in updates.items() if f"rate.{key}" in alpha
+        }
 
 
 class Rates(Part):
@@ -42,12 +44,12 @@ class Rates(Part):
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """The half cosine of `first` for all."""
         rates = half_cosine(first.rate, steps, first.final).log()
-        return {f"rate.{key}": like(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
+        return {f"rate.{key}": append_axes(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Rate times update; the logarithms of rate and pace, where there are paces, add up. No rate: no update."""
         rated = {key: update for key, update in updates.items() if f"rate.{key}" in alpha}
-        return {key: like(torch.exp(_logarithm(alpha, key)), update) * update for key, update in rated.items()}
+        return {key: append_axes(torch.exp(_logarithm(alpha, key)), update) * update for key, update in rated.items()}
 
 
 class SharedRates(Rates):
@@ -67,7 +69,7 @@ class Paces(Part):
     """
 
     name = "pace"
-    beside = (Rates.name, SharedRates.name)
+    needs_one_of = (Rates.name, SharedRates.name)
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """The half cosine of `first`, relative to its first rate."""
@@ -77,7 +79,7 @@ class Paces(Part):
 
 def _logarithm(alpha: Params, key: str) -> Tensor:
     rate = alpha[f"rate.{key}"]
-    return rate + like(alpha[f"pace.{key}"], rate) if f"pace.{key}" in alpha else rate
+    return rate + append_axes(alpha[f"pace.{key}"], rate) if f"pace.{key}" in alpha else rate
 
 
 class Betas(Part):
@@ -105,7 +107,7 @@ class Eps(Part):
     """The logarithm of Adam's eps, `eps` [1], which the part "betas" reads instead of its own."""
 
     name = "eps"
-    beside = (Betas.name,)
+    needs_one_of = (Betas.name,)
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """The eps of `first`."""
@@ -185,13 +187,13 @@ class Average(Part):
         # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
         return {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
 
-    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """The parameters, or the mean at the last step."""
         means, results = {}, {}
         for key, value in moved.items():
             last = state[f"mean.{key}"]
-            mean = means[f"mean.{key}"] = torch.lerp(last, value, like(alpha["mean"], last))
-            results[key] = torch.lerp(value, mean, like(alpha["answer"], last))
+            mean = means[f"mean.{key}"] = torch.lerp(last, value, append_axes(alpha["mean"], last))
+            results[key] = torch.lerp(value, mean, append_axes(alpha["answer"], last))
         return results, means
 
     def for_steps(self, alpha: Params, steps: int) -> Params:

@@ -18,8 +18,8 @@ from torch import Tensor
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.part import Before, Part
-from metapp.learning.task import Linear, Params
+from metapp.learning.rules.rule import Part, StepInput
+from metapp.learning.task import LeastSquares, Params
 
 PENALTY = 1e-3  # before training
 LEAST, GREATEST = 1e-6, 1e2  # bounds of learned penalties
@@ -34,7 +34,7 @@ class NormalEquations(Loss):
         linear: (params, batch, learned) -> least squares near the loss.
     """
 
-    linear: Callable[[Params, AnyBatch, Params], Linear] = field(kw_only=True)
+    linear: Callable[[Params, AnyBatch, Params], LeastSquares] = field(kw_only=True)
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals.
@@ -83,7 +83,7 @@ class Solve(Part):
         names = _names(alpha)
         return {f"gram.{key}": theta[key].new_zeros(len(theta[key]), *2 * theta[key].shape[-1:]) for key in names}
 
-    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """W after the solve, and the Gram matrix."""
         results, after = dict(moved), {}
         for key in _names(alpha):

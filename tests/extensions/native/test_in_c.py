@@ -17,8 +17,8 @@ from metapp.extensions.native import in_c, nbrdf
 from metapp.extensions.native.compiler import compiler
 from metapp.extensions.native.fastest import steps as fastest
 from metapp.extensions.native.packing import Layout
-from metapp.learning.adjoint import Drawn, Loss, StepsOf, UpdateRule, torch_steps
-from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread, task_outer_loss
+from metapp.learning.adjoint import Draw, Loss, StepsOf, UpdateRule, torch_steps
+from metapp.learning.learn import MetaParameters, after_learning, descend, expand_tasks, learn, task_outer_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.rules.descent import sgd_step
@@ -54,7 +54,7 @@ def loss_of(batches: list[Batch], registered: bool = True) -> Loss:
     """The loss on these batches, one after the other."""
     supply = iter(batches)
     value = APP.loss if registered else lambda theta, batch, learned: APP.loss(theta, batch, learned)
-    return Loss(lambda data, rng, done: Drawn((), next(supply)), value)
+    return Loss(lambda data, rng, done: Draw((), next(supply)), value)
 
 
 def batch_of(rng: Generator, samples: int, tasks: int = TASKS) -> Batch:
@@ -130,7 +130,7 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
     theta["b3"][1] = bad
     flat = Layout(theta).flat(theta)
     assert torch.isfinite(nbrdf.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
-    loss = replace(loss_of([]), draw=lambda data, rng, done: Drawn(("a", "b", "c"), batch_of(rng, 40)))
+    loss = replace(loss_of([]), draw=lambda data, rng, done: Draw(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
         learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, steps_of=fastest)
 
@@ -175,7 +175,7 @@ def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
         "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
         "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
         "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
-        **{name: rule_of(name).rule(spread(moved(name, rng), tasks, 1)) for name in IN_C},
+        **{name: rule_of(name).rule(expand_tasks(moved(name, rng), tasks, 1)) for name in IN_C},
     }
 
 
@@ -207,7 +207,7 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
     rng = Generator().manual_seed(5)
     theta, rule, loss = theta_of(rng), sgd({"rate": torch.ones(1)}), loss_of([])
     mean, basis = (
-        rule_of(name).rule(spread(moved(name, rng), TASKS, 1)) for name in ("meta-encoder+average", "meta-axes")
+        rule_of(name).rule(expand_tasks(moved(name, rng), TASKS, 1)) for name in ("meta-encoder+average", "meta-axes")
     )
     ridge = app_of("brdf", RECIPES["quick"], rule="ridge")
     cases = {

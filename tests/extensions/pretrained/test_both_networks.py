@@ -12,7 +12,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, inputs_of
 from metapp.extensions.pretrained.app import SHALLOW, SHARE, STEEPER, FromFeatures
 from metapp.extensions.pretrained.encoder import FULL_APP, full_encoder, patch_of
-from metapp.learning.learn import descend, last, task_loss
+from metapp.learning.learn import descend, final_item, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Tasks
 from metapp.networks.field import LocalField
@@ -102,7 +102,7 @@ def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     batch = app.sample(tasks, rng, 1)
     before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.batch)
-    end = last(
+    end = final_item(
         descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
     ).theta
     after = app.maps_of(end, batch["photo"])

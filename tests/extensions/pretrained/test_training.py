@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary.maps import FLASH
 from metapp.extensions.pretrained.app import FromFeatures
-from metapp.learning.learn import descend, last
+from metapp.learning.learn import descend, final_item
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms.general import General
@@ -62,7 +62,7 @@ def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: 
     flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
     assert float(flat.normal[:, 2].mean()) > 0.99
     same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
-    end = last(descend(phi.flat(), outer_adam(training, phi.flat()), tasks, same, steps=12, rng=rng)).theta
+    end = final_item(descend(phi.flat(), outer_adam(training, phi.flat()), tasks, same, steps=12, rng=rng)).theta
     before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flat(), end))
     assert after < 0.9 * before
     encoder = {key.removeprefix("encoder."): value for key, value in end.items()}

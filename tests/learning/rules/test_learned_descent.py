@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from metapp.apps.illumination import app as illumination
 from metapp.learning.adjoint import Loss, at_step, learn_through
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, spread
+from metapp.learning.learn import MetaParameters, expand_tasks
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.network import MEMORY, move, network_of, networks
 from metapp.learning.task import Params
@@ -51,11 +51,11 @@ def phi_of(app: App, randn: Callable[..., Tensor]) -> Params:
 
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
 def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, randn: Callable[..., Tensor]) -> None:
-    theta, batches = spread(one(app), TASKS, 0), batches_for(app, randn, STEPS)
+    theta, batches = expand_tasks(one(app), TASKS, 0), batches_for(app, randn, STEPS)
     moved = []
     for name in names:
         alpha = rule_of(name).alpha(app, one(app), STEPS, FIRST)
-        rule = rule_of(name).rule(spread(alpha, TASKS, 1))
+        rule = rule_of(name).rule(expand_tasks(alpha, TASKS, 1))
         moved.append(learn_through(theta, rule, batches, Loss(unused, app.loss), order=1))
     for key, value in moved[1].items():
         assert torch.equal(moved[0][key], value), key
@@ -80,7 +80,7 @@ def network(randn: Callable[..., Tensor], *, periodic: bool) -> Params:
 def test_a_periodic_grid_has_no_edge(periodic: bool, seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
     """Turned columns are moved as they were before they were turned; where there is an edge they are not."""
     alpha = network(randn, periodic=periodic)
-    own, name = at_step(spread(alpha, TASKS, 1), 0), network_of(alpha, "z")
+    own, name = at_step(expand_tasks(alpha, TASKS, 1), 0), network_of(alpha, "z")
     turned = move(own, name, **{key: value.roll(3, -1) for key, value in seen.items()})
     for found, expected in zip(turned, move(own, name, **seen), strict=True):
         assert torch.allclose(found, expected.roll(3, -1)) == periodic
@@ -90,7 +90,7 @@ def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], ran
     """A network that does not look at the log of the length is moved alike by gradients of any length."""
     alpha = network(randn, periodic=True)
     alpha["around.z.kernel0"][:, :, 9] = 0  # after value, gradient and direction
-    own = at_step(spread(alpha, TASKS, 1), 0)
+    own = at_step(expand_tasks(alpha, TASKS, 1), 0)
     moves = [move(own, "around.z", **seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
     for each in moves[1:]:
         torch.testing.assert_close(each, moves[0])

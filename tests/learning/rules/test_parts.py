@@ -11,7 +11,7 @@ from torch import Generator
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import at_step
-from metapp.learning.learn import spread
+from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam
 from metapp.learning.rules.parts import Average, Basis, Curvature, averaging
@@ -126,7 +126,7 @@ def test_bases_are_turned_to_the_axes_of_gradients(rng: Generator) -> None:
     for name in ("out.w", "in.w"):
         basis = turned[name][0]
         torch.testing.assert_close(basis @ basis.mT, torch.eye(len(basis)).double())
-    own = spread(turned, 50, 1)
+    own = expand_tasks(turned, 50, 1)
     inside = BASIS.gradients(at_step(own, 0), gradients)["w"]
     assert ((inside.abs() > 1e-9).sum((1, 2)) <= 3).all()  # one entry a row and column
     torch.testing.assert_close(BASIS.updates(at_step(own, 0), {"w": inside})["w"], gradients["w"])

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.adjoint import Drawn, learn_through
-from metapp.learning.learn import learn, spread
+from metapp.learning.adjoint import Draw, learn_through
+from metapp.learning.learn import expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.solve import GREATEST, LEAST, ROUNDING, NormalEquations, Solve
-from metapp.learning.task import Batch, Linear, Params
+from metapp.learning.task import Batch, LeastSquares, Params
 from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import FEATURED, small_app
@@ -23,10 +23,10 @@ TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
 SOLVE = rule_of("solve")
 
 
-def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
+def linear(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
     features = theta["scale"][:, :, None] * batch["x"]
     residual = batch["y"] - theta["W"] @ features
-    return Linear("W", features, residual, batch["weights"], residual.abs().mean((1, 2)))
+    return LeastSquares("W", features, residual, batch["weights"], residual.abs().mean((1, 2)))
 
 
 def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -59,7 +59,7 @@ def alpha_of(theta: Params, keep: float = 40.0, penalties: tuple[float, float] =
     """Penalties that differ, of all tasks; `keep` of 40 keeps all samples."""
     penalty = torch.linspace(*penalties, FEATURES, dtype=torch.float64)
     alpha = {"penalty.W": penalty[None], "keep.W": torch.full((STEPS,), keep, dtype=torch.float64)}
-    return spread(alpha, len(theta["W"]), 1)
+    return expand_tasks(alpha, len(theta["W"]), 1)
 
 
 def ridge(theta: Params, batches: list[Batch], penalty: Tensor) -> Tensor:
@@ -81,7 +81,7 @@ def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches:
     torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0]))
     assert torch.equal(final["scale"], theta["scale"])
     supply = iter(batches)
-    loss = replace(LOSS, draw=lambda data, rng, done: Drawn((), next(supply)))
+    loss = replace(LOSS, draw=lambda data, rng, done: Draw((), next(supply)))
     plain = learn(theta, SOLVE.rule(alpha), None, loss, steps=STEPS, rng=Generator())
     assert torch.equal(plain["W"], final["W"])
 
@@ -90,7 +90,7 @@ def test_a_prior_adds_to_the_penalties_of_each_output(theta: Params, batches: li
     alpha = alpha_of(theta)
     prior = torch.linspace(-2, 2, OUTPUTS * FEATURES, dtype=torch.float64).exp().reshape(1, OUTPUTS, FEATURES)
 
-    def informed(theta: Params, batch: Batch, learned: Params) -> Linear:
+    def informed(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         return linear(theta, batch, learned)._replace(prior=prior.expand(TASKS, -1, -1))
 
     final = learn_through(theta, SOLVE.rule(alpha), batches, replace(LOSS, linear=informed), order=2)
