@@ -17,12 +17,12 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 
-from data_tools.readers.svbrdf_task import CLIPPED_VALUE
 from metapp.appearance.features import load_features, weights_path
 from metapp.appearance.flash import positions
 from metapp.appearance.precision import in_bfloat16
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import PARTS, SLOPE, block, pointwise, twice
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
