@@ -14,6 +14,7 @@ from metapp.registry import registry
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
+from metapp.storage.files import PARTIAL, partial_path
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
@@ -91,8 +92,7 @@ def embedded_data(
     if out is not None:
         _make(app, out, counts, notes, overwrite=overwrite, quiet=quiet)
         return out
-    ways = "".join(f"-{name}" if notes[name] is True else f"-{name}{notes[name]}" for name in _drawn(app, notes))
-    folder = cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{seed}-v{_version(app)}"
+    folder = _cached(app, notes)
     if _is_finished(folder, app, notes):
         return folder
     try:
@@ -103,9 +103,10 @@ def embedded_data(
         ) from None
     if not quiet:
         say(f"{app}: making the embedded data set, once: {folder}")
-    # In a folder of its own: another program may be making the same set.
-    work = folder.with_name(f".partial-{os.getpid()}-{folder.name}")
-    _remove_stale(folder.parent)
+    for left in folder.parent.glob(f"{PARTIAL}*"):  # by programs that were killed
+        if time.time() - left.stat().st_mtime > _STALE_SECONDS:
+            shutil.rmtree(left, ignore_errors=True)
+    work = partial_path(folder)  # another program may be making the same set
     try:
         _make(app, work, counts, notes, quiet=quiet)
         try:
@@ -119,16 +120,23 @@ def embedded_data(
     return folder
 
 
+def embedded_exists(app: str) -> bool:
+    """True if the default embedded set has been made already."""
+    if app not in embedded_apps():
+        return False
+    notes = _notes(app, 0, sum(split_counts(app).values()), {})
+    return (_cached(app, notes) / "manifest.json").is_file()
+
+
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
     module, offered = embedded_module(app), _options(app)
-    notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
+    notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", VERSION), "seed": seed}
     for name, value in options.items():
         if name not in offered:
             raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
-        if value != getattr(module, name.upper(), None):
-            notes[name] = value
-    return notes
+    own = {name: value for name, value in options.items() if value != getattr(module, name.upper(), None)}
+    return notes | {"count": count} | own
 
 
 def _options(app: str) -> list[str]:
@@ -140,17 +148,10 @@ def _drawn(app: str, notes: Document) -> dict[str, object]:
     return {name: notes[name] for name in _options(app) if name in notes}
 
 
-def embedded_exists(app: str) -> bool:
-    """True if the default embedded set has been made already."""
-    return app in embedded_apps() and (_default_folder(app) / "manifest.json").is_file()
-
-
-def _version(app: str) -> int:
-    return getattr(embedded_module(app), "VERSION", VERSION)
-
-
-def _default_folder(app: str) -> Path:
-    return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{_version(app)}"
+def _cached(app: str, notes: Document) -> Path:
+    """The folder in the cache of a set that is drawn so."""
+    ways = "".join(f"-{name}" if value is True else f"-{name}{value}" for name, value in _drawn(app, notes).items())
+    return cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{notes['seed']}-v{notes['version']}"
 
 
 def _make(
@@ -158,12 +159,11 @@ def _make(
 ) -> None:
     from metapp.storage.shards import ShardWriter
 
-    module = embedded_module(app)
-    beside = getattr(module, "BESIDE", None)
-    drawn = _drawn(app, notes)
+    module, drawn = embedded_module(app), _drawn(app, notes)
     units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
     bars = progress(f"{app} data", sum(counts.values()), quiet=quiet)
-    with ShardWriter(folder, app, units, notes, beside, overwrite=overwrite) as writer, bars as bar:
+    new = ShardWriter(folder, app, units, notes, getattr(module, "BESIDE", None), overwrite=overwrite)
+    with new as writer, bars as bar:
         for split, count in counts.items():
             for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
                 writer.add(task, split)
@@ -179,10 +179,3 @@ def _is_finished(folder: Path, app: str, notes: Document) -> bool:
         return False
     whole = all((folder / entry.file).is_file() for entry in manifest.tasks)
     return manifest.app == app and manifest.notes == notes and whole
-
-
-def _remove_stale(parent: Path) -> None:
-    """Remove what programs that were killed left behind."""
-    for path in parent.glob(".partial-*"):
-        if time.time() - path.stat().st_mtime > _STALE_SECONDS:
-            shutil.rmtree(path, ignore_errors=True)
