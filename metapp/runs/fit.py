@@ -28,7 +28,7 @@ from metapp.runs.run import Run
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
-from metapp.storage.images import png_address, png_bytes
+from metapp.storage.images import png_address
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -126,7 +126,7 @@ class Fit:
         error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
         line = f"{self.name}: {title_of(self.app)}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.steps} steps" + (f"; warning: {self.warning}" if self.warning else "")
-        return f'<img src="{png_address(png_bytes(self.picture()))}"><div>{escape(line)}</div>'
+        return f'<img src="{png_address(self.picture())}"><div>{escape(line)}</div>'
 
     def __call__(self, wi: object, wo: object) -> Tensor | np.ndarray:
         """Evaluate a fitted BRDF.

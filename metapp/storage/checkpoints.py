@@ -52,7 +52,7 @@ def load_checkpoint(
         with opened_tensors(path, str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
             if not isinstance(info, dict) or type(info["schema"]) is not int:
-                raise _Misnamed
+                raise KeyError(path)
             stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
         if "start" in info:  # as most files that ship name themselves; writing them anew would double their history
@@ -60,16 +60,16 @@ def load_checkpoint(
         if info["schema"] > SCHEMA:
             raise ValueError(f"{path}: schema {info['schema']}, expected at most {SCHEMA}; update metapp.")
         if not all(value.dtype in FLOATS for value in tensors.values()):
-            raise _Misnamed
+            raise KeyError(path)
         if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
-            raise _Misnamed
+            raise KeyError(path)
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
         prepared = MetaParameters.unflat(tensors)
         return (
             _with_general(path, prepared, info["general"], device, general) if "general" in info else prepared
         ), info
-    except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
+    except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError):
         raise ValueError(
             f"{path}: not a checkpoint that metapp wrote (safetensors with its description); train one with --train."
         ) from None
@@ -89,10 +89,6 @@ def _with_general(
     raise ValueError(
         f"{path}: goes on from General {wanted}, which is not beside it, as general.safetensors; keep both together."
     )
-
-
-class _Misnamed(Exception):
-    """A tensor that is no part of a checkpoint."""
 
 
 def digest(document: object) -> str:

@@ -15,6 +15,7 @@ import glob
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import shutil
@@ -223,12 +224,14 @@ _KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}
 
 
 def as_text(value: Any) -> Any:
-    r"""A text, or a document with all of its texts, in which lone surrogates are escaped, as \udcff."""
+    r"""A text, or a document, as JSON holds it: lone surrogates escaped, as \udcff, None for numbers not finite."""
     if isinstance(value, str):
         return value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, dict):
-        return {as_text(key): as_text(each) for key, each in value.items()}
-    return [as_text(each) for each in value] if isinstance(value, list | tuple) else value
+        return {as_text(key): as_text(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_text(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def path_of(text: str) -> Path:

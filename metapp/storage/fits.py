@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import shutil
 import statistics
@@ -88,7 +87,7 @@ def write_fit(
 
 def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Document:
     """Write a record into a folder, which is then renamed; OSError where the target is another fit's."""
-    kept: Document = as_text(finite(record)) | ({"name": marked.name} if target == marked else {})
+    kept: Document = as_text(record) | ({"name": marked.name} if target == marked else {})
     text = json.dumps(kept, allow_nan=False, indent=1)
     write_atomically(folder / RECORD, lambda file: file.write_text(text, "utf-8"))
     if folder != target:
@@ -131,12 +130,13 @@ def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:
     """
     file = folder / RECORD
     try:
-        record = as_text(json.loads(read_bytes(file)))
+        stored = json.loads(read_bytes(file))
+        record = as_text(stored) if is_record(stored, entries) else None
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (ValueError, RecursionError, OSError):
         record = None
-    if not is_record(record, entries):
+    if record is None:
         raise ValueError(f"{file}: no record, expected one of a task; passed over, as if not there.")
     # as fits name tasks: in a run of somebody else a name could turn the order of the text beside it
     name = "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])
@@ -210,7 +210,7 @@ class Fits(NamedTuple):
 
     def hold(self, record: Document) -> bool:
         """True if a record is of these settings."""
-        as_read: Any = json.loads(json.dumps(as_text(finite(self.settings))))
+        as_read: Any = json.loads(json.dumps(as_text(self.settings)))
         return bool(record.get("settings") == as_read)
 
     def records(self) -> dict[str, Document]:
@@ -218,15 +218,6 @@ class Fits(NamedTuple):
         records = read_fits(self.path, ("source", "settings", *self.entries))
         alone = [record for record in records if record.get("batch", 1) == 1 and self.hold(record)]
         return {record["source"]: record | {"name": record["source"]} for record in alone}
-
-
-def finite(value: object) -> object:
-    """A document with None for every number that is not finite."""
-    if isinstance(value, dict):
-        return {key: finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def summary(records: Sequence[Document]) -> dict[str, float | None]:

@@ -20,8 +20,7 @@ import torch
 from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.pictures import write_plane
 from metapp.extensions.assets.planes import all_planes
-from metapp.storage.files import read_bytes, suffixed, write_atomically
-from metapp.storage.fits import finite
+from metapp.storage.files import as_text, read_bytes, suffixed, write_atomically
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC
 BITS = 8  # more is not decoded by browsers
@@ -72,7 +71,7 @@ def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:
         "asset": {
             "version": "2.0",
             "generator": f"metapp {metadata.version('metapp')}",
-            "extras": {"provenance": finite(dict(provenance))},
+            "extras": {"provenance": as_text(dict(provenance))},
         },
         "extensionsUsed": ["KHR_materials_ior", "KHR_materials_specular"],
         "scene": 0,

@@ -30,8 +30,7 @@ from metapp.appearance.flash import Maps, expose, positions, relightings, render
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Plane, Surface, fitted_planes
 from metapp.extensions.assets.planes import all_planes
 from metapp.storage import images
-from metapp.storage.files import write_atomically
-from metapp.storage.fits import finite
+from metapp.storage.files import as_text, write_atomically
 
 PREVIEW = 256  # px, of the longer side
 SCHEMA = 1
@@ -126,7 +125,7 @@ def description(
 
 def write_description(file: Path, document: Mapping[str, object]) -> None:
     """Write a JSON document; numbers that are not finite, which JSON lacks, become null."""
-    text = json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(as_text(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     write_atomically(file, lambda target: target.write_text(text, encoding="utf-8"))
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
-from metapp.storage.images import in_8_bits, png_address, png_bytes
+from metapp.storage.images import in_8_bits, png_address
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
 _BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
@@ -100,7 +100,7 @@ def array(values: Tensor) -> Document:
 
 def picture(pixels: Tensor) -> str:
     """Display values [H, W, 1, 3 or 4] in [0, 1] as the address of a PNG."""
-    return png_address(png_bytes(in_8_bits(pixels.detach().cpu().numpy())))
+    return png_address(in_8_bits(pixels.detach().cpu().numpy()))
 
 
 def html(data: Document) -> str:
