@@ -8,11 +8,9 @@ import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.merl_table import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
 from metapp.appearance.geometry import above_horizon, cosines
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task
@@ -38,12 +36,13 @@ _RINGS, _TURNS = 256, 16
 
 def brdf_task(
     name: str,
-    material: Evaluate | Array,
-    samples: int = 65536,
+    evaluate: Evaluate,
+    samples: int = 65_536,
     seed: int = 0,
     source: str | Path = "",
     *,
     azimuths: bool = False,
+    measured: tuple[Tensor, Tensor] | None = None,
 ) -> Task:
     """Make the task of one material.
 
@@ -51,17 +50,14 @@ def brdf_task(
     kept where light and view are above the horizon, stratified (scrambled Sobol). The first half is for fits to see,
     the second half held out; each half is stratified and in random order, so any prefix is well spread.
 
-    Of a table, each draw moves to the centre of its bin, on its side of phi_d and phi_d + pi: nothing is interpolated
-    but the picture. Invalid bins are left out, and so are bins that an earlier draw has, on either side, since a
-    held-out sample must not have been seen; further draws replace them.
-
     Args:
         name: of the material.
-        material: what evaluates it, or a MERL table [90, 90, 180, 3], as `read_merl` returns it.
+        evaluate: reflectance [..., 3] in 1/sr, linear RGB, of angles [..., 3 or 4] in rad.
         samples: N, 2 or more.
         seed: of the draws.
         source: the file that errors name; the material's name where there is none.
         azimuths: whether the material is anisotropic and takes phi_h, too, which is uniform.
+        measured: samples in place of draws, angles [N, 3] and reflectance [N, 3]; pictures alone are evaluated.
 
     Returns:
         A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
@@ -69,22 +65,17 @@ def brdf_task(
         phi_h [N] rad; all float32.
 
     Raises:
-        ValueError: too few samples, or more than the table has bins for; reflectance of another shape, or not finite.
+        ValueError: too few samples; reflectance of another shape, or not finite.
     """
     source = source or name
     if samples < 2:
         raise ValueError(f"{source}: {samples} samples, expected 2 or more.")
     with torch.no_grad():
-        if isinstance(material, np.ndarray):
-            angles, reflectance = _table_samples(source, material, samples, seed)
-            # Interpolation gathers at random: channels side by side and half the bytes are faster.
-            evaluate: Evaluate = functools.partial(
-                merl_evaluate, torch.from_numpy(material.astype(np.float32, order="C"))
-            )
-        else:
-            evaluate = material
+        if measured is None:
             angles = _analytic_angles(samples, seed, azimuths).clone()  # tasks must not share what they may write to
             reflectance = evaluate(angles).float()
+        else:
+            angles, reflectance = measured
         if reflectance.shape != (samples, 3):
             raise ValueError(
                 f"{source}: reflectance {tuple(reflectance.shape)}, expected {(samples, 3)}: RGB of a sample."
@@ -122,32 +113,10 @@ def is_anisotropic(evaluate: Evaluate) -> bool:
 @functools.lru_cache(maxsize=2)
 def _analytic_angles(samples: int, seed: int, azimuths: bool = False) -> Tensor:
     """The pool [N, 3] rad of all materials that can be evaluated anywhere; [N, 4] with phi_h."""
-    return _pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0], 3 + azimuths)
+    return sample_pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0], 3 + azimuths)
 
 
-def _table_samples(source: str | Path, table: Array, samples: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Angles [N, 3] rad and reflectance [N, 3] of distinct valid bins."""
-    if table.shape != (*SHAPE, 3):
-        raise ValueError(f"{source}: table {table.shape}, expected {(*SHAPE, 3)}, as read_merl returns it.")
-    allowed = torch.from_numpy(merl_valid(table)).reshape(-1) & _bins_above_horizon()
-    available = int(allowed.sum())
-    if samples > available:
-        raise ValueError(f"{source}: {available:,} valid bins, expected {samples:,} or more; take fewer samples.")
-
-    def keep(draws: Tensor) -> Tensor:
-        bins = merl_index(draws)
-        inside = allowed[bins].nonzero()[:, 0]
-        _, first = np.unique(bins[inside].numpy(), return_index=True)
-        return inside[torch.from_numpy(np.sort(first))]
-
-    draws = _pool(source, samples, seed, keep)
-    bins = merl_index(draws)
-    angles = merl_centres().reshape(-1, 3)[bins]
-    angles[:, 2] += torch.where(draws[:, 2] >= math.pi, math.pi, 0.0)
-    return angles, torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float()
-
-
-def _pool(source: str | Path, samples: int, seed: int, keep: Keep, axes: int = 3) -> Tensor:
+def sample_pool(source: str | Path, samples: int, seed: int, keep: Keep, axes: int = 3) -> Tensor:
     """The first `samples` draws [N, axes] rad that are kept, the order random within each half."""
     extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi, 2 * math.pi])[:axes]
     count = 4 * samples
@@ -167,17 +136,17 @@ def _pool(source: str | Path, samples: int, seed: int, keep: Keep, axes: int = 3
     return draws[kept[:samples][order]]
 
 
-@functools.cache
-def _bins_above_horizon() -> Tensor:
-    return above_horizon(merl_centres()).reshape(-1)
-
-
 def measured_task(
-    name: str, material: Evaluate | Array, samples: int, source: str | Path, *, azimuths: bool = False
+    name: str,
+    evaluate: Evaluate,
+    samples: int,
+    source: str | Path,
+    *,
+    azimuths: bool = False,
+    measured: tuple[Tensor, Tensor] | None = None,
 ) -> Task:
     """As `brdf_task`, of a file; warns where nothing is reflected, far too much, or more than comes in."""
-    task = brdf_task(name, material, samples, source=source, azimuths=azimuths)
-    evaluate = functools.partial(merl_evaluate, material) if isinstance(material, np.ndarray) else material
+    task = brdf_task(name, evaluate, samples, source=source, azimuths=azimuths, measured=measured)
     high = float(task.data["reflectance"].max())
     albedo = float(normal_albedo(evaluate, azimuths=azimuths).max())
     if high == 0:

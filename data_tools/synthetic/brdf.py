@@ -15,8 +15,7 @@ from torch import Tensor
 
 from data_tools.readers.brdf_task import UNITS as UNITS
 from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.merl import write_merl
-from data_tools.readers.merl_table import tabulate
+from data_tools.readers.merl import tabulate, write_merl
 from data_tools.synthetic.brdf_anisotropic import anisotropic_materials
 from data_tools.synthetic.brdf_draws import COUNTS as COUNTS
 from data_tools.synthetic.brdf_draws import Draws, Material, Split, colour_name, roughness_name

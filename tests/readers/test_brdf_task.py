@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_task import UNITS, brdf_task, normal_albedo
-from data_tools.readers.merl_table import SCALE, merl_centres, merl_index, merl_valid, tabulate
+from data_tools.readers.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate, task_of_table
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
 from metapp.appearance.geometry import above_horizon
@@ -87,7 +87,7 @@ def test_both_halves_and_prefixes_are_well_spread() -> None:
 
 
 def test_table_samples_are_measured_values(table: np.ndarray) -> None:
-    data = brdf_task("measured", table, samples=8192).data
+    data = task_of_table("measured", table, 8192, "").data
     bins = merl_index(data["angles"])
     assert len(bins.unique()) == 8192  # nothing held out has been seen
     centres = merl_centres().reshape(-1, 3)[bins]
@@ -97,7 +97,7 @@ def test_table_samples_are_measured_values(table: np.ndarray) -> None:
     assert above_horizon(data["angles"]).all()
     assert merl_valid(table).reshape(-1)[bins.numpy()].all()
     assert torch.equal(data["reflectance"], torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float())
-    again = brdf_task("measured", table, samples=8192).data
+    again = task_of_table("measured", table, 8192, "").data
     assert all(torch.equal(data[key], again[key]) for key in data)
 
 
@@ -112,7 +112,6 @@ def invalid_but(*bins: slice | int) -> np.ndarray:
     ("material", "samples", "message"),
     [
         (evaluate, 1, "x: 1 samples, expected 2 or more"),
-        (np.ones((90, 90, 180)), 64, r"x: table \(90, 90, 180\), expected"),
         (lambda angles: angles[:, :1], 64, r"x: reflectance \(64, 1\), expected \(64, 3\)"),
         (lambda angles: angles * math.nan, 64, "x: 192 values of the samples are NaN or infinite"),
         (invalid_but(slice(40, 50), slice(10, 20)), 50_000, "x: 18,000 valid bins, expected 50,000 or more"),
@@ -122,7 +121,9 @@ def invalid_but(*bins: slice | int) -> np.ndarray:
 )
 def test_what_gives_no_samples_is_one_line(material: Any, samples: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        brdf_task("x", material, samples=samples)
+        task_of_table("x", material, samples, "x") if isinstance(material, np.ndarray) else brdf_task(
+            "x", material, samples
+        )
 
 
 def constant_network(folder: Path, reflectance: float) -> Path:

@@ -7,8 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.merl import FILE_BYTES, find, read_merl, write_merl
-from data_tools.readers.merl_table import SCALE, merl_centres, merl_evaluate, merl_index, merl_valid, tabulate
+from data_tools.readers.merl import (
+    FILE_BYTES,
+    SCALE,
+    find,
+    merl_centres,
+    merl_evaluate,
+    merl_index,
+    merl_valid,
+    read_merl,
+    tabulate,
+    write_merl,
+)
 from metapp.appearance.geometry import above_horizon
 
 

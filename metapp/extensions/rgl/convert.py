@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import merl, nbrdf
-from data_tools.readers.merl_table import merl_evaluate, tabulate
+from data_tools.readers.merl import merl_evaluate, tabulate
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.spectra import in_rgb, in_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file

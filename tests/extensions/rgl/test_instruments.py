@@ -13,8 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.merl import read_merl, write_merl
-from data_tools.readers.merl_table import merl_centres, merl_evaluate, tabulate
+from data_tools.readers.merl import merl_centres, merl_evaluate, read_merl, tabulate, write_merl
 from data_tools.readers.nbrdf import SHAPES, nbrdf_evaluate, write_nbrdf
 from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import cosines, directions_to_full_circle
