@@ -28,57 +28,57 @@ from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import OBJ
 
 
-@pytest.fixture
-def network(neural_fits: Callable[[int], Path]) -> Path:
-    """A folder with one small network."""
-    return next(iter(sorted(neural_fits(1).iterdir())))
+@pytest.fixture(scope="module")
+def general(network: Path) -> api.Fit:
+    """General's parameters for a network, which cost nothing; not to be changed."""
+    return api.fit("brdf", network, paradigm="general")
+
+
+def lambertian(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    return np.full((len(wi), 3), (0.2, 0.4, 0.6)) / np.pi
+
+
+def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    wi, wo = rng.normal(size=(2, count, 3))
+    return tuple(np.abs(each) / np.linalg.norm(each, axis=1, keepdims=True) for each in (wi, wo))
+
+
+def by_general(app: str, source: object, **options: str) -> api.Fit:
+    return api.fit(app, source, paradigm="general", recipe="quick", **options)
 
 
 def test_a_fit_is_that_of_the_command(metapp: Callable, network: Path, tmp_path: Path) -> None:
     told = metapp("meta", "brdf", network, "--out", tmp_path, "--json", "--quiet").document
-    fit = api.fit("brdf", network)
-    assert (fit.name, fit.error) == (told["tasks"][0]["name"], told["error"])
     (folder,) = (task["folder"] for task in told["tasks"])
-    kept = api.load(folder).parameters
-    assert api.load(folder).settings["checkpoint"] == fit.settings["checkpoint"]
-    assert (api.load(folder).errors, api.load(folder).task.data.keys()) == (fit.errors, fit.task.data.keys())
-    with pytest.raises(ValueError, match="no such folder, expected a run's folder"):
-        api.load(tmp_path / "none")
-    assert kept.keys() == fit.parameters.keys()
-    assert all(torch.equal(kept[key], value) for key, value in fit.parameters.items())
+    fit, loaded = api.fit("brdf", network), api.load(folder)
+    assert (fit.name, fit.error) == (told["tasks"][0]["name"], told["error"])
+    assert loaded.settings["checkpoint"] == fit.settings["checkpoint"]
+    assert (loaded.errors, loaded.task.data.keys()) == (fit.errors, fit.task.data.keys())
+    assert loaded.parameters.keys() == fit.parameters.keys()
+    assert all(torch.equal(loaded.parameters[key], value) for key, value in fit.parameters.items())
     assert fit.seconds > 0
     assert fit.errors["error"] == fit.error
-    assert set(fit.pictures()) == {"reference", "fit"}
+    with pytest.raises(ValueError, match="no such folder, expected a run's folder"):
+        api.load(tmp_path / "none")
 
 
-def test_a_fit_is_saved_and_exported(network: Path, tmp_path: Path) -> None:
-    fit = api.fit("brdf", network, paradigm="general")
-    saved = read_tensors(fit.save(tmp_path / "below" / "a.safetensors"))
-    assert all(torch.equal(saved[key], value) for key, value in fit.parameters.items())
-    fit.export("nbrdf", tmp_path / "again")
-    again = api.fit("brdf", tmp_path / "again", paradigm="general")
-    assert again.name == "again"
+def test_a_fit_is_saved_exported_and_pickled(general: api.Fit, tmp_path: Path) -> None:
+    saved = read_tensors(general.save(tmp_path / "below" / "a.safetensors"))
+    again = pickle.loads(pickle.dumps(general))  # as programs that fit in several processes send it back
+    for parameters in (saved, again.parameters):
+        assert all(torch.equal(parameters[key], value) for key, value in general.parameters.items())
+    assert (again.name, again.error, again.settings) == (general.name, general.error, general.settings)
+    assert again.picture().tobytes() == general.picture().tobytes()
+    general.export("nbrdf", tmp_path / "again")
+    assert api.fit("brdf", tmp_path / "again", paradigm="general").name == "again"
     for form in ("bsdf", "osl"):
         for name in (f"gold.{form}", "gold.1"):  # the suffix may be given; what follows another dot is none
-            fit.export(form, tmp_path / form / name)
+            general.export(form, tmp_path / form / name)
         assert {path.name for path in (tmp_path / form).iterdir()} == {f"gold.{form}", f"gold.1.{form}"}
     forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
     with pytest.raises(ValueError, match=f"--export 'blend': brdf expects one of {forms}"):
-        fit.export("blend", tmp_path / "x")
-
-
-def test_options_are_those_of_the_command(network: Path) -> None:
-    one, two = (api.fit("brdf", network, steps=steps, rule="meta-curvature") for steps in (1, 2))
-    assert one.error != two.error
-    with pytest.raises(ValueError, match="'brdfs' is not an application; expected one of brdf"):
-        api.fit("brdfs", network)
-    with pytest.raises(ValueError, match="paradigm 'magic': expected one of general"):
-        api.fit("brdf", network, paradigm="magic")
-    with pytest.raises(ValueError, match=r"^--rule: rule 'magic': 'magic' is unknown"):
-        api.fit("brdf", network, rule="magic")
-    for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl"}.items():
-        with pytest.raises(ValueError, match=f"^{name}: of the command line"):
-            api.fit("brdf", network, **{name: value})
+        general.export("blend", tmp_path / "x")
 
 
 @pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks
@@ -89,13 +89,9 @@ def test_several_tasks_are_a_list(neural_fits: Callable[[int], Path]) -> None:
     assert all(f"{fit.name}: error {fit.error:.3f}" in repr(fits) for fit in fits)
     with pytest.raises(ValueError, match=r"2 tasks, expected one; take metapp\.fit_all"):
         api.fit("brdf", folder)
-
-
-def test_an_address_is_no_path_that_is_there() -> None:
-    with pytest.raises(
-        ValueError, match=r"^s3:/bucket/gold\.binary: no such file or folder; give existing input files\.$"
-    ):
-        api.fit("brdf", "s3://bucket/gold.binary")
+    samples = *directions(80), lambertian(*directions(80))
+    fits = api.fit_all("brdf", [samples, lambertian, samples], paradigm="general")
+    assert [fit.name for fit in fits] == ["object-1", "lambertian", "object-2"]  # numbered without a name
 
 
 def test_the_traceback_of_bad_input_ends_at_the_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +111,7 @@ def test_nothing_is_printed_and_threads_stay(network: Path, capfd: pytest.Captur
     before = torch.get_num_threads()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        api.fit("brdf", network)
+        assert api.fit("brdf", network, paradigm="overfit", steps=1, seed=3).steps == 1
     assert capfd.readouterr() == ("", "")
     assert torch.get_num_threads() == before
 
@@ -128,16 +124,6 @@ def test_the_package_imports_at_once() -> None:
         _ = api.nothing
 
 
-def lambertian(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    return np.full((len(wi), 3), (0.2, 0.4, 0.6)) / np.pi
-
-
-def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(0)
-    wi, wo = rng.normal(size=(2, count, 3))
-    return tuple(np.abs(each) / np.linalg.norm(each, axis=1, keepdims=True) for each in (wi, wo))
-
-
 def test_a_function_is_fitted() -> None:
     fit = api.fit("brdf", lambertian)
     assert fit.name == "lambertian"
@@ -148,51 +134,19 @@ def test_a_function_is_fitted() -> None:
     )
     with warnings.catch_warnings():  # of a function whose array is read-only
         warnings.simplefilter("error")
-        constant = api.fit("brdf", lambda wi, wo: np.broadcast_to(np.float32([0.3, 0.2, 0.1]), wi.shape)[:, ::-1])
+        constant = by_general("brdf", lambda wi, wo: np.broadcast_to(np.float32([0.3, 0.2, 0.1]), wi.shape)[:, ::-1])
     assert constant.task.data["reflectance"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
-    gray = api.fit("brdf", lambda wi, wo: torch.full((len(wi),), 0.1), paradigm="general")
+    gray = by_general("brdf", lambda wi, wo: torch.full((len(wi),), 0.1))
     assert torch.equal(gray.task.data["reflectance"][:, 0], gray.task.data["reflectance"][:, 2])
 
 
 def test_a_bsdf_of_mitsuba_is_fitted() -> None:
     mi = load_mitsuba()
-    bsdf = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}})
-    fit = api.fit("brdf", bsdf, paradigm="general")
+    fit = by_general(
+        "brdf", mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}})
+    )
     known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
     torch.testing.assert_close(fit.task.data["reflectance"], known.expand(len(fit.task.data["angles"]), 3))
-
-
-@pytest.mark.parametrize(
-    ("source", "line"),
-    [
-        (3, "object: int, expected a path, a function"),
-        ((1, 2), "2 arrays, expected 3"),
-        ((np.zeros((0, 3)),) * 3, "object: different pairs of directions: 0 of 0, expected 4 or more"),
-        ((np.zeros((9, 3)), np.ones((9, 3)), np.ones((9, 3))), "wi of length 0, expected unit vectors"),
-        ((*directions(3), np.ones((3, 3))), "different pairs of directions: 3 of 3, expected 4"),
-        ((*directions(80), -np.ones((80, 3))), "reflectance that is negative"),
-        (lambda wi, wo: wi[:, :2], r"values \(\d+, 2\), expected"),
-        (lambda wi, wo: -np.abs(wi), "reflectance of -1 /sr, expected 0 or more"),
-    ],
-)
-def test_what_is_no_brdf_in_memory_is_refused_in_a_line(source: object, line: str) -> None:
-    with pytest.raises(ValueError, match=line):
-        api.fit("brdf", source)
-
-
-def test_a_fit_evaluates_its_application_and_nothing_below_the_surface(network: Path) -> None:
-    fit = api.fit("brdf", network, paradigm="general")
-    angles = torch.tensor([[0.3, 0.4, 1.0], [0.1, 0.9, 4.0]])
-    pair = rusinkiewicz_to_directions(angles.double())
-    values = fit(*pair)
-    torch.testing.assert_close(values, fit.app.reflectance(fit.parameters, angles), rtol=1e-4, atol=1e-6)
-    again = fit(*(each.numpy() for each in pair))
-    assert again.dtype == np.float32
-    np.testing.assert_array_equal(again, values.numpy())
-    up, down = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
-    assert not fit(up, down).any()
-    assert not fit(down, up).any()
-    assert fit(up[:0], up[:0]).shape == (0, 3)
 
 
 def test_an_anisotropic_fit_knows_the_azimuth() -> None:
@@ -207,6 +161,20 @@ def test_an_anisotropic_fit_knows_the_azimuth() -> None:
     assert np.abs(fit(*turned) - brushed(wi, wo)).mean() > 0.05
 
 
+def test_a_fit_evaluates_its_application_above_the_surface(general: api.Fit) -> None:
+    angles = torch.tensor([[0.3, 0.4, 1.0], [0.1, 0.9, 4.0]])
+    pair = rusinkiewicz_to_directions(angles.double())
+    values = general(*pair)
+    torch.testing.assert_close(values, general.app.reflectance(general.parameters, angles), rtol=1e-4, atol=1e-6)
+    again = general(*(each.numpy() for each in pair))
+    assert again.dtype == np.float32
+    np.testing.assert_array_equal(again, values.numpy())
+    up, down = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
+    assert not general(up, down).any()
+    assert not general(down, up).any()
+    assert general(up[:0], up[:0]).shape == (0, 3)
+
+
 @pytest.mark.parametrize(
     ("wi", "wo", "line"),
     [
@@ -217,14 +185,60 @@ def test_an_anisotropic_fit_knows_the_azimuth() -> None:
         ("up", "up", "m0: wi: str, expected an array of numbers"),
     ],
 )
-def test_a_fit_refuses_what_are_no_directions(network: Path, wi: object, wo: object, line: str) -> None:
-    fit = api.fit("brdf", network, paradigm="general")
+def test_a_fit_refuses_what_are_no_directions(general: api.Fit, wi: object, wo: object, line: str) -> None:
     with pytest.raises(ValueError, match=line):
-        fit(wi, wo)
+        general(wi, wo)
 
 
-def by_general(app: str, source: object, **options: str) -> api.Fit:
-    return api.fit(app, source, paradigm="general", recipe="quick", **options)
+ADDRESS = r"^s3:/bucket/gold\.binary: no such file or folder; give existing input files\.$"
+REFUSED: tuple[tuple[str, object, dict[str, Any], str], ...] = (
+    # things in memory: tests of readers have those of pictures, maps and light
+    ("brdf", 3, {}, "object: int, expected a path, a function"),
+    ("brdf", (1, 2), {}, "2 arrays, expected 3"),
+    ("brdf", (np.zeros((0, 3)),) * 3, {}, "object: different pairs of directions: 0 of 0, expected 4 or more"),
+    ("brdf", (np.zeros((9, 3)), *[np.ones((9, 3))] * 2), {}, "wi of length 0, expected unit vectors"),
+    ("brdf", (*directions(3), np.ones((3, 3))), {}, "different pairs of directions: 3 of 3, expected 4"),
+    ("brdf", (*directions(80), -np.ones((80, 3))), {}, "reflectance that is negative"),
+    ("brdf", lambda wi, wo: wi[:, :2], {}, r"values \(\d+, 2\), expected"),
+    ("brdf", lambda wi, wo: -np.abs(wi), {}, "reflectance of -1 /sr, expected 0 or more"),
+    ("texture", np.zeros((40, 40, 3), np.uint8), {}, "^object: one colour all over"),
+    ("texture", pictures.noise(20, 20), {}, "^object: 20x20 px, expected 32 px or more"),
+    ("svbrdf_stationary", dict.fromkeys(("albedo", "normal"), pictures.noise(40, 40)), {}, "^object: no roughness"),
+    ("transport", "<scene", {}, "^object: not readable as XML"),
+    # names as they were given
+    ("brdf", "s3://bucket/gold.binary", {}, ADDRESS),
+    ("brdf", "paint--old.binary", {}, r"^paint--old\.binary: no such file or folder"),
+    # options: tests of options have more
+    ("brdf", lambertian, {"paradigm": "magic"}, "paradigm 'magic': expected one of general"),
+    ("brdf", lambertian, {"paradigm": 3}, "paradigm: 3, expected str"),
+    ("brdf", lambertian, {"rule": "magic"}, r"^--rule: rule 'magic': 'magic' is unknown"),
+    ("brdf", lambertian, {"recipe": "paper", "rule": "meta-encoder"}, "train one with --train"),
+    *(("brdf", lambertian, {name: value}, f"^{name}: of the command line")
+      for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl"}.items()),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("app", "source", "options", "line"), REFUSED)
+def test_what_cannot_be_fitted_is_refused_in_a_line(app: str, source: object, options: Any, line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        api.fit(app, source, **({"recipe": "quick"} | options))
+
+
+def test_sources_are_all_paths_or_none() -> None:
+    one = r"^\w+: one source, expected a list of them; take metapp\.fit for one"
+    for source in ("a.png", Path("a.png"), lambertian, {"diffuse": 1}, 3, np.ones((3, 2)), torch.ones(3, 2)):
+        with pytest.raises(ValueError, match=one):
+            api.fit_all("texture", source)
+    for sources, line in (
+        (["a", lambertian], "1 of 2 sources are no paths"),
+        (list(np.ones((3, 2))), r"object-1: ndarray, expected a path, a function"),
+        ([], "0 sources, expected a list of one or more"),
+    ):
+        with pytest.raises(ValueError, match=line):
+            api.fit_all("brdf", sources)
+
+
+# What is in memory is fitted as files are
 
 
 def assert_same(fit: api.Fit, other: api.Fit) -> None:
@@ -241,13 +255,8 @@ def test_a_flash_photo_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
     pixels = pictures.noise(64, 64)
     fit = by_general("svbrdf_stationary", pixels)
     assert_same(fit, by_general("svbrdf_stationary", pictures.write(tmp_path / "object.png", pixels)))
-    assert {name: values.ndim for name, values in fit.maps.items()} == {
-        "diffuse": 3,
-        "specular": 3,
-        "normal": 3,
-        "roughness": 2,
-        "height": 2,
-    }
+    wanted = {"diffuse": 3, "specular": 3, "normal": 3, "roughness": 2, "height": 2}
+    assert {name: values.ndim for name, values in fit.maps.items()} == wanted
     np.testing.assert_allclose(np.linalg.norm(fit.maps["normal"], axis=-1), 1, atol=1e-5)
 
 
@@ -275,6 +284,8 @@ def test_a_photo_in_memory_is_fitted_alone(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"object: a flash photo, expected a material's maps .* --observe photo\."):
         by_general("svbrdf_nonstationary", pixels)
     assert (fit.error, fit.picture().width) == (None, fit.picture().height * 2)  # a sheet without a reference
+    with pytest.raises(ValueError, match="object: a fit of svbrdf_nonstationary, expected one of brdf"):
+        fit(*directions(2))
 
 
 BALL = """<scene version="3.0.0">
@@ -305,100 +316,6 @@ def test_a_scene_in_memory_is_that_of_its_file(tmp_path: Path, monkeypatch: pyte
     assert by_general("transport", text, scene_root=str(tmp_path)).error == pytest.approx(fit.error, abs=1e-6)
 
 
-def test_of_what_is_in_memory_errors_name_no_file() -> None:
-    for app, source, line in (
-        ("texture", np.zeros((40, 40, 3), np.uint8), "^object: one colour all over"),
-        ("texture", pictures.noise(20, 20), "^object: 20x20 px, expected 32 px or more"),
-        ("svbrdf_stationary", dict.fromkeys(("albedo", "normal"), pictures.noise(40, 40)), "^object: no roughness"),
-        ("transport", "<scene", "^object: not readable as XML"),
-    ):
-        with pytest.raises(ValueError, match=line):
-            by_general(app, source)
-
-
-def test_sources_are_all_paths_or_none() -> None:
-    with pytest.raises(ValueError, match="1 of 2 sources are no paths"):
-        api.fit_all("brdf", ["a", lambertian])
-    for source in ("a.png", Path("a.png"), lambertian, {"diffuse": 1}, 3):
-        with pytest.raises(ValueError, match=r"^\w+: one source, expected a list of them; take metapp\.fit for one"):
-            api.fit_all("texture", source)
-    for array in (np.ones((3, 2)), torch.ones(3, 2)):
-        with pytest.raises(ValueError, match=r"^\w+: one source, expected a list of them"):
-            api.fit_all("brdf", array)
-    with pytest.raises(ValueError, match=r"object-1: ndarray, expected a path, a function"):
-        api.fit_all("brdf", list(np.ones((3, 2))))
-    with pytest.raises(ValueError, match="0 sources, expected a list of one or more"):
-        api.fit_all("brdf", [])
-
-
-def test_a_fit_can_be_pickled(network: Path) -> None:
-    """As programs that fit in several processes send it back."""
-    fit = api.fit("brdf", network, recipe="quick")
-    again = pickle.loads(pickle.dumps(fit))
-    assert (again.name, again.error, again.seconds, again.settings) == (fit.name, fit.error, fit.seconds, fit.settings)
-    assert all(torch.equal(value, fit.parameters[key]) for key, value in again.parameters.items())
-    assert again.picture().tobytes() == fit.picture().tobytes()
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        ({"steps": -1}, "--steps -1: expected 0 to 1,000,000,000"),
-        ({"steps": 10**23}, "--steps 100000000000000000000000: expected 0 to 1,000,000,000"),
-        ({"seed": 2**63}, "--seed 9223372036854775808: expected 0 to 9,223,372,036,854,775,807"),
-        ({"steps": "ten"}, "--steps 'ten': expected int or None"),
-        ({"steps": True}, "--steps True: expected int or None"),
-        ({"seed": "a"}, "--seed 'a': expected int"),
-        ({"conserve": "wide"}, "--conserve 'wide': expected bool"),
-        ({"paradigm": 3}, "paradigm: 3, expected str"),
-        ({"data": 3}, "--data 3: expected Path or None"),
-        ({"step": 3}, "step: no option of a fit, expected one of batch, .* Did you mean 'steps'?"),
-    ],
-)
-def test_options_of_other_types_are_refused_in_a_line(options: dict[str, Any], line: str) -> None:
-    with pytest.raises(ValueError, match=line):
-        api.fit("brdf", lambertian, **options)
-
-
-@pytest.mark.parametrize(
-    ("app", "options", "line"),
-    [
-        ("brdf", {"recipe": "slow"}, "--recipe 'slow': expected one of"),
-        ("svbrdf_nonstationary", {"observe": "fotto"}, "--observe 'fotto': svbrdf_nonstationary expects one of"),
-        (
-            "texture",
-            {"size": "1000000x1000000"},
-            "--size 1000000x1000000: texture expects multiples of 32 from 64 to",
-        ),
-        ("brdf", {"paradigm": "overfit", "detail": 512}, "--detail: brdf has no such option"),
-        ("brdf", {"recipe": "paper", "rule": "meta-encoder"}, "train one with --train"),
-    ],
-)
-def test_errors_name_options_as_the_command_has_them(
-    app: str, options: dict[str, Any], line: str, network: Path
-) -> None:
-    with pytest.raises(ValueError, match=line):
-        api.fit(app, network, **options)
-
-
-def test_errors_leave_names_of_files_as_they_are() -> None:
-    with pytest.raises(ValueError, match=r"^paint--old\.binary: no such file or folder"):
-        api.fit("brdf", "paint--old.binary")
-
-
-def test_whole_numbers_are_numbers(network: Path) -> None:
-    assert api.fit("brdf", network, paradigm="overfit", steps=1, seed=3).steps == 1
-    with pytest.raises(ValueError, match=r"^--fov: brdf has no such option"):
-        api.fit("brdf", network, fov=30)
-
-
-def test_things_in_memory_are_numbered_where_they_have_no_name(network: Path) -> None:
-    wi, wo = directions(80)
-    samples = wi, wo, lambertian(wi, wo)
-    fits = api.fit_all("brdf", [samples, lambertian, samples], paradigm="general")
-    assert [fit.name for fit in fits] == ["object-1", "lambertian", "object-2"]
-
-
 def pictures_in(html: str) -> list[Image.Image]:
     urls = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
     return [Image.open(io.BytesIO(base64.b64decode(url))) for url in urls]
@@ -415,19 +332,10 @@ def test_a_fit_shows_itself(network: Path) -> None:
     assert "warning" not in html
     picture = fit.picture()
     assert (picture.mode, picture.size) == ("RGB", (196, 96))
+    assert set(fit.pictures()) == {"reference", "fit"}
     reference = to_srgb(fit.pictures()["reference"])
     assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
-
-
-def test_a_warning_is_shown_and_names_are_text(network: Path) -> None:
-    fit = api.fit("brdf", network, paradigm="general")
-    fit.task, fit.record["warning"] = fit.task._replace(name="<b>"), "1 < 2"
+    fit.task, fit.record["warning"] = fit.task._replace(name="<b>"), "1 < 2"  # names and warnings are text
     html = fit._repr_html_()
     assert "&lt;b&gt;" in html
     assert "warning: 1 &lt; 2" in html
-
-
-def test_other_fits_have_no_reflectance() -> None:
-    fit = by_general("svbrdf_nonstationary", pictures.noise(64, 64), observe="photo")
-    with pytest.raises(ValueError, match="object: a fit of svbrdf_nonstationary, expected one of brdf"):
-        fit(*directions(2))

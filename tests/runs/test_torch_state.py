@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 import metapp
 from metapp.runs.surroundings import threads
-
-RNG = np.random.default_rng(1)
-PICTURE = RNG.random((96, 96, 3), dtype=np.float32)
 
 
 @pytest.fixture(autouse=True)
@@ -25,75 +23,63 @@ def two_threads() -> Iterator[None]:
 
 
 def brdf() -> float:
-    fit = metapp.fit(
-        "brdf", lambda wi, wo: np.full(len(wi), 0.2, np.float32) + 0.1 * (wi * wo).sum(1, keepdims=True)[:, 0]
-    )
+    fit = metapp.fit("brdf", lambda wi, wo: 0.2 + 0.1 * (wi * wo).sum(1), paradigm="overfit", recipe="quick", steps=20)
     assert fit.error is not None
     return fit.error
 
 
-@contextmanager
-def default_dtype() -> Iterator[None]:
-    torch.set_default_dtype(torch.float64)
-    try:
-        yield
-    finally:
-        torch.set_default_dtype(torch.float32)
+@pytest.fixture(scope="module")
+def expected() -> float:
+    return brdf()
 
 
 @contextmanager
-def low_precision() -> Iterator[None]:
-    torch.set_float32_matmul_precision("medium")
+def setting(
+    change: Callable[[Any], object], read: Callable[[], object], value: object, before: object
+) -> Iterator[None]:
+    """A program that changes a setting of torch, to which fits leave it."""
+    change(value)
     try:
         yield
-        assert torch.get_float32_matmul_precision() == "medium"
+        assert read() == value
     finally:
-        torch.set_float32_matmul_precision("highest")
-
-
-@contextmanager
-def low_precision_of_all() -> Iterator[None]:
-    torch.backends.fp32_precision = "bf16"
-    try:
-        yield
-        assert torch.backends.mkldnn.conv.fp32_precision == "bf16"
-    finally:
-        torch.backends.fp32_precision = "none"
-    assert torch.backends.mkldnn.conv.fp32_precision == "none"
+        change(before)
+    assert read() == before
 
 
 SETTINGS: dict[str, Callable[[], AbstractContextManager[object]]] = {
     "autocast": lambda: torch.autocast("cpu", torch.bfloat16),
     "device meta": lambda: torch.device("meta"),
-    "float64": default_dtype,
-    "low precision": low_precision,
-    "low precision of all": low_precision_of_all,
+    "float64": lambda: setting(torch.set_default_dtype, torch.get_default_dtype, torch.float64, torch.float32),
+    "low precision": lambda: setting(
+        torch.set_float32_matmul_precision, torch.get_float32_matmul_precision, "medium", "highest"
+    ),
+    "low precision of all": lambda: setting(
+        partial(setattr, torch.backends, "fp32_precision"),
+        lambda: torch.backends.mkldnn.conv.fp32_precision,
+        "bf16",
+        "none",
+    ),
     "no_grad": torch.no_grad,
     "inference": torch.inference_mode,
 }
 
 
 @pytest.mark.parametrize("setting", SETTINGS.values(), ids=SETTINGS)
-def test_a_fit_is_the_same_within_settings_of_the_program(setting: Callable) -> None:
-    expected = brdf()
+def test_a_fit_is_the_same_within_settings_of_the_program(setting: Callable, expected: float) -> None:
     with setting():
-        assert brdf() == expected
         device, dtype = torch.get_default_device(), torch.get_default_dtype()
-    with setting():
+        assert brdf() == expected
         assert (torch.get_default_device(), torch.get_default_dtype()) == (device, dtype)
 
 
-def test_work_within_work_has_its_count_at_once() -> None:
+def test_work_within_work_and_what_fails_have_their_threads() -> None:
     with threads(None):
         with threads(1):
             assert torch.get_num_threads() == 1
             with threads(None):
                 assert torch.get_num_threads() == 1
         assert torch.get_num_threads() == 2
-    assert torch.get_num_threads() == 2
-
-
-def test_what_failed_holds_nothing() -> None:
     with pytest.raises(ZeroDivisionError), threads(1):
         raise ZeroDivisionError
     assert torch.get_num_threads() == 2
