@@ -86,6 +86,7 @@ def test_both_halves_and_prefixes_are_well_spread() -> None:
     assert abs(float(torch.corrcoef(torch.stack([order[:-1], order[1:]]))[0, 1])) < 0.05
 
 
+@pytest.mark.filterwarnings("ignore:.* times the light")
 def test_table_samples_are_measured_values(table: np.ndarray) -> None:
     data = task_of_table("measured", table, 8192, "").data
     bins = merl_index(data["angles"])
@@ -120,10 +121,9 @@ def invalid_but(*bins: slice | int) -> np.ndarray:
     ],
 )
 def test_what_gives_no_samples_is_one_line(material: Any, samples: int, message: str) -> None:
+    make = task_of_table if isinstance(material, np.ndarray) else brdf_task
     with pytest.raises(ValueError, match=message):
-        task_of_table("x", material, samples, "x") if isinstance(material, np.ndarray) else brdf_task(
-            "x", material, samples
-        )
+        make("x", material, samples=samples, source="x")
 
 
 def constant_network(folder: Path, reflectance: float) -> Path:
