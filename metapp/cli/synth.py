@@ -113,8 +113,6 @@ def _write_files(
     name: str, form: str, folder: Path | None, counts: dict[str, int], seed: int, *, overwrite: bool, quiet: bool
 ) -> Converted:
     """Write an embedded set in another form than shards."""
-    from metapp.storage.shards import only_writer
-
     forms = getattr(embedded_module(name), "FILES", {})
     if form not in forms:
         expected = ", ".join([SHARDS, *forms])
@@ -133,7 +131,7 @@ def _write_files(
         )
     names: dict[str, list[str]] = {}
     folder.mkdir(parents=True, exist_ok=True)
-    with only_writer(folder), progress(f"{form} files", sum(counts.values()), quiet=quiet) as bar:
+    with progress(f"{form} files", sum(counts.values()), quiet=quiet) as bar:
         for split, number in counts.items():
             names[split] = []
             for task in write(folder / split, split, number, seed):

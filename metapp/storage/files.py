@@ -153,7 +153,8 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if not error.errno or (error.filename and Path(str(error.filename)).parent != path.parent):
+        place = Path(str(error.filename or path)).parent
+        if not error.errno or (place != path.parent and not place.name.startswith(PARTIAL)):
             raise
         room = "free some space or choose another folder" if error.errno in _FULL else "choose another folder"
         named = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {room}.")
@@ -185,11 +186,11 @@ def partial_path(path: Path) -> Path:
 
 
 def remove_partial(path: Path) -> None:
-    """Remove what programs left of a file when they were killed; of those that still run, nothing."""
+    """Remove what programs left of a file or folder when they were killed; of those that still run, nothing."""
     for left in path.parent.glob(f"{PARTIAL}*-{glob.escape(path.name)}"):
         number = left.name.removeprefix(PARTIAL).split("-")[0]
         if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
-            left.unlink(missing_ok=True)
+            shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
 
 
 def _runs(process: int) -> bool:

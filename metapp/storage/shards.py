@@ -6,12 +6,12 @@ have written the files.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+import shutil
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -23,13 +23,13 @@ from safetensors.torch import save
 from metapp.learning.task import Task, TensorSpec, problems_of
 from metapp.storage import Document
 from metapp.storage.files import (
-    PARTIAL,
     entry_of,
     naming,
     open_regular,
     partial_path,
     read_bytes,
     read_tensors,
+    remove_partial,
     write_atomically,
 )
 
@@ -180,9 +180,9 @@ def split_auto(in_line: Iterable[str]) -> dict[str, str]:
 class ShardWriter:
     """Writes a data set, all or nothing: `with ShardWriter(folder, app, units) as writer: writer.add(task, "train")`.
 
-    Files are written under temporary names; only at the end do they get their own, and the manifest comes last. When
-    the block is left by an exception, the folder is as it was. A data set of the same application that was there is
-    replaced as a whole. One writer at a time per folder: it holds the folder's lock, and a second one is refused.
+    Files are written into a folder with a temporary name; only at the end do they move, and the manifest comes last.
+    When the block is left by an exception, the folder is as it was. With `overwrite` a data set of the same application
+    that was there is replaced as a whole.
 
     Args:
         folder: where; made if missing.
@@ -192,8 +192,8 @@ class ShardWriter:
         beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
 
     Raises:
-        ValueError: the folder is a file, holds another application's tasks, or another program is writing to it (on
-            entering); no task was added (on leaving).
+        ValueError: the folder is a file or holds another application's tasks (on entering); no task was added (on
+            leaving).
     """
 
     def __init__(
@@ -207,6 +207,7 @@ class ShardWriter:
         overwrite: bool = False,
     ) -> None:
         self.folder = Path(folder)
+        self._partial = partial_path(self.folder / "tasks")
         self._beside, self._overwrite = beside, overwrite
         self._manifest = Manifest(app, (), dict(units), dict(notes or {}))
         # A note that JSON cannot hold should be refused now, not after an hour of converting.
@@ -218,32 +219,18 @@ class ShardWriter:
         self._held: set[str] = set()  # names of tensors
         self._files = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the same name
         self._made: list[Path] = []
-        self._lock = contextlib.ExitStack()
 
     def __enter__(self) -> ShardWriter:
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"{self.folder}: a file, expected a folder to write to; choose another one.")
+        self._before()
+        remove_partial(self.folder / "tasks")
         self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(only_writer(self.folder))
-            before = self._replaced()
-            if before is not None and before.app != self._manifest.app:
-                raise ValueError(
-                    f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
-                    f"'{self._manifest.app}'; choose another folder."
-                )
-            if before is not None and not self._overwrite:
-                raise ValueError(
-                    f"{self.folder}: holds a data set of {len(before.tasks)} tasks, expected a new folder; add "
-                    "--overwrite to replace it."
-                )
-            self._remove_partial()  # of a writer that was killed
-            self._lock = stack.pop_all()
+        self._partial.mkdir(parents=True)
         return self
 
     def add(self, task: Task, split: str, source: str | Path = "") -> None:
-        """Write one task, under a temporary name.
+        """Write one task, into the temporary folder.
 
         Args:
             task: its tensors may live anywhere, in any layout; a name that another task has is refused.
@@ -273,13 +260,13 @@ class ShardWriter:
         payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
         file = _file_name(task.name, self._files)
         with naming(self.folder / file):
-            partial_path(self.folder / file).write_bytes(payload)
+            (self._partial / file).write_bytes(payload)
         self._files.add(file.lower())
         beside = ""
         if self._beside is not None:
             key, suffix = self._beside
             beside = file.removesuffix(SUFFIX) + suffix
-            partial_path(self.folder / beside).write_bytes(task.data[key].cpu().numpy().tobytes().rstrip() + b"\n")
+            (self._partial / beside).write_bytes(task.data[key].cpu().numpy().tobytes().rstrip() + b"\n")
             self._files.add(beside.lower())
         digest = hashlib.sha256(payload).hexdigest()
         base = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
@@ -296,73 +283,49 @@ class ShardWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._lock:
-            try:
-                if kind is None:
-                    self._publish()
-            finally:
-                self._remove_partial()
-                for path in self._made:
-                    if any(path.iterdir()):
-                        break
-                    path.rmdir()
+        try:
+            if kind is None:
+                self._publish()
+        finally:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            for path in self._made:
+                if any(path.iterdir()):
+                    break
+                path.rmdir()
 
     def _publish(self) -> None:
-        """Give all files their names, the manifest last; while there is no manifest, there is no data set."""
+        """Move all files to their place, the manifest last; while there is no manifest, there is no data set."""
         if not self._entries:
             raise ValueError(f"{self.folder}: 0 tasks to write, expected at least one.")
-        before = self._replaced()
+        before = self._before()
         units = {key: unit for key, unit in self._manifest.units.items() if key in self._held}
         text = to_json(self._manifest._replace(tasks=self.entries(), units=units))
         (self.folder / MANIFEST).unlink(missing_ok=True)
         for file in _files(self._entries):
-            os.replace(partial_path(self.folder / file), self.folder / file)
+            os.replace(self._partial / file, self.folder / file)
         if before is not None:
             for file in _files(before.tasks):
                 if file.lower() not in self._files:
                     (self.folder / file).unlink(missing_ok=True)
         write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
 
-    def _remove_partial(self) -> None:
-        for path in self.folder.glob(f"{PARTIAL}*"):
-            path.unlink(missing_ok=True)
-
-    def _replaced(self) -> Manifest | None:
-        """The manifest that is there; None if there is none, or none that can be read."""
+    def _before(self) -> Manifest | None:
+        """The manifest of the data set to replace; ValueError where that must stay."""
         try:
-            return read_manifest(self.folder)
-        except ValueError:
+            before = read_manifest(self.folder)
+        except ValueError:  # there is none
             return None
-
-
-@contextlib.contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder that data are written to: the kernel's, which ends with the process.
-
-    Only programs that ask for it, too, are kept out; on Windows nobody is.
-
-    Raises:
-        ValueError: another program holds it, or has removed the folder meanwhile.
-    """
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = os.path.samestat(os.fstat(descriptor), folder.stat())
-        except (BlockingIOError, FileNotFoundError):
-            held = False
-        if not held:
+        if before.app != self._manifest.app:
             raise ValueError(
-                f"{folder}: another program is writing data there; wait until it is done, or choose another folder."
+                f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
+                f"'{self._manifest.app}'; choose another folder."
             )
-        yield
-    finally:
-        os.close(descriptor)
+        if not self._overwrite:
+            raise ValueError(
+                f"{self.folder}: holds a data set of {len(before.tasks)} tasks, expected a new folder; add "
+                "--overwrite to replace it."
+            )
+        return before
 
 
 def read_shard(

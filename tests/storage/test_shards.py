@@ -149,7 +149,7 @@ def test_failure_while_publishing_leaves_no_manifest(tmp_path: Path, monkeypatch
 
 def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
     folder = make_shard(tmp_path, ("gold", "silver"))
-    (folder / ".partial-1-of-a-killed-writer").write_bytes(b"")
+    (folder / f".partial-{2**22 + 1}-x-tasks").mkdir()  # a number above the largest process id of Linux
     with pytest.raises(ValueError, match="holds a data set of 2 tasks, expected a new folder; add --overwrite"):
         make_shard(folder, ("gold", "tin"))
     assert check_shard(folder) != []  # what is not its own
