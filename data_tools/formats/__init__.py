@@ -13,7 +13,7 @@ class Converter:
     """The command `metapp data NAME` that converts files of the format NAME: its options are fields, its help the text.
 
     Attributes:
-        split_help: of --split, where files or names tell more than the general rule.
+        split_help: of --split, if files or names tell more than the general rule.
     """
 
     split_help: ClassVar[str] = (

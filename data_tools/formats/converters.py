@@ -80,7 +80,7 @@ class Images(Converter):
 class Flash(Converter):
     """Convert flash photographs of flat materials.
 
-    Of each the central square is taken, where the flash is, upright, scaled in linear light to --size, and kept as
+    Of each the central square is taken, around the flash, upright, scaled in linear light to --size, and kept as
     8-bit sRGB. Fits take the camera for one of 45 degrees along the shorter side: of a wider one, as EXIF or --fov
     tells, only the part within 45 degrees is taken. All photographs of a material belong to one split. A bad file that
     was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
@@ -118,7 +118,7 @@ class Flash(Converter):
 class Maps(Converter):
     """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
 
-    Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, where there are any, specular or
+    Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, if there are any, specular or
     metallic; any case and format. Colours of 8 or 16 bit are sRGB. Of each map the central square is taken, scaled to
     --size, and the photograph under a flash is rendered. A bad material is skipped with a warning.
 

@@ -25,7 +25,7 @@ Function = Callable[[np.ndarray, np.ndarray], object]
 
 
 def from_object(source: object, name: str, **_: object) -> Task:
-    """Make the task of a BRDF in memory, with phi_h where it is anisotropic.
+    """Make the task of a BRDF in memory, with phi_h if it is anisotropic.
 
     Args:
         source: f(wi, wo) -> reflectance in 1/sr without the cosine, linear RGB [N, 3] or gray [N], of float32 unit

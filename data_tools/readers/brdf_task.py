@@ -55,7 +55,7 @@ def brdf_task(
         evaluate: reflectance [..., 3] in 1/sr, linear RGB, of angles [..., 3 or 4] in rad.
         samples: N, 2 or more.
         seed: of the draws.
-        source: the file that errors name; the material's name where there is none.
+        source: the file that errors name; the material's name if there is none.
         azimuths: whether the material is anisotropic and takes phi_h, too, which is uniform.
         measured: samples in place of draws, angles [N, 3] and reflectance [N, 3]; pictures alone are evaluated.
 
@@ -145,7 +145,7 @@ def measured_task(
     azimuths: bool = False,
     measured: tuple[Tensor, Tensor] | None = None,
 ) -> Task:
-    """As `brdf_task`, of a file; warns where nothing is reflected, far too much, or more than comes in."""
+    """As `brdf_task`, of a file; warns if nothing is reflected, far too much, or more than comes in."""
     task = brdf_task(name, evaluate, samples, source=source, azimuths=azimuths, measured=measured)
     high = float(task.data["reflectance"].max())
     albedo = float(normal_albedo(evaluate, azimuths=azimuths).max())

@@ -37,7 +37,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:
-    """Photographs by what they show: in the splits that they state, where all state one and both occur.
+    """Photographs by what they show: in the splits that they state, if all state one and both occur.
 
     Raises:
         ValueError: a material with training and test photographs.

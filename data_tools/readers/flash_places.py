@@ -1,4 +1,4 @@
-"""Folders that say where camera and flash were for several photos of one flat material, by text files beside them."""
+"""Folders with the places of camera and flash for several photos of one flat material, by text files beside them."""
 
 from __future__ import annotations
 

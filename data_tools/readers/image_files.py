@@ -53,7 +53,7 @@ class Pixels(NamedTuple):
         values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
         space: encoding of the colours, by OpenColorIO's name.
         is_premultiplied: whether colours are multiplied by alpha.
-        focal_mm: focal length as of 35 mm film; 0 where the file does not say.
+        focal_mm: focal length as of 35 mm film; 0 if the file does not say.
     """
 
     values: Array
@@ -266,7 +266,7 @@ def _damaged(path: Path, error: Exception) -> str:
 
 
 def _description(profile: bytes | None) -> str:
-    """The name of an ICC profile; "" where it is damaged."""
+    """The name of an ICC profile; "" if it is damaged."""
     from PIL import ImageCms
 
     with contextlib.suppress(ImageCms.PyCMSError, OSError, TypeError):
@@ -276,7 +276,7 @@ def _description(profile: bytes | None) -> str:
 
 
 def focal_length_of(exif: bytes | None) -> float:
-    """The focal length in mm as of 35 mm film of an EXIF block; 0 where it does not say or is damaged."""
+    """The focal length in mm as of 35 mm film of an EXIF block; 0 if it does not say or is damaged."""
     from PIL import Image
 
     parsed = Image.Exif()

@@ -110,7 +110,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find HDR maps, as `find_files`; reading a named file says what is wrong with it."""
+    """Find HDR maps, as `find_files`; the error of a named file comes when it is read."""
 
     def fault(file: Path) -> str | None:
         if line := fault_of(file):

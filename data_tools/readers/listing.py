@@ -21,7 +21,7 @@ def find_files(
         check: raises ValueError for a named path that cannot be a file of the format.
         fault: of a file in a folder, the line why it is skipped; "" for a file of the format, None to say nothing.
         nothing: said of a folder without such a file.
-        likely: suffixes of the format; where a folder has only bad files of these, the fault of the first is said.
+        likely: suffixes of the format; if a folder has only bad files of these, the error names the fault of the first.
 
     Returns:
         The files, each once, those of a folder sorted; and the line of each skipped file.
@@ -49,7 +49,7 @@ def find_files(
 
 
 def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple[list[Path], list[str]]:
-    """As `find_files`, by suffix (with its dot) alone; `what` such files are, for errors."""
+    """As `find_files`, by suffix (with its dot) alone; `what` is their noun in errors."""
 
     def check(path: Path) -> None:
         if not path.is_file() or path.suffix != suffix:
@@ -75,7 +75,7 @@ def any_passes(path: Path, suffix: str, test: Callable[[Path], bool]) -> bool:
 
 
 def files_of(path: str | Path, suffix: str = "") -> list[Path]:
-    """A file itself; the `files_below` a folder; [] where there is nothing."""
+    """A file itself; the `files_below` a folder; [] if there is nothing."""
     path = Path(path)
     return files_below(path, suffix) if path.is_dir() else [path] if path.is_file() else []
 

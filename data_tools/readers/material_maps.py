@@ -4,7 +4,7 @@ A file is called after its material and its role, such as `rock_diff_4k.jpg`, `R
 a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
 maps are data.
 
-Roughness is 1 - gloss where there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
+Roughness is 1 - gloss if there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
 base m, a specular map being left aside, but for a diffuse map beside the base colour, as in metapp's asset folders.
 Without both, specular is 0.04.
 
@@ -195,7 +195,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
         size: side in px; of each map the central square counts.
         normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else as a height field
             could have it, up if that is not clear.
-        least: as of `photo_of`, where all maps are smaller.
+        least: as of `photo_of`, if all maps are smaller.
 
     Raises:
         ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
@@ -302,7 +302,7 @@ def _choose(material: Material) -> dict[str, Path]:
 
 
 def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
-    """The maps without those of the metallic workflow where those of both are there, as in our asset folders."""
+    """The maps without those of the metallic workflow if those of both are there, as in our asset folders."""
 
     def last_word(file: Path) -> str:
         words = [word.group() for word in _WORD.finditer(file.stem) if not _RESOLUTION.fullmatch(word.group())]
@@ -329,7 +329,7 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
 
 
 def _check_shapes(material: Material, files: Mapping[str, Path], shapes: Mapping[str, tuple[int, int]]) -> None:
-    """Sizes may differ; what is not as wide for its height does not lie over the rest."""
+    """Sizes may differ, but not the ratio of width to height."""
     ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
     low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
     if ratios[high] - ratios[low] > _SAME_SHAPE:

@@ -48,12 +48,12 @@ class Pairs(NamedTuple):
 def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
     """Measurements above the surface as a BRDF task; `source` is the file that errors name.
 
-    The samples are the measurements, in random order, half of them for fits to see; where there are FEW at most, fits
+    The samples are the measurements, in random order, half of them for fits to see; of FEW at most, fits
     see all of them. Those of the same half and difference angles, to 1e-5 rad, are averaged, since a held-out sample
     must not have been seen. There is no picture of a sphere: it would be interpolated, and no reference.
 
     Returns:
-        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, float32; phi_h [N] where that counts, as
+        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, float32; phi_h [N] if that counts, as
         `depends_on_azimuth` says.
 
     Raises:
@@ -102,7 +102,7 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
 
 
 def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
-    """The same with one mean value where several are of the same angles."""
+    """The measurements with one mean value for those of the same angles."""
     places = (angles * 1e5).round().long()
     places -= places.amin(0)
     key = places[:, 0]

@@ -145,7 +145,7 @@ def write_merl(path: str | Path, table: Array) -> None:
 
 
 def _check_file(path: Path) -> None:
-    """Refuse what is not a MERL file by its size and header."""
+    """Refuse a file that is not MERL's by its size and header."""
     if problem := _problem(path):
         raise ValueError(problem)
 
@@ -207,7 +207,7 @@ def merl_index(angles: Tensor) -> Tensor:
 def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
     """Reflectance [..., 3] of a table [90, 90, 180, 3], interpolated linearly in angles [..., 3] rad, of their type.
 
-    Invalid entries are left out and the rest weighs more; where all eight are invalid the result is 0. phi_d is
+    Invalid entries are left out and the rest weighs more; if all eight are invalid the result is 0. phi_d is
     periodic; beyond the outermost centres of theta_h and theta_d the outermost value holds. A float32 table is fastest.
     """
     flat = torch.as_tensor(table, device=angles.device).reshape(-1, 3)

@@ -40,7 +40,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     """Find networks by the names of their files, in folders at any depth (hidden ones left out).
 
     Returns:
-        The places of networks, each once, those of a folder sorted: a network's folder, or folder/name where its files
+        The places of networks, each once, those of a folder sorted: a network's folder, or folder/name if its files
         have a name in front. And a line for each network of a folder that lacks files.
 
     Raises:
@@ -135,7 +135,7 @@ def _networks(files: Iterable[Path]) -> dict[Path, dict[str, Path]]:
 
 
 def _files_of(network: Path) -> dict[str, Path]:
-    """The files of one network by part; ValueError where some are missing, or a folder has several networks."""
+    """The files of one network by part; ValueError if some are missing, or a folder has several networks."""
     if network.is_dir():
         # a pipe would be waited for
         networks = _networks(sorted(file for file in network.iterdir() if file.is_file()))

@@ -50,7 +50,7 @@ Floats = NDArray[np.floating]
 
 
 def find_photos(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find image files, as `find_files`; reading a named file says what is wrong with it."""
+    """Find image files, as `find_files`; the error of a named file comes when it is read."""
     nothing = f"no image in this folder, {EXPECTED}; name the folder of the photographs."
     return find_files(paths, check_exists, fault_of, nothing, NAMED)
 
@@ -98,14 +98,14 @@ def photo_of(
     """The central square of a picture.
 
     Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.
-    Where it is transparent it gets the mean colour of the rest. A gray one gets three equal channels.
+    Transparent px get the mean colour of the rest. A gray one gets three equal channels.
 
     Args:
         whole: the picture.
         name: begins errors.
         size: side of the result in px.
         fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
-        within_rad: of a camera with a wider field, only what is within this one counts; 0: all of it.
+        within_rad: of a camera with a wider field, only the part within this one counts; 0: all of it.
         least: the side that smaller pictures than `size` are enlarged to, if at all; 0: `size`.
 
     Returns:

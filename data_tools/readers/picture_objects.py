@@ -1,4 +1,4 @@
-"""Pictures, maps of materials and light in memory as tasks, by what readers make of a file once it is decoded.
+"""Pictures, maps of materials and light in memory as tasks, as readers make them of decoded files.
 
 Pictures are of PIL, or arrays or tensors [H, W, 3] or gray [H, W], rows from the top. Integers of 8 or 16 bits are
 sRGB, floating-point values display values in [0, 1].

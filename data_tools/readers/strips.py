@@ -59,9 +59,9 @@ def read_task(
     predicted: Path | None = None,
     least: int = 0,
 ) -> Task:
-    """A strip as a task with the maps and the photograph that it holds, and `predicted` maps where there is a folder.
+    """A strip as a task with the maps and the photograph that it holds, and `predicted` maps if there is a folder.
 
-    Where these have fewer px than the strip's tiles they show the middle of them, and so does then the task.
+    If these have fewer px than the strip's tiles they show the middle of them, and so does then the task.
 
     Args:
         path: the file.
@@ -69,7 +69,7 @@ def read_task(
         gamma: all tiles but the normals are encoded so; 1 is linear.
         white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
             where it is clipped.
-        predicted: a folder of predicted maps, of the strip's stem or what is before its first `;`.
+        predicted: a folder of predicted maps, of the strip's stem or its part before the first `;`.
         least: as of `photo_of`.
 
     Raises:
@@ -123,12 +123,12 @@ def _finite(file: Path, pixels: Pixels) -> Floats:
 
 
 def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, specular: Tensor) -> Tensor:
-    """Maps [10, S, S] of what images hold, [3, S, S] each; errors name the source."""
+    """Maps [10, S, S] of images, [3, S, S] each; errors name the source."""
     return pack(Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, source)))
 
 
 def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
-    """Strips by what they blend; with a split by it, which warnings tell, those that blend both sides are left out."""
+    """Strips by the materials that they blend; with a split by it those of both sides are left out."""
     groups = group_strips(sources)
     sides, by = split_strips(sources) if split == AUTO else (dict.fromkeys(sources, ""), "")
     if by == "preset":
@@ -190,7 +190,7 @@ def blend(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
 
 
 def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
-    """The groups of strips: components that share base materials, where these are _FEW or more, else single blends."""
+    """The groups of strips: components that share base materials, if these are _FEW or more, else single blends."""
     components = _components({strip: blend(strip)[0] for strip in strips})
     if len(set(components.values())) >= _FEW:
         return components
@@ -198,9 +198,9 @@ def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
 
 
 def split_strips(strips: Sequence[Path]) -> tuple[dict[Path, str], str]:
-    """The sides, "train" or "test", of strips, so that nothing they are made of is on both; and what is parted.
+    """The sides, "train" or "test", of strips, so that no material of theirs is on both; and what the split is by.
 
-    That is "material", or "preset" where base materials cannot be parted. Of _FEW components of strips that share base
+    That is "material", or "preset" if base materials cannot be parted. Of _FEW components of strips that share base
     materials, or more, every fifth is for tests, the largest first in line. Fewer are cut: test strips, of test
     materials alone, are a fifth or more and no more than training strips, and fewest are left out, of both. Where no
     choice does that, presets are parted; where none of these, all train.

@@ -46,7 +46,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
 
     Args:
         path: the file.
-        size: side in px; where it is more than 256, of files as fine as that alone.
+        size: side in px; above 256 only of files as fine as that.
         fov_rad: of a photograph's camera, as of `photo_of`.
         stops: by which a photograph is too bright.
 
@@ -69,7 +69,7 @@ def photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: floa
 
 
 def _is_elsewhere(file: Path, folders: Collection[Path]) -> bool:
-    """True for a file that is not below these folders, where pictures of what was found may lie."""
+    """True for a file that is not below these folders, which may hold its pictures."""
     return not any(parent in folders for parent in file.parents)
 
 

@@ -46,7 +46,7 @@ def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.
 
 
 def rightly_exposed(photo: Tensor, stops: float) -> Tensor:
-    """A photograph, uint8 sRGB [..., 3, H, W], that is too bright by so many stops; where it clips it stays white."""
+    """A photograph, uint8 sRGB [..., 3, H, W], that is too bright by so many stops; clipped px stay white."""
     if not stops:
         return photo
     radiance = srgb_to_linear(photo.float() / 255)
@@ -60,12 +60,12 @@ def encoded(radiance: Tensor) -> Tensor:
 
 
 def task_name(stem: str) -> str:
-    """A file's stem as a name that is a plain file name, too: what is no letter, digit, dot or hyphen becomes `_`."""
+    """A file's stem as a plain file name: other characters than letters, digits, dots and hyphens become `_`."""
     return re.sub(r"[^\w.-]", "_", stem).lstrip(".") or "material"
 
 
 def unit_normals(stored: Tensor, source: Path) -> Tensor:
-    """Normals [3, H, W] of unit length, z > 0, of an image in [0, 1], where 0.5 is 0.
+    """Normals [3, H, W] of unit length, z > 0, of an image in [0, 1], whose 0.5 is 0.
 
     Raises:
         ValueError: they do not point out of the surface.

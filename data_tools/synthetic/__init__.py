@@ -1,1 +1,1 @@
-"""The embedded data sets, one module an application, and what they are drawn from."""
+"""The embedded data sets, one module an application, and the models that they are drawn from."""

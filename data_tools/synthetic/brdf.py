@@ -1,6 +1,6 @@
 """The default BRDF set: isotropic materials from reflection models, drawn to be as varied as a measured set.
 
-Every material is reciprocal, non-negative and reflects at most what it receives. Families take turns, so any count
+Every material is reciprocal, non-negative and reflects no more than it receives. Families take turns, so any count
 holds a mix of them; within a family, hue, roughness and lightness follow a low-discrepancy sequence, so a small set
 still covers the range. Random numbers are PCG64's raw uniforms, the same on every machine.
 """

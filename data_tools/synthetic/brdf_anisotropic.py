@@ -1,6 +1,6 @@
 """Synthetic anisotropic BRDFs: metals, plastics, brushed metals, cloths, each laid down at a random azimuth.
 
-As those of `data_tools.synthetic.brdf` they are reciprocal, non-negative and reflect at most what they receive. The
+As those of `data_tools.synthetic.brdf` they are reciprocal, non-negative and reflect no more than they receive. The
 test split has two families that the training split lacks: Ashikhmin and Shirley's metals, and inclined fibres.
 """
 

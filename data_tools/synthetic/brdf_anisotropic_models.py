@@ -1,6 +1,6 @@
 """Anisotropic reflection models: reciprocal, energy conserving, of unit vectors above the surface.
 
-Directions are [..., 3] in the local frame, z the normal; x is along what a roughness calls `first`.
+Directions are [..., 3] in the local frame, z the normal; x is along the `first` axis of a roughness.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the materials of both synthetic BRDF sets, isotropic and anisotropic ones, are drawn with."""
+"""Random draws of both synthetic BRDF sets, isotropic and anisotropic."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Material(NamedTuple):
     """One material.
 
     Attributes:
-        name: family, what it is, and a number that is unique within the split ("t" before it: test).
+        name: family, description, and a number that is unique within the split ("t" before it: test).
         evaluate: BRDF [..., 3] in 1/sr, linear RGB, >= 0, of angles [..., 3] in rad; 0 below the horizon.
     """
 
@@ -65,7 +65,7 @@ class Draws:
 
 
 def colour_name(linear_rgb: Rgb) -> str:
-    """What to call a colour: a hue, or black, grey or white."""
+    """The name of a colour: a hue, or black, grey or white."""
     hue, saturation, value = colorsys.rgb_to_hsv(*(channel ** (1 / 2.2) for channel in linear_rgb))
     if value < 0.22:
         return "black"
@@ -77,5 +77,5 @@ def colour_name(linear_rgb: Rgb) -> str:
 
 
 def roughness_name(alpha: float) -> str:
-    """What to call a roughness."""
+    """The name of a roughness."""
     return "polished" if alpha < 0.07 else "satin" if alpha < 0.16 else "brushed" if alpha < 0.32 else "rough"

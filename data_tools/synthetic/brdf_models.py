@@ -118,10 +118,10 @@ def conductor(eta: Rgb, k: Rgb, alpha: float, kind: MicrofacetKind) -> Model:
 
 
 def coated(base: Model, alpha: float, kind: MicrofacetKind, eta: float = 1.5) -> Model:
-    """A rough dielectric interface over another model, which gets what the interface lets through, twice.
+    """A rough dielectric interface over another model, which gets the light that the interface lets through, twice.
 
     Args:
-        base: what is under the coat, in terms of the directions outside it.
+        base: the model under the coat, in terms of the directions outside it.
         alpha: roughness of the coat.
         kind: its facets.
         eta: its index of refraction.
@@ -160,7 +160,7 @@ def plastic(albedo: Rgb, alpha: float, kind: MicrofacetKind, eta: float = 1.49) 
 
 
 def absorbing_layer(base: Model, tint: Rgb, eta: float = 1.5) -> Model:
-    """A clear coloured layer over a model: `tint` is what passes on a straight way in and out, in (0, 1]."""
+    """A clear coloured layer over a model: `tint` is the transmittance of a straight way in and out, in (0, 1]."""
 
     def model(at: Cosines) -> Tensor:
         ways = [(1 - (1 - cos * cos) / eta**2).rsqrt() for cos in (at.incident, at.outgoing)]
@@ -182,8 +182,8 @@ def sheen(base: Model, colour: Rgb, roughness: float) -> Model:
     """Fibres standing on a base: Estevez and Kulla's "Charlie" (2017) with Neubelt and Pettineo's visibility.
 
     Args:
-        base: what is under the fibres; it gets what they let through, both ways.
-        colour: of the fibres; where they would reflect more than 0.7 of the light they are dimmed.
+        base: the model under the fibres; it gets the light that they let through, both ways.
+        colour: of the fibres, dimmed so that they reflect at most 0.7 of the light.
         roughness: in (0, 1]; lower draws the sheen to the rim.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What the sets draw from random numbers of `data_tools.draws.stream`."""
+"""Draws of the sets, by random numbers of `data_tools.draws.stream`."""
 
 from __future__ import annotations
 

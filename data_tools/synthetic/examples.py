@@ -34,9 +34,9 @@ class Example(NamedTuple):
     """The example inputs of an application.
 
     Attributes:
-        files: their names; the first is what fits take without other options than `observe`.
+        files: their names; fits take the first without other options than `observe`.
         write: writes them at these paths.
-        observe: what fits may see of the first, where that must be told: the option --observe.
+        observe: the option --observe for the first; "" for the default.
     """
 
     files: tuple[str, ...]
@@ -111,7 +111,7 @@ def _drawn(module: ModuleType, family: str, key: str, seed: int) -> Tensor:
 
 
 def _write_illumination(map_file: Path, ball_file: Path) -> None:
-    """A courtyard, and a mirror ball in it as a phone shows it: what is brightest is clipped."""
+    """A courtyard, and a mirror ball in it as a phone shows it: the brightest px are clipped."""
     light = illumination.environment(illumination.FAMILIES["courtyard"], stream(_SEED, 1), rows=_ROWS)
     write_exr(light.permute(1, 2, 0), map_file)
     places = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2

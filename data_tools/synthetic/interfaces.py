@@ -1,4 +1,4 @@
-"""Smooth and rough interfaces: what they reflect by Fresnel's equations, and how much light they pass on.
+"""Smooth and rough interfaces: reflectance by Fresnel's equations, and transmittance.
 
 Everything takes any leading axes, dtype and device; cosines are with the surface normal unless said otherwise.
 """
@@ -80,7 +80,7 @@ def _visible_facets(cos: Tensor, alpha: float, kind: MicrofacetKind) -> tuple[Te
 def rough_reflectance(cos: Tensor, alpha: float, fresnel: Fresnel, kind: MicrofacetKind = "ggx") -> Tensor:
     """Share of the light from one direction that a microfacet lobe reflects, by quadrature over facet normals.
 
-    With `fresnel_dielectric` of eta > 1 this is what a rough coat reflects; of eta < 1, what it keeps inside.
+    With `fresnel_dielectric` of eta > 1 this is the reflectance of a rough coat; of eta < 1, the share it keeps inside.
 
     Args:
         cos: cosines of the direction, [...], in (0, 1].
@@ -107,7 +107,7 @@ def rough_transmittance(cos: Tensor, alpha: float, eta: float, kind: MicrofacetK
         kind: "ggx" or "beckmann".
 
     Returns:
-        Transmittance [...] in [0, 1]; with `rough_reflectance` less than 1 in sum, by what facets mask.
+        Transmittance [...] in [0, 1]; with `rough_reflectance` less than 1 in sum, by the masking of facets.
     """
     cos_h, cos_d, weights = _visible_facets(cos, alpha, kind)
     refracted = (1 - (1 - cos_d * cos_d) / (eta * eta)).clamp_min(0).sqrt()

@@ -1,7 +1,7 @@
-"""The default set of non-stationary svBRDFs: procedural patches of several materials and what happened to them.
+"""The default set of non-stationary svBRDFs: procedural patches of several materials, weathered.
 
 Families take turns, so any count of 19 or more holds them all; every draw is another patch. Training and test draws
-come from other random streams. Maps cover what most libraries of materials hold little of: bare metals in colour,
+come from other random streams. Maps cover kinds that most libraries of materials hold little of: bare metals in colour,
 roughness from 0.1 to 0.95 within one patch, strong relief beside none. Photographs are as people take them: in most the
 flash is not quite beside the lens.
 """
@@ -122,7 +122,7 @@ def _further(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Te
 
 
 def held(rng: Rng) -> tuple[Tensor, float]:
-    """Where somebody holds the flash, [3] as `metapp.appearance.flash.render` has it, and its intensity."""
+    """The position of the flash, [3] as `metapp.appearance.flash.render` has it, and its intensity."""
     apart = rng.normal(size=4) * (rng.random() >= BESIDE_LENS)
     aside, higher, brighter = apart[:2] * ASIDE, np.exp(apart[2] * HIGHER), np.exp(apart[3] * BRIGHTER)
     place = torch.tensor([*aside, float(camera()[2]) * higher], dtype=torch.float32)

@@ -12,8 +12,8 @@ from torch.autograd.function import once_differentiable
 
 from metapp.learning.task import Params
 
-AnyData = Any  # what a loss draws from: tasks, most often
-AnyBatch = Any  # what it draws: tensors by name, or a tuple of such
+AnyData = Any  # the source of a loss's samples: tasks, most often
+AnyBatch = Any  # its samples: tensors by name, or a tuple of such
 RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
 
 
@@ -26,13 +26,13 @@ class Draw(NamedTuple):
 
 @dataclass(frozen=True)
 class Loss:
-    """Alg. 2 in two halves, so that the random one stays outside of what is differentiated and compiled.
+    """Alg. 2 in two halves, so that the random one stays outside of all that is differentiated and compiled.
 
     Attributes:
         draw: (data, rng, done) -> Draw; all randomness is here; rng is a generator, or one for each task (`draws`);
             done is the share of the descent's steps that were taken, in [0, 1]: at 1 all of the data is drawn from.
         value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
-        shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
+        shared: True if all tasks share the parameters (the descent follows the mean over tasks), False if
             each task has its own (it follows the sum, which moves each as if it were alone).
     """
 

@@ -24,23 +24,23 @@ class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
     All methods but those of pictures are batched over tasks: parameters and batches have a leading task axis T.
-    Abstract methods are what every application has; the others have defaults that do nothing, or leave it to the
+    Every application has the abstract methods; the others have defaults that do nothing, or leave it to the
     network. A recipe holds an application, with all sizes as its fields; two with the same fields are equal.
 
     Attributes:
-        network: the network of one task, which has `init`; None where the application has that itself.
-        protocol: what a fit may see, one of the values of --observe; "" where there is but one.
+        network: the network of one task, which has `init`; None if the application has that itself.
+        protocol: the part of a task that a fit may see, a value of --observe; "" if there is but one.
         size: height and width of `pictures`, px; None for the application's own choice.
         name: as on the command line.
         title: as in tables.
-        measure: what the error is, in one line.
-        measures: further errors whose means tables state: what they are, by their names in records.
-        logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
-        tensors: what each task must hold, by the tensor's name.
-        scale: factor of errors in records and tables; 100 where the paper prints x100.
-        single_threaded: True where threads and GPUs only slow down the fit of one task.
-        compiles: True where compiling the inner step pays in training.
-        deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
+        measure: the error, in one line.
+        measures: further errors whose means tables state, each in one line, by their names in records.
+        logarithmic: True if the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
+        tensors: of each task, by the tensor's name.
+        scale: factor of errors in records and tables; 100 if the paper prints x100.
+        single_threaded: True if threads and GPUs only slow down the fit of one task.
+        compiles: True if compiling the inner step pays in training.
+        deterministic: True if nothing that a fit sees is drawn at random, so that one fit says what two would.
     """
 
     network: Any = None
@@ -69,12 +69,12 @@ class App(ABC):
 
     @property
     def periodic(self) -> bool:
-        """True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge."""
+        """True if the columns of parameters on a grid, those of three axes, go on at the grid's other edge."""
         return False
 
     @property
     def cheap_fits(self) -> bool:
-        """True where a search can afford to fit all validation tasks."""
+        """True if a search can afford to fit all validation tasks."""
         return False
 
     @property
@@ -89,7 +89,7 @@ class App(ABC):
 
     @property
     def linear_parameter(self) -> str:
-        """The parameter [C, F] that the network is linear in; "" where there is none."""
+        """The parameter [C, F] that the network is linear in; "" if there is none."""
         return ""
 
     def conditions(self) -> dict[str, str]:
@@ -110,7 +110,7 @@ class App(ABC):
         return theta
 
     def known(self, tasks: Tasks) -> Params:
-        """The parameters that tasks give themselves, [T, ...]: what no step moves, or first values."""
+        """The parameters that tasks give themselves, [T, ...]: constants of the steps, or first values."""
         return {}
 
     @abstractmethod
@@ -138,7 +138,7 @@ class App(ABC):
         return self.sample(tasks, rng, count)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The outer loss of each fit, [T]: that of fits, where training tasks know no more than a fit may see."""
+        """The outer loss of each fit, [T]: the inner loss, if training tasks hold no more than a fit may see."""
         return self.loss(theta, batch, learned)
 
     def init_encoder(self, rng: Generator) -> Params:
@@ -167,20 +167,20 @@ class App(ABC):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled.
 
-        Empty where the tasks hold no reference.
+        Empty if the tasks hold no reference.
         """
 
     def errors_of(self, answer: Answer, tasks: Tasks) -> dict[str, Tensor]:
         """The same measures of an answer that need not come from the network, as those of baselines do not.
 
         Args:
-            answer: what `errors` makes of parameters before it measures; the application says what that is.
+            answer: as `errors` makes it of parameters before it measures; each application has its own.
             tasks: as of `errors`.
         """
         raise NotImplementedError
 
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """The faults of the fit of each task that show without a reference, in short clauses; [] where nothing is."""
+        """The faults of the fit of each task that show without a reference, in short clauses; [] if none does."""
         return [[] for _ in range(len(tasks))]
 
     def remarks(self, task: Task, theta: Params) -> Mapping[str, object]:
@@ -191,7 +191,7 @@ class App(ABC):
         return {}
 
     def evaluated(self, theta: Params, task: Task) -> Task | None:
-        """The task that a fit reproduces without error, for another network to learn; None where there is but one."""
+        """The task that a fit reproduces without error, for another network to learn; None if there is but one."""
         return None
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor | None:
@@ -207,16 +207,16 @@ class App(ABC):
 
     @property
     def image_measure(self) -> str:
-        """What `image_errors` are of, in one line; "" where there are none."""
+        """The pictures of `image_errors`, in one line; "" if there are none."""
         return ""
 
     def size_refusal(self, height: int, width: int) -> str:
-        """Why `pictures` cannot be of a size; "" where they can."""
+        """The reason that `pictures` cannot be of a size; "" if they can."""
         return "has files of one size; leave it out"
 
     @abstractmethod
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Linear RGB pictures [H, W, 3 or 4] of a fit and, where there is one, its `reference`, by name."""
+        """Linear RGB pictures [H, W, 3 or 4] of a fit and its `reference`, if there is one, by name."""
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The files that a fit makes for its user, by the file's name without its ending."""
@@ -236,11 +236,11 @@ class App(ABC):
         return {} if surface is None else surface.linear_maps()
 
     def once(self, theta: Params, task: Task, make: Callable[[], Made]) -> Made:
-        """The source of both `pictures` and `surface`, made once where they are asked for the same fit in turn.
+        """The source of both `pictures` and `surface`, made once if they are asked for the same fit in turn.
 
         Args:
             theta: the fit; other mappings and tasks count as others, whatever is in them.
-            task: what was fitted.
+            task: of the fit.
             make: makes it, of `size`.
         """
         last: tuple[Params, Task, Made] = self._last  # type: ignore[attr-defined]
@@ -251,19 +251,19 @@ class App(ABC):
         return last[2]
 
     def compared(self, theta: Params, task: Task) -> Compared | None:
-        """Pictures that extensions measure, where there is a reference."""
+        """Pictures that extensions measure, if there is a reference."""
         return None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
 
         There may be further names, of pictures that are made without any fit; `pictures.REFERENCE` is of the
-        references' own error. Of SSIM more is better, of others less. Empty where there are none.
+        references' own error. Of SSIM more is better, of others less. Empty if there are none.
         """
         return {}
 
     def visible(self, task: Task) -> Visible | None:
-        """The amount that a fit may see of a task; None where the application does not say."""
+        """The amount that a fit may see of a task; None if the application does not say."""
         return None
 
 
@@ -291,7 +291,7 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
 
 
 def _stack(tensors: list[Tensor], device: torch.device | str) -> Tensor:
-    """Stack, or share one copy where all are the same tensor, as sample positions of a data set often are."""
+    """Stack, or share one copy if all are the same tensor, as sample positions of a data set often are."""
     first = tensors[0]
     if all(torch.equal(first, other) for other in tensors[1:]):
         return first.to(device).expand(len(tensors), *first.shape)

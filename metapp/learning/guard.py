@@ -1,7 +1,7 @@
 """The guard of learned rules: a fit that fails goes on by a plain Adam.
 
 A learned rule promises nothing on a task unlike those that it was trained on. Safeguarded learned optimisation (Heaton
-et al. 2023) keeps a learned step where the loss falls, and falls back to a plain one where it does not.
+et al. 2023) keeps a learned step if the loss falls, and falls back to a plain one where it does not.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def descend_guarded(
         rng: source of the rule's draws, one for all tasks or one for each; the guard draws from copies.
         guard: which fits are doubtful, and their Adam.
         steps: number of the rule's steps, and of Adam's.
-        steps_of: what takes the steps.
+        steps_of: maker of the steps.
 
     Yields:
         The rule's steps, then one more with the result.
@@ -91,7 +91,7 @@ def _rises(losses: list[Tensor], factor: float) -> Tensor:
 
 
 def _lower(theta: Params, loss: Tensor, other: Params, other_loss: Tensor) -> tuple[Params, Tensor]:
-    """The parameters and loss [T] of the lower loss, task by task; the first where they are equal."""
+    """The parameters and loss [T] of the lower loss, task by task; the first if they are equal."""
     wins = other_loss < loss
     lower = {key: torch.where(append_axes(wins, value), other[key], value) for key, value in theta.items()}
     return lower, torch.where(wins, other_loss, loss)

@@ -52,7 +52,7 @@ class MetaParameters(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Where a descent is, between two steps: with the state of its generator, all that the rest depends on.
+    """The state of a descent between two steps: with the state of its generator, all that the rest depends on.
 
     Attributes:
         step: steps that were taken.
@@ -60,7 +60,7 @@ class Step(NamedTuple):
         state: the rule's own, as the steps have it.
         loss: of each task before the last step, [T], detached; None before the first.
         names: of the tasks that the last step saw.
-        guarded: bool [T]: where the guard replaced what the rule gave (`guard`); None where there is no guard.
+        guarded: bool [T], True for tasks whose fit is not the rule's but the guard's (`guard`); None without a guard.
     """
 
     step: int
@@ -85,17 +85,17 @@ def descend(
     """Descend a loss from an initialisation by a rule (alg. 1), one step at a time.
 
     Args:
-        params: the initialisation; tensors [T, ...] where each task has its own.
+        params: the initialisation; tensors [T, ...] if each task has its own.
         rule: the update rule.
         data: whatever the loss draws from.
-        loss: what to descend.
+        loss: to descend.
         steps: number of steps.
         rng: source of all random draws; one for all tasks, or one for each.
-        since: where an earlier descent by the same steps was, to go on from; `rng` must be in its state of then.
-        steps_of: what takes the steps.
+        since: the state of an earlier descent by the same steps, to go on from; `rng` must be in its state of then.
+        steps_of: maker of the steps.
 
     Yields:
-        Where it is before the first step, and after each; nothing is drawn for a step before it is asked for.
+        The state before the first step, and after each; nothing is drawn for a step before it is asked for.
     """
     theta = {key: value.detach() for key, value in params.items()}
     by = steps_of(rule, loss, theta, 1)
@@ -112,7 +112,7 @@ def check_finite(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
     """The same descent; the losses of some steps, of the first and of the last must be finite.
 
     Args:
-        descent: what yields each step.
+        descent: as `descend` yields it.
         every: steps between two checks; 0: the first alone.
 
     Raises:
@@ -242,7 +242,7 @@ def after_learning(
     outer_loss: Loss | None = None,
     steps_of: StepsOf = torch_steps,
 ) -> Loss:
-    """Lift a loss on theta to a loss on phi: what is left after learning from phi's theta by phi's rule (alg. 3).
+    """Lift a loss on theta to a loss on phi: the loss after learning from phi's theta by phi's rule (alg. 3).
 
     Args:
         loss: the loss that the inner steps descend.
@@ -250,9 +250,9 @@ def after_learning(
         steps: inner steps.
         order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
         clip: each task's gradient, over all of phi, is scaled down to this norm.
-        encoding: where phi holds an encoder, whose predictions are the initialisations.
-        outer_loss: the loss of the final theta, where that is not `loss` itself.
-        steps_of: what takes the inner steps, and evaluates the loss of the final theta.
+        encoding: the encoder of phi, if its predictions are the initialisations.
+        outer_loss: the loss of the final theta; None for `loss` itself.
+        steps_of: maker of the inner steps, and of the loss of the final theta.
 
     Returns:
         A loss on the flat tree of MetaParameters, on all of the data however far the outer loop is.

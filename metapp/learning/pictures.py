@@ -32,7 +32,7 @@ class Rendered(NamedTuple):
 
     Attributes:
         files: by the file's name without its ending.
-        lines: what to say of them.
+        lines: remarks on them, to be printed.
     """
 
     files: dict[str, Picture]
@@ -40,7 +40,7 @@ class Rendered(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """Pictures of a fit and what they should be: display values [B, 3, H, W] in [0, 1].
+    """Pictures of a fit and their references: display values [B, 3, H, W] in [0, 1].
 
     The bool `mask` [H, W] says which pixels count; None: all.
     """
@@ -54,7 +54,7 @@ class Visible(NamedTuple):
     """The part of a task that a fit may see.
 
     Attributes:
-        samples: how many it draws from; 1 where each step sees all there is.
+        samples: how many it draws from; 1 if each step sees all there is.
         size: bytes of one, as data sets keep it.
         encoder: samples that General's encoder reads of these.
     """

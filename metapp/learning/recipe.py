@@ -27,10 +27,10 @@ class Guard:
 
     Attributes:
         adam: the fallback, which continues a doubtful fit for as many steps again, from its end or its initialisation.
-        fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 where
+        fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 if
             losses may be negative.
         rise: and one whose loss rises in the second half of the steps above so many times its lowest so far; infinite
-            where losses of different steps do not compare, as other samples or learned loss parameters change them.
+            if losses of different steps do not compare, as other samples or learned loss parameters change them.
     """
 
     adam: Adam
@@ -79,7 +79,7 @@ class MetaTraining(OuterLoop):
             begins each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
             the same for an encoder that nothing has trained before.
         app: the application with this rule's own network; None for the recipe's.
-        guard: which fits by the rule are doubtful, by what validation tasks show; None: those that end above their
+        guard: which fits by the rule are doubtful, as validation tasks show; None: those that end above their
             initialisation.
     """
 
@@ -140,9 +140,9 @@ def as_published(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     which has no clip: here it takes rare spikes of the gradient.
 
     Args:
-        recipe: what it is like in all else.
+        recipe: all else.
         app: with the paper's network.
-        changes: fields of the training where it is not of first order with a meta-batch of 5.
+        changes: fields of the training if it is not of first order with a meta-batch of 5.
     """
     training = MetaTraining(
         steps=1_000_000,

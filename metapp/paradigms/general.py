@@ -34,7 +34,7 @@ class General(Paradigm):
         return self.recipe.general
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """The encoder's prediction; where steps follow, beside it the parameters that tasks give themselves."""
+        """The encoder's prediction; if steps follow, with the parameters that tasks give themselves."""
         return (self.app.known(tasks) if self.recipe_steps else {}) | predict(self.app, phi, tasks, rng)
 
     def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:

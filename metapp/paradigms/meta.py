@@ -110,7 +110,7 @@ class Meta(Paradigm):
         return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | settled).items()})
 
     def _with_gradients(self, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
-        """phi with what parts of its rule, if any, take from the gradients of fits of training tasks."""
+        """phi with the values that parts of its rule, if any, take from the gradients of fits of training tasks."""
         learned = self.learned
         if not learned.settled:
             return phi

@@ -25,7 +25,7 @@ NO_OUTER_LOOP = OuterLoop(steps=0, tasks=0, rates={})
 
 
 def fastest(*, compiles: bool = False) -> StepsOf:
-    """The steps of an extension; torch's where there is none.
+    """The steps of an extension; torch's if there is none.
 
     Args:
         compiles: whether the steps are so many that compiling them pays.
@@ -61,7 +61,7 @@ class Paradigm(ABC):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Names of checkpoints: what it fits from ("general" or a rule), then what is tuned for that ("quickft")."""
+        """Names of checkpoints: of its initialisation ("general" or a rule), then of its tuning ("quickft")."""
         return ()
 
     @property
@@ -80,7 +80,7 @@ class Paradigm(ABC):
         """Parameters [T, ...] before the first step."""
 
     def adam(self, phi: MetaParameters) -> Adam | None:
-        """The plain Adam of the steps; None where the rule is a learned one, or there are no steps."""
+        """The plain Adam of the steps; None if the rule is a learned one, or there are no steps."""
         return None
 
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
@@ -96,7 +96,7 @@ class Paradigm(ABC):
 
     @property
     def guard(self) -> Guard | None:
-        """The guard of its fits; None where the rule is not learned."""
+        """The guard of its fits; None if the rule is not learned."""
         return None
 
     # Training (`training.prepare`) of the last checkpoint that it needs

@@ -22,7 +22,7 @@ from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm
 
 
 class TrainState(NamedTuple):
-    """The state of a training between two steps: what is saved, what it goes on from, and at the end its result.
+    """The state of a training between two steps, which is saved and gone on from, and at the end its result.
 
     Attributes:
         current: phi now, a flat tree.
@@ -76,7 +76,7 @@ def prepare(
         rng: of all random draws.
         general: a trained General, which QuickFT and most recipes of Meta begin at.
         first: a checkpoint of the same kind whose outer steps go on, in place of a fresh phi.
-        steps: outer steps in place of the recipe's; the most Adams to try where there is only a search.
+        steps: outer steps in place of the recipe's; the most Adams to try if there is only a search.
         since: state of the same training when it was cut off; `first` and `general` are not read.
 
     Yields:
@@ -180,7 +180,7 @@ def _search(paradigm: Paradigm, first: Adam, state: TrainState, tasks: Tasks, mo
 
 
 def _search_tasks(app: App, tasks: Tasks) -> Tasks:
-    """All validation tasks where fits are cheap, else up to SEARCH_TASKS of them, evenly spaced."""
+    """All validation tasks if fits are cheap, else up to SEARCH_TASKS of them, evenly spaced."""
     if app.cheap_fits:
         return tasks
     count = min(len(tasks), SEARCH_TASKS)

@@ -1,4 +1,4 @@
-"""The cache folder: files that can be had again, by a download or by computing; code is kept where it is one's own."""
+"""The cache folder: files that can be had again, by a download or by computing; code only in a folder of one's own."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def cache_folder() -> Path:
 
 
 def download(url: str, report: Callable[[int, int | None], None]) -> bytes:
-    """The content of a file of the web; `report` gets bytes that are there and those expected, None where unknown.
+    """The content of a file of the web; `report` gets bytes that are there and those expected, None if unknown.
 
     Raises:
         ValueError: no answer, or the connection breaks.
@@ -56,11 +56,11 @@ def code_folder(folder: Path, variable: str) -> Path:
     """A folder for compiled code that its user alone can write to, made if missing.
 
     Args:
-        folder: where to keep it.
+        folder: its place.
         variable: of the environment, that names it.
 
     Returns:
-        `folder`, with mode 0700, or, with a warning, one of this process, removed at its end, where `folder` is a link,
+        `folder`, with mode 0700, or, with a warning, one of this process, removed at its end, if `folder` is a link,
         another user's or can be written to by others.
 
     Raises:
@@ -85,12 +85,12 @@ def code_folder(folder: Path, variable: str) -> Path:
 
 
 def cached_tensors(name: str, sources: Sequence[str], make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
-    """Tensors from the cache, where the same code made them; else made, and kept there if that can be.
+    """Tensors from the cache, if the same code made them; else made, and kept there if that can be.
 
     Args:
         name: of the file.
         sources: paths of the code that makes them.
-        make: what does.
+        make: makes them.
     """
     from safetensors import SafetensorError
     from safetensors.torch import save

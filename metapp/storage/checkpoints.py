@@ -20,7 +20,7 @@ FLOATS = (torch.half, torch.float32, torch.float64)
 
 
 def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
-    """Write a checkpoint with what it says about itself, as safetensors; `previous` names the one it replaces."""
+    """Write a checkpoint with its description, as safetensors; `previous` names the one it replaces."""
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
     # bytes: save_file writes under a name of its own, which a kill would leave behind
@@ -30,18 +30,18 @@ def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous:
 def load_checkpoint(
     path: Path, device: torch.device | str = "cpu", general: Path | None = None
 ) -> tuple[MetaParameters, Document]:
-    """Read a checkpoint; what is stored in half precision becomes float32.
+    """Read a checkpoint; tensors in half precision become float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
     that of its protocol, such as `general-photo.safetensors`.
 
     Args:
         path: the file.
-        device: where its tensors go.
+        device: of its tensors.
         general: another file of General that it may name.
 
     Returns:
-        The checkpoint and what `save_checkpoint` was told about it.
+        The checkpoint and its description, as of `save_checkpoint`.
 
     Raises:
         ValueError: there is no such file, or it is not a checkpoint of metapp's.
@@ -92,7 +92,7 @@ def _with_general(
 
 
 def digest(document: object) -> str:
-    """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
+    """12 hex digits that change with a JSON-ready document, or, given a path, with a file's bytes."""
     raw = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
 

@@ -1,7 +1,7 @@
 """Files: those that are read are regular ones, those that are written are there whole or not at all.
 
-What is written gets a temporary name in the same folder and is renamed: a link that lies there is replaced, never
-followed. What is opened is a regular file. Names of files may have bytes that are no UTF-8, which Python passes on as
+A new file gets a temporary name in the same folder and is renamed: a link that lies there is replaced, never
+followed. Only regular files are opened. Names of files may have bytes that are no UTF-8, which Python passes on as
 lone surrogates.
 """
 
@@ -95,7 +95,7 @@ def read_tensors(path: str | Path) -> dict[str, Tensor]:
 
 
 def check_readable(path: Path) -> None:
-    """Refuse what libraries would open themselves and read without an end, such as a pipe or a device.
+    """Refuse a pipe or a device, which libraries would read without an end.
 
     Raises:
         ValueError: neither a file nor a folder, though it is there.
@@ -113,7 +113,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
         previous: another name in that folder for the file that is replaced, if there is one of other content.
 
     Raises:
-        OSError: it cannot be written; names the folder. What was there before is still there.
+        OSError: it cannot be written; names the folder. The file of before is still there.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -180,13 +180,13 @@ def suffixed(path: Path, suffix: str) -> Path:
 
 
 def partial_path(path: Path) -> Path:
-    """Where to write a file until it is whole: in the same folder, with the same suffix."""
+    """The temporary name of a file that is being written: in the same folder, with the same suffix."""
     # The suffix stays, since image writers choose the format by it; the rest keeps two programs apart.
     return path.with_name(f"{PARTIAL}{os.getpid()}-{_PROGRAM}-{path.name}")
 
 
 def remove_partial(path: Path) -> None:
-    """Remove what programs left of a file or folder when they were killed; of those that still run, nothing."""
+    """Remove unfinished files and folders of this name by programs that were killed; those of running ones stay."""
     for left in path.parent.glob(f"{PARTIAL}*-{glob.escape(path.name)}"):
         number = left.name.removeprefix(PARTIAL).split("-")[0]
         if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
@@ -210,10 +210,10 @@ def named(error: Exception, source: Path) -> ValueError:
 
 
 def entry_of(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
-    """An entry of a JSON object; `absent` where there is none.
+    """An entry of a JSON object; `absent` if there is none.
 
     Raises:
-        ValueError: it is of another type; the message begins with `where` and ends with the remedy.
+        ValueError: it is of another type; the message begins with `place` and ends with the remedy.
     """
     value = document.get(key, absent) if isinstance(document, dict) else None
     if not isinstance(value, kind) or isinstance(value, bool):
@@ -242,7 +242,7 @@ def path_of(text: str) -> Path:
 
 
 def safe_name(name: str) -> str:
-    """A name that can be printed and drawn, of NAME_BYTES bytes at most; others get a digest of what they were.
+    """A name that can be printed and drawn, of NAME_BYTES bytes at most; others get a digest of the whole.
 
     Control characters, line ends and bytes that are no text (lone surrogates) become underscores.
     """
@@ -258,7 +258,7 @@ def file_name(task: str) -> str:
 
 
 def _marked(safe: str, name: str) -> str:
-    """`safe` where it is the name itself and short, else with a digest of the name."""
+    """`safe` if it is the name itself and short, else with a digest of the name."""
     if safe == name and len(safe.encode()) <= NAME_BYTES:
         return safe
     mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]

@@ -45,7 +45,7 @@ def write_fit(
 ) -> Document:
     """Keep a finished task: its parameters, its pictures and its record, in this order, in a folder of its own.
 
-    The folder has the task's name, with a digest of the input where another input has taken that. A fit of the same
+    The folder has the task's name, with a digest of the input if another input has taken that. A fit of the same
     input that is there is replaced. Numbers that are not finite, which JSON lacks, become None.
 
     Args:
@@ -55,7 +55,7 @@ def write_fit(
         draw: writes pictures into the folder that it is given.
 
     Returns:
-        The record as it is kept, with the task's `folder`; its name is the folder's where that has a digest.
+        The record as it is kept, with the task's `folder`; its name is the folder's if that has a digest.
 
     Raises:
         OSError: the disk is full; a record that was there stays.
@@ -86,7 +86,7 @@ def write_fit(
 
 
 def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Document:
-    """Write a record into a folder, which is then renamed; OSError where the target is another fit's."""
+    """Write a record into a folder, which is then renamed; OSError if the target is another fit's."""
     kept: Document = as_text(record) | ({"name": marked.name} if target == marked else {})
     text = json.dumps(kept, allow_nan=False, indent=1)
     write_atomically(folder / RECORD, lambda file: file.write_text(text, "utf-8"))
@@ -96,7 +96,7 @@ def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Do
 
 
 def find_fit(run: Path, name: str, source: str) -> Document | None:
-    """The record of the fit of an input, as `read_fit` gives it; None where there is none."""
+    """The record of the fit of an input, as `read_fit` gives it; None if there is none."""
     for folder in _folders(run, name, source):
         try:
             record = None if folder.is_symlink() else read_fit(folder)
@@ -113,13 +113,13 @@ def _folders(run: Path, name: str, source: str) -> tuple[Path, Path]:
 
 
 def marked_name(name: str, source: str) -> str:
-    """The name of a task, as a file name, with a digest of its input, where another input has the name alone."""
+    """The name of a task, as a file name, with a digest of its input, for a second input of that name."""
     digest = hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
     return file_name(f"{file_name(as_text(name))}-{digest}")
 
 
 def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:
-    """The record in a task's folder, with the `folder`; None where there is none.
+    """The record in a task's folder, with the `folder`; None if there is none.
 
     Args:
         folder: the task's.
@@ -160,7 +160,7 @@ def read_fits(run: Path, entries: Collection[str] = ()) -> list[Document]:
 
 
 def is_record(value: object, entries: Collection[str] = ()) -> bool:
-    """Test what a file holds, which anybody may have written: a task's record with these entries."""
+    """True if a document, which anybody may have written, is a task's record with these entries."""
     if not isinstance(value, dict) or not value.keys() >= {"name", *entries}:
         return False
     numbers = [value[key] for key in FIT if key in value and (key, value[key]) != ("error", None)]
@@ -193,7 +193,7 @@ class Fits(NamedTuple):
         path: the run's folder.
         settings: all that figures of the fits depend on.
         entries: of their records, beside the name.
-        origin: what records say beside, such as where inputs were; no figure depends on it.
+        origin: the places of inputs and data, also in the records; no figure depends on it.
     """
 
     path: Path
@@ -231,6 +231,6 @@ def summary(records: Sequence[Document]) -> dict[str, float | None]:
 
 
 def guarded(records: Sequence[Document]) -> int | None:
-    """On how many tasks the guard of a learned rule acted; None where fits have none."""
+    """On how many tasks the guard of a learned rule acted; None if fits have none."""
     flags = [record["guarded"] for record in records if "guarded" in record]
     return sum(map(bool, flags)) if flags else None

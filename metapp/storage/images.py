@@ -1,6 +1,6 @@
 """Images: files, written whole or not at all, as PNG of 8 or 16 bits or EXR; pictures of 8 bits that pages hold.
 
-Before others' files are decoded: how many pixels they may have, and what OpenImageIO says of them.
+Before others' files are decoded: the number of pixels they may have, and errors of OpenImageIO.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 
 
     Args:
         pixels: [H, W, 1 or 3]; clamped to [0, 1].
-        texts: kept in the file by their keys; `encoding` is "sRGB" or, of what is no colour, "linear".
+        texts: kept in the file by their keys; `encoding` is "sRGB" or, of data that are no colours, "linear".
         path: the file.
         bits: 8 or 16.
 
@@ -56,12 +56,12 @@ def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 
 
 
 def write_exr(pixels: Tensor, path: Path, *, half: bool | None = None) -> None:
-    """Write linear values [H, W, 1 or 3] of any range as EXR: half floats where they are precise enough.
+    """Write linear values [H, W, 1 or 3] of any range as EXR: half floats if they are precise enough.
 
     Args:
-        pixels: what to write.
+        pixels: to write.
         path: the file.
-        half: half floats or not; None: of radiance, where its maximum says that no dark part loses digits.
+        half: half floats or not; None: of radiance, if its maximum says that no dark part loses digits.
 
     Raises:
         OSError: it cannot be written; names the folder.
@@ -103,7 +103,7 @@ def png_address(image: Image) -> str:
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Keep what libraries such as libpng write to standard error by themselves off the user's screen."""
+    """Keep messages that libraries such as libpng write to standard error off the user's screen."""
     try:
         kept = os.dup(2)
     except OSError:  # there is none

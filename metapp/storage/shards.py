@@ -46,10 +46,10 @@ class Entry(NamedTuple):
         name: the task's name, as tables print it.
         file: its file's name inside the folder.
         split: "train" or "test"; before it is written also "", for that of the rule.
-        source: base name of the file or folder it was made of; "" where there is none.
+        source: base name of the file or folder it was made of; "" if there is none.
         sha256: of the file's bytes, 64 hexadecimal digits.
-        group: what several tasks show, which no split parts; "" where it shows something of its own.
-        beside: name of a file in the folder that holds one of its tensors as text; "" where there is none.
+        group: the thing that several tasks show, which no split parts; "" if it shows something of its own.
+        beside: name of a file in the folder that holds one of its tensors as text; "" if there is none.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Manifest(NamedTuple):
 
 
 def read_manifest(folder: str | Path) -> Manifest:
-    """Read what a data set holds.
+    """Read the manifest of a data set.
 
     Raises:
         ValueError: no such folder, no manifest in it, one that is damaged or of a newer version, or one whose file
@@ -185,7 +185,7 @@ class ShardWriter:
     that was there is replaced as a whole.
 
     Args:
-        folder: where; made if missing.
+        folder: of the data set, made if missing.
         app: the application the tasks belong to.
         units: unit and meaning of every tensor, by name; the manifest has those of tensors that a task holds.
         notes: anything else worth keeping, as JSON can hold it.
@@ -235,7 +235,7 @@ class ShardWriter:
         Args:
             task: its tensors may live anywhere, in any layout; a name that another task has is refused.
             split: "train", "test", or "auto": by the rule of `split_auto` among all groups of tasks added so.
-            source: what it was made of; only the base name is kept.
+            source: the file or folder it was made of; only the base name is kept.
 
         Raises:
             ValueError: an unknown split, an empty or repeated name, a task without tensors, a tensor without a unit,
@@ -310,7 +310,7 @@ class ShardWriter:
         write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
 
     def _before(self) -> Manifest | None:
-        """The manifest of the data set to replace; ValueError where that must stay."""
+        """The manifest of the data set to replace; ValueError if that must stay."""
         try:
             before = read_manifest(self.folder)
         except ValueError:  # there is none
@@ -337,15 +337,15 @@ def read_shard(
         folder: of the data set.
         split: only the "train" or only the "test" tasks; None is all.
         app: the application that the tasks must belong to; None takes any.
-        holds: what each task must hold, as the application says; None takes any tensors.
+        holds: the tensors of each task, as the application says; None takes any.
 
     Returns:
         The tasks in the manifest's order; an empty list if the split has none. Hashes are not compared: see
         `check_shard`.
 
     Raises:
-        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged, or does not
-            hold what it must.
+        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged, or lacks
+            tensors.
     """
     folder = Path(folder)
     if split is not None and split not in SPLITS:
@@ -364,7 +364,7 @@ def read_shard(
 
 
 def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = None) -> list[str]:
-    """Check a data set against its manifest, and its tasks against what the application says they must hold.
+    """Check a data set against its manifest, and its tasks against the tensors that the application asks for.
 
     Returns:
         One line a problem: files that are missing, changed, damaged or not listed, values that are not finite,
@@ -407,7 +407,7 @@ def _files(entries: Iterable[Entry]) -> list[str]:
 
 
 def _file_name(name: str, taken: set[str]) -> str:
-    """A file name that every file system takes, and that differs from those taken even where case does not count."""
+    """A file name that every file system takes, and that differs from those taken even if case does not count."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
     file, count = stem + SUFFIX, 1
     while file.lower() in taken:

@@ -98,7 +98,7 @@ def _tuples(value: Any) -> Any:
 
 
 def _laid_out(value: Tensor, stride: list[int] | None, device: torch.device | str) -> Tensor:
-    """A copy in memory of its own, laid out as it was: sums may be taken in another order where it is not."""
+    """A copy in memory of its own, laid out as it was: sums may be taken in another order if it is not."""
     if not value.is_floating_point():
         return value.clone()
     if not stride or 0 in stride:

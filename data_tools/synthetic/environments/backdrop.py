@@ -1,4 +1,4 @@
-"""What is far away: hills, woods and towns before the sky, and the ground that windows look down on."""
+"""The far distance: hills, woods and towns before the sky, and the ground that windows look down on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rooms, and what is in them: windows, lamps, beams, doors, furniture."""
+"""Rooms and their fittings: windows, lamps, beams, doors, furniture."""
 
 from __future__ import annotations
 

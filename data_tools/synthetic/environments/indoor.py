@@ -149,7 +149,7 @@ def _daytime(rng: Rng) -> Sky:
 
 
 def _outside(rng: Rng, sky: Sky) -> Backdrop:
-    """What is seen through windows."""
+    """The view through windows."""
     ground = vector(*pick(rng, ((0.07, 0.1, 0.04), (0.15, 0.15, 0.15), (0.3, 0.28, 0.25))))
     ground = ground * tone(rng, 0.1) * np.float32(between(rng, 0.6, 1.4))
     kind = pick(rng, ("town", "town", "woods", "none"))

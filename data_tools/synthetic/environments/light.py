@@ -1,7 +1,7 @@
-"""How scenes are lit, and what the eye sees of them: from a scene to a map.
+"""Light of scenes, and the radiance that reaches the eye: from a scene to a map.
 
-Light goes straight from the sun, the sky, windows and lamps to what is seen, with shadows; from there once more to all
-that is seen, without; what is scattered more often is the same everywhere.
+Light goes straight from the sun, the sky, windows and lamps to visible surfaces, with shadows; from there once more to
+all of these, without; light that is scattered more often is the same everywhere.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def render(scene: Scene, turn_rad: float, supersampling: int = 2, rows: int = HE
     """The map of a scene.
 
     Args:
-        scene: what is around the eye.
+        scene: around the eye.
         turn_rad: of the eye about the vertical.
         supersampling: rays per texel of 64 rows, along each side.
         rows: of the map, up to 64 times that.
@@ -221,7 +221,7 @@ def _scattered(scene: Scene, hits: Hits, albedo: Field, glow: Field, sun: Field,
 def _bounced(scene: Scene, leaving: Field, place: Field, normal: Field, solid: Field) -> Field:
     """Irradiance [3, N] at places from the radiance that leaves all that is seen, without shadows.
 
-    The visible surfaces are cut into cells of directions; each sends from one of its points what leaves it on average.
+    The visible surfaces are cut into cells of directions; each sends its mean radiance from one of its points.
     """
     rows, columns = _CELLS
     grid = (rows, HEIGHT // rows, columns, WIDTH // columns)

@@ -1,4 +1,4 @@
-"""Scenes of a room or open ground with boxes, tree crowns and lamps, and what rays from the eye meet in them.
+"""Scenes of a room or open ground with boxes, tree crowns and lamps, and their intersections with rays from the eye.
 
 Lengths are metres, +y is up, the eye is the origin. Radiance is linear Rec.709 in kcd/m^2, irradiance in klx. Vectors
 are float32 [3], or [3, N] for N rays.
@@ -32,7 +32,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 class Finish(NamedTuple):
-    """What a surface looks like.
+    """The look of a surface.
 
     Attributes:
         colour: albedo [3].
@@ -117,7 +117,7 @@ class Window(NamedTuple):
 
 
 class Backdrop(NamedTuple):
-    """What lies beyond everything: the sky and, in front of it, what is far away.
+    """The sky and, in front of it, the far distance.
 
     Attributes:
         sky: with its sun.
@@ -135,7 +135,7 @@ class Scene:
     """All that is around the eye.
 
     Attributes:
-        low, high: corners [3] of the room; infinite where it is open.
+        low, high: corners [3] of the room; infinite if it is open.
         sides: finishes of -x, +x, floor, ceiling, -z, +z.
         backdrop: beyond the open sides and the windows.
         closed: how much of the scattered light the surroundings keep, 0 (open country) to 1 (a room).
@@ -158,7 +158,7 @@ class Scene:
 
 
 class Hits(NamedTuple):
-    """What N rays from the eye meet: numbers of surfaces (sides, then boxes, crowns, lamps; BEYOND for none)."""
+    """Intersections of N rays from the eye: numbers of surfaces (sides, boxes, crowns, lamps; BEYOND for none)."""
 
     surface: Ids
     distance: Field
@@ -189,7 +189,7 @@ def inverse(rays: Field) -> Field:
 
 
 def slab(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
-    """Where rays enter and leave a box, or would.
+    """Distances at which rays enter and leave a box, or would.
 
     Args:
         low: corner of the box from the ray's start [3], or [3, N].
@@ -197,7 +197,7 @@ def slab(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
         over: 1 over the components of the rays' directions, [3, N], or [3, 1].
 
     Returns:
-        Distances [N]; a ray misses the box where the first is larger, or the second negative.
+        Both [N]; a ray misses the box if the first is larger, or the second negative.
     """
     near: Field = np.array(-np.inf, np.float32)
     far = -near
@@ -208,7 +208,7 @@ def slab(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
 
 
 def cast(scene: Scene, rays: Field) -> Hits:
-    """What rays [3, N] from the eye meet first."""
+    """The first intersections of rays [3, N] from the eye."""
     over = inverse(rays)
     ends = np.where(over > 0, scene.high[:, None], scene.low[:, None]) * over
     axis = ends.argmin(0)
@@ -241,7 +241,7 @@ def cast(scene: Scene, rays: Field) -> Hits:
 
 
 def _open_windows(scene: Scene, surface: Ids, place: Field) -> Field | None:
-    """Rays that leave through a window go BEYOND: changes `surface`, returns what glass they pass."""
+    """Rays that leave through a window go BEYOND: changes `surface`, returns the glass that they pass."""
     if not scene.windows:
         return None
     glass = np.ones_like(place)

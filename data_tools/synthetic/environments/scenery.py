@@ -1,4 +1,4 @@
-"""What stands under the open sky: ground, houses, walls, roofs, vehicles, trees."""
+"""Outdoor scenes: ground, houses, walls, roofs, vehicles, trees."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ BUILT = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
 def open_scene(
     rng: Rng, sky: Sky, grounds: tuple[str, ...], far: tuple[str, ...], height: Range, lit: Field = BLACK
 ) -> Scene:
-    """Level ground to the horizon, and what is behind it.
+    """Level ground to the horizon, and the distance behind it.
 
     Args:
         rng: of all choices.
         sky: above.
         grounds: kinds to choose from.
-        far: what may be at the horizon: "hills", "woods", "town", "none".
+        far: things at the horizon: "hills", "woods", "town", "none".
         height: range of the sine of the elevation that it reaches.
         lit: radiance [3] of windows at the horizon.
     """

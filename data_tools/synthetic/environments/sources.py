@@ -58,9 +58,9 @@ def _collected(rows: list[_Row]) -> Sources:
 
 
 def sky_sources(backdrop: Backdrop) -> Sources:
-    """Parts of what is seen above the horizon, each a direction, in its middle by luminance.
+    """Parts of the view above the horizon, each a direction, in its middle by luminance.
 
-    Level ground gets just what the whole sky sends.
+    Level ground gets the irradiance of the whole sky.
     """
     (height, width), (bands, around) = _GRID, _CELLS
     rays = directions(height, width)[:, : height // 2].numpy()
@@ -97,7 +97,7 @@ def _windows(scene: Scene) -> list[_Row]:
 
 
 def _window(scene: Scene, window: Window, rays: Field, light: Field, angles: Field) -> list[_Row]:
-    """Parts of a window, which send the mean of what is above the horizon downwards, of what is below upwards."""
+    """Parts of a window, which send the mean of the view above the horizon downwards, of that below upwards."""
     axis, sign = window.side // 2, 1 if window.side % 2 else -1
     weights = np.maximum(sign * rays[axis], 0) * angles
     above, below = (

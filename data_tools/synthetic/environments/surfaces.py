@@ -1,4 +1,4 @@
-"""What surfaces look like where rays meet them: albedo, mirroring, and light of their own."""
+"""The look of surfaces at intersections: albedo, mirroring, and light of their own."""
 
 from __future__ import annotations
 

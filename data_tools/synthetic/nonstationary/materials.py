@@ -1,4 +1,4 @@
-"""What the layers of a patch are made of: metals, paints, plastics, and pieces of the procedural materials."""
+"""The materials of a patch's layers: metals, paints, plastics, and pieces of the procedural materials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where things lie on a patch: turned and shifted places, outlines as distances, grids of panels, motifs, letters.
+"""Positions on a patch: turned and shifted places, outlines as distances, grids of panels, motifs, letters.
 
 Distances are in the units of their place, positive inside; times `Place.unit` they are in texels.
 """
@@ -130,7 +130,7 @@ def text(rng: Rng, place: Place, half_width: float, half_height: float, rows: fl
 
     Args:
         rng: of letters, spaces and the lengths of lines.
-        place: where.
+        place: its position.
         half_width: of the box.
         half_height: of the box.
         rows: how many lines.

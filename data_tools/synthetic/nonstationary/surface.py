@@ -46,10 +46,10 @@ def lay(under: Surface, over: Surface, inside: Field, thickness: float = 0.0, be
     """Lay a surface on, or let it in.
 
     Args:
-        under: what is seen around it.
+        under: the surface around it.
         over: the new one.
         inside: distance [S, S] to its rim in texels, negative outside.
-        thickness: how far it stands out, in texels; negative where it is let in.
+        thickness: how far it stands out, in texels; negative if it is let in.
         bevel: width of the slope within its rim, in texels.
     """
     return raised(overlay(under, over, covers(inside)), thickness * step(inside, -0.5, bevel))
@@ -104,7 +104,7 @@ def standing_out(height: Field, sigma: float = 3.0) -> Field:
 def finish(surface: Surface) -> Tensor:
     """The maps [10, S, S] of a surface, as `svbrdf_task.pack` gives them, within their ranges.
 
-    Albedo is within 0.02 .. 0.85 where the surface is a dielectric and falls to nearly 0 where it is metal; what
+    Albedo is within 0.02 .. 0.85 of dielectrics and falls to nearly 0 of metals; what
     reflects by more than 0.02 .. 1 or is smoother than 0.1 is brought back.
     """
     specular = np.clip(surface.specular, 0.02, 1)

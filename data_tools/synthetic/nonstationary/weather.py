@@ -1,4 +1,4 @@
-"""What time does to a patch: dirt in cavities, worn edges, scratches, stains, water, rust, smudges."""
+"""Weathering of a patch: dirt in cavities, worn edges, scratches, stains, water, rust, smudges."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def dirty(rng: Rng, surface: Surface, amount: float, hexes: str = _DIRTS) -> Sur
 
 
 def worn_edges(rng: Rng, surface: Surface, bare: Surface, amount: float) -> Surface:
-    """What stands out is rubbed down to what is below, whose height is left as it is; amount 0 .. 1."""
+    """High parts are rubbed down to the layer below, whose height is left as it is; amount 0 .. 1."""
     size = surface.height.shape[-1]
     edge = scaled(standing_out(surface.height, between(rng, 1.5, 3)))
     where = edge + between(rng, 0.4, 0.9) * cloud(rng, size, log_between(rng, 2, 8), 1.7)
@@ -57,7 +57,7 @@ def worn_edges(rng: Rng, surface: Surface, bare: Surface, amount: float) -> Surf
 
 
 def scratched(rng: Rng, surface: Surface, count: int, depth: float = 0.4) -> Surface:
-    """Scratches with lifted rims, most along one direction or in all, rougher and paler than what they are in."""
+    """Scratches with lifted rims, most along one direction or in all, rougher and paler than the surface."""
     size = surface.height.shape[-1]
     direction, spread = between(rng, 0, math.pi), math.pi if chance(rng, 0.4) else between(rng, 0.1, 0.7)
     longest = log_between(rng, 0.2, 0.9)
@@ -103,7 +103,7 @@ def stained(rng: Rng, surface: Surface, count: int) -> Surface:
 
 
 def wet(rng: Rng, surface: Surface, share: float) -> Surface:
-    """Water stands in what lies lowest, over this share of the patch, and has soaked the ground around."""
+    """Water stands in the lowest parts, over this share of the patch, and has soaked the ground around."""
     size = surface.height.shape[-1]
     bed = softened(surface.height, 1.0)
     level = float(np.quantile(bed, share))
@@ -130,7 +130,7 @@ def rust(rng: Rng, size: int) -> Surface:
 
 
 def rusted(rng: Rng, surface: Surface, amount: float, bias: Field | float = 0.0) -> Surface:
-    """Rust breaks through: it lifts or eats what it takes, and dyes a halo around; amount -1 .. 1."""
+    """Rust breaks through: it lifts or eats the surface, and dyes a halo around; amount -1 .. 1."""
     size = surface.height.shape[-1]
     stretch, frequency = (log_between(rng, 1.5, 4) if chance(rng, 0.3) else 1.0), log_between(rng, 1.5, 6)
     spread = cloud(rng, size, frequency, between(rng, 1.3, 2.2), stretch, between(rng, 0, math.pi)) + bias + amount

@@ -95,7 +95,7 @@ def flaking(rng: Rng, size: int) -> Surface:
 
 
 def puddles(rng: Rng, size: int) -> Surface:
-    """Uneven ground after rain: water in what lies low, wet rims, dry rises."""
+    """Uneven ground after rain: water in the low parts, wet rims, dry rises."""
     ground = piece(rng, size, GROUNDS)
     swell = cloud(rng, size, log_between(rng, 1.0, 2.5), between(rng, 2.4, 3.4))
     ground = ground._replace(height=np.clip(ground.height, -2.5, 2.5) * between(rng, 0.4, 1.0))

@@ -25,7 +25,7 @@ class Lattice:
         rows: cells per tile across the angle, about.
         angle_rad: of the rows, from x towards y.
         shift: of each row against the one before, in cells; a multiple of 1 / multiple.
-        multiple: rows come in multiples of it, and so do columns where `period` says so.
+        multiple: rows come in multiples of it, and so do columns if `period` says so.
         period: columns come in multiples of it.
         warp: displacement of columns and rows, two fields [S, S] in cells.
 

@@ -56,7 +56,7 @@ def band_noise(
     Args:
         rng: of the draws.
         size: S.
-        frequency: in cycles per tile, of the middle of the band; across the angle, where stretched.
+        frequency: in cycles per tile, of the middle of the band; across the angle, if stretched.
         octaves: width of the band (a standard deviation).
         stretch: how many times longer structure is along the angle than across it.
         angle_rad: direction of the long side, from x towards y.
@@ -109,7 +109,7 @@ def share_below(field: Field) -> Field:
 
 
 def step(field: Field, low: float | Field, high: float | Field) -> Field:
-    """0 below low, 1 above high, smooth between; falling where high < low."""
+    """0 below low, 1 above high, smooth between; falling if high < low."""
     t = np.clip((field - low) / (high - low), 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
 

@@ -11,7 +11,7 @@ from data_tools.synthetic.draws import Field, Ids, uniforms
 
 
 class Strokes(NamedTuple):
-    """What is seen of the strokes from above.
+    """The strokes as seen from above.
 
     Attributes:
         stroke: number [S, S] of the uppermost stroke, -1 where there is none.

@@ -48,7 +48,7 @@ def turns(
     """The draws of one split of an embedded set, whose families take turns.
 
     Args:
-        noun: what is drawn, for errors.
+        noun: of the draws, for errors.
         families: their names.
         counts: of the default set, by split; splits have random streams of their own.
         split: one of these.

@@ -1,4 +1,4 @@
-"""What a procedural material consists of, and how its colours and its relief are drawn."""
+"""The parts of a procedural material, and the draws of its colours and its relief."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def material(
     """Put a material together.
 
     Args:
-        rng: of what is given as a range.
+        rng: of values that are given as a range.
         diffuse: linear RGB albedo [3, S, S], clamped to [0.01, 0.95].
         height: [S, S] of any scale.
         slope: range of the root mean square slope that the height is scaled to.
@@ -71,7 +71,7 @@ def palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Field:
     Args:
         rng: of the draws.
         hexes: sRGB colours to start from, as in "8a6f4d c2b280".
-        count: how many; they repeat, varied, where more are asked for than given.
+        count: how many; they repeat, varied, if more are asked for than given.
         strange: in this share of draws the hue may be any.
 
     Returns:

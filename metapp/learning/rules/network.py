@@ -1,10 +1,10 @@
-"""Learned gradient descent: what a convolutional network adds to a rule's steps of a parameter that lies on a grid.
+"""Learned gradient descent: a convolutional network that adds to a rule's steps of a parameter that lies on a grid.
 
 The network reads the parameter, its gradient, the rule's direction and a memory of its own from the steps before. Its
 output is added to the rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which changes of
-its neighbourhood a gradient calls for, where the loss alone leaves that open.
+its neighbourhood a gradient calls for, if the loss alone leaves that open.
 
-Its weights are learned hyperparameters, `around.<parameter>.*` where the grid's columns go on at the other edge, else
+Its weights are learned hyperparameters, `around.<parameter>.*` if the grid's columns go on at the other edge, else
 `within.<parameter>.*`; all but the shifts are shared by all steps.
 """
 
@@ -46,7 +46,7 @@ class Network(Part):
         return no_memory(alpha, theta)
 
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
-        """The parameters and what networks add."""
+        """The parameters plus the output of the networks."""
         results, memories = dict(moved), {}
         for key, value in before.theta.items():
             if name := network_of(alpha, key):
@@ -86,7 +86,7 @@ def networks(theta: Params, steps: int, rate: float, *, periodic: bool) -> Param
 
 
 def network_of(alpha: Params, key: str) -> str:
-    """The name of a parameter's network in alpha; "" where it has none."""
+    """The name of a parameter's network in alpha; "" if it has none."""
     return next((f"{edge}.{key}" for edge in ("around", "within") if f"{edge}.{key}.unit" in alpha), "")
 
 

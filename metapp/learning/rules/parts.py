@@ -29,7 +29,7 @@ class SignedRates(Part):
         return {f"rate.{key}": torch.full_like(value, first.rate)[None] for key, value in theta.items()}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Rate times update; what has no rate stays."""
+        """Rate times update; parameters without a rate stay."""
         return {
             key: append_axes(alpha[f"rate.{key}"], up) * up for key, up in updates.items() if f"rate.{key}" in alpha
         }
@@ -47,7 +47,7 @@ class Rates(Part):
         return {f"rate.{key}": append_axes(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Rate times update; the logarithms of rate and pace, where there are paces, add up. No rate: no update."""
+        """Rate times update; the logarithms of rate and pace, if there is one, add up. No rate: no update."""
         rated = {key: update for key, update in updates.items() if f"rate.{key}" in alpha}
         return {key: append_axes(torch.exp(_logarithm(alpha, key)), update) * update for key, update in rated.items()}
 
@@ -115,7 +115,7 @@ class Eps(Part):
 
 
 class LossParameters(Part):
-    """The loss parameters `loss.<name>` [steps, ...] of an application; none where it has none.
+    """The loss parameters `loss.<name>` [steps, ...] of an application, if it has any.
 
     They go to the inner loss (`adjoint.loss_parameters`), so that this part says nothing about a step.
     """
@@ -167,7 +167,7 @@ def _mixed(alpha: Params, key: str, direction: Tensor) -> Tensor:
 
 
 class Average(Part):
-    """Tail averaging: the mean of the last parameters as the result, where random samples scatter them.
+    """Tail averaging: the mean of the last parameters as the result, for losses of random samples.
 
     `mean` [steps] is the new parameters' weight in the running mean; `answer` is the mean's own in the result.
     """
@@ -211,7 +211,7 @@ def averaging(steps: int) -> Params:
 
 
 class Basis(Part):
-    """The eigenbasis of gradients, where Adam's entries depend least on each other.
+    """The eigenbasis of gradients, in which Adam's entries depend least on each other.
 
     `out.<parameter>`, `in.<parameter>` [1, size, size] are bases of a parameter's first two axes. Gradients are turned
     to them, and updates back: rates are of the axes that bases turn to. That is SOAP (Vyas et al. 2024), but for axes

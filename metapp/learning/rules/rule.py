@@ -18,7 +18,7 @@ class StepInput(NamedTuple):
     Attributes:
         theta: the parameters.
         grads: their gradients, as the loss gave them.
-        directions: what all parts made of these, before any rate.
+        directions: of all parts together, before any rate.
     """
 
     theta: Params
@@ -27,7 +27,7 @@ class StepInput(NamedTuple):
 
 
 class Part:
-    """A part of a learned rule; what it has nothing to say about stays as it is.
+    """A part of a learned rule; methods that it does not define change nothing.
 
     A step passes the gradients through `gradients` of all parts, then through their `directions`, then through their
     `updates`, which are subtracted, and the parameters that this gives through their `moved`. Wherever a step is
@@ -47,16 +47,16 @@ class Part:
     settled: tuple[str, ...] = ()
 
     def refusal(self, app: App, theta: Params) -> str:
-        """Why it does not apply to an application with these parameters of one task; "" where it does."""
+        """The reason that it does not apply to an application with these parameters of one task; "" if it does."""
         return ""
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Hyperparameters [K, ...] before training, those of the plain Adam `first` where it has them.
+        """Hyperparameters [K, ...] before training, those of the plain Adam `first` if it has them.
 
         Args:
             app: the application.
             theta: parameters of one task.
-            steps: of a fit; K is this, or 1 for what is the same at all steps.
+            steps: of a fit; K is this, or 1 for values that are the same at all steps.
             first: settings of an Adam.
         """
         return {}
@@ -94,7 +94,7 @@ class Part:
         return {}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Alpha [K, ...] with what these sums say."""
+        """Alpha [K, ...] with the values that follow from these sums."""
         return alpha
 
 
@@ -134,7 +134,7 @@ class LearnedRule:
     def alpha(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Learned hyperparameters [K, ...] before training.
 
-        They make the rule the plain Adam `first` (but for its eps where the rule has none of its own), or SGD of its
+        They make the rule the plain Adam `first` (but for its eps if the rule has none of its own), or SGD of its
         rate; tail averaging acts on the last step.
 
         Args:
@@ -152,7 +152,7 @@ class LearnedRule:
         return {key: value.to(other) for initial in parts for key, value in initial.items()}
 
     def rule(self, alpha: Params) -> UpdateRule:
-        """The update rule of learned hyperparameters [K, ...], or [K, T, ...] where each task has its own."""
+        """The update rule of learned hyperparameters [K, ...], or [K, T, ...] if each task has its own."""
 
         def init(theta: Params) -> Params:
             return {key: value for part in self.parts for key, value in part.state(alpha, theta).items()}
@@ -199,7 +199,7 @@ class LearnedRule:
         return {key: value for part in self.parts for key, value in part.gather(alpha, grads).items()}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Alpha with what these sums say."""
+        """Alpha with the values that follow from these sums."""
         for part in self.parts:
             alpha = part.settle(alpha, sums)
         return alpha

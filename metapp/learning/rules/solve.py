@@ -39,7 +39,7 @@ class NormalEquations(Loss):
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals.
 
-        And `prior.<W>` [T, C, F] where the least squares have one.
+        And `prior.<W>` [T, C, F] if the least squares have one.
         """
         with torch.set_grad_enabled(graph):
             linear = self.linear(theta, batch, learned)
@@ -51,11 +51,11 @@ class NormalEquations(Loss):
 
 
 class Solve(Part):
-    """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of what a step keeps.
+    """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of shares that steps keep.
 
     With the normal equations G of a step (Gram matrix) and M (moments of residuals), P = keep P + G and
-    W += M (P + diag(exp(penalty)))^-1, where a prior of the least squares adds its precision to the penalties. These
-    are at least what rounding may have made of P: longer training lets them fall, and without that bound the
+    W += M (P + diag(exp(penalty)))^-1, and a prior of the least squares adds its precision to the penalties. These
+    are at least the rounding error of P: longer training lets them fall, and without that bound the
     factorisation fails.
     """
 
