@@ -60,7 +60,11 @@ def encoded(radiance: Tensor) -> Tensor:
 
 
 def task_name(stem: str) -> str:
-    """A file's stem as a plain file name: other characters than letters, digits, dots and hyphens become `_`."""
+    """A file's stem as a plain file name: other characters than letters, digits, dots and hyphens become `_`.
+
+    >>> task_name("Old brick (2)")
+    'Old_brick__2_'
+    """
     return re.sub(r"[^\w.-]", "_", stem).lstrip(".") or "material"
 
 

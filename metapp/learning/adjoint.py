@@ -34,6 +34,10 @@ class Loss:
         value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
         shared: True if all tasks share the parameters (the descent follows the mean over tasks), False if
             each task has its own (it follows the sum, which moves each as if it were alone).
+
+    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss.gradient({"x": torch.tensor([3.0])}, {}, {}, graph=False)
+    ({'x': tensor([6.])}, tensor([9.]))
     """
 
     draw: Callable[[AnyData, Any, float], Draw]
@@ -72,12 +76,20 @@ class UpdateRule(NamedTuple):
 
 
 def at_step(alpha: Params, i: int) -> Params:
-    """The hyperparameters of step i."""
+    """The hyperparameters of step i.
+
+    >>> at_step({"rate": torch.tensor([0.5, 0.25])}, 7)
+    {'rate': tensor(0.2500)}
+    """
     return {key: value[min(i, value.shape[0] - 1)] for key, value in alpha.items()}
 
 
 def loss_parameters(alpha: Params) -> Params:
-    """The learned parameters of the loss among hyperparameters."""
+    """The learned parameters of the loss among hyperparameters.
+
+    >>> loss_parameters({"rate": torch.ones(1), "loss.smoothing": torch.zeros(1)})
+    {'smoothing': tensor([0.])}
+    """
     return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
 
 
@@ -105,7 +117,16 @@ StepsOf = Callable[[UpdateRule, Loss, Params, int], Steps]
 
 
 def torch_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
-    """Steps by automatic differentiation; the reference of all others."""
+    """Steps by automatic differentiation; the reference of all others.
+
+    >>> from metapp.learning.rules import sgd
+    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> theta = {"x": torch.ones(1)}
+    >>> steps = torch_steps(sgd({"rate": torch.tensor([0.25])}), loss, theta, 1)
+    >>> moved, state, losses, gradient = steps.step(at_step(steps.alpha, 0), theta, steps.init(theta), {})
+    >>> moved, losses, gradient
+    ({'x': tensor([0.5000])}, tensor([1.]), {'x': tensor([2.])})
+    """
     return Steps(
         rule.alpha, rule.init, lambda theta, batch: loss.value(theta, batch, {}), *step_and_vjp(rule.step, loss, order)
     )
@@ -199,6 +220,13 @@ def learn_through(
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters,
     of their gradient and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is
     exact (MAML).
+
+    >>> from metapp.learning.rules import sgd
+    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> x = torch.ones(1, requires_grad=True)
+    >>> theta = learn_through({"x": x}, sgd({"rate": torch.tensor([0.25])}), [{}, {}], loss, order=2)
+    >>> torch.autograd.grad(theta["x"], x)
+    (tensor([0.2500]),)
     """
     steps = steps_of(rule, loss, theta, order)
     apply: Callable[..., tuple[Tensor, ...]] = _LearnThrough.apply

@@ -67,5 +67,9 @@ def progress(
 
 
 def number(value: float | None, form: str) -> str:
-    """Write a number as tables print it, a dash where there is none."""
+    """Write a number as tables print it, a dash where there is none.
+
+    >>> number(0.12345, ".3f"), number(None, ".3f")
+    ('0.123', '-')
+    """
     return "-" if value is None else format(value, form)

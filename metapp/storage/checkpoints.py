@@ -92,13 +92,21 @@ def _with_general(
 
 
 def digest(document: object) -> str:
-    """12 hex digits that change with a JSON-ready document, or, given a path, with a file's bytes."""
+    """12 hex digits that change with a JSON-ready document, or, given a path, with a file's bytes.
+
+    >>> digest({"seed": 0, "steps": 10}) == digest({"steps": 10, "seed": 0})
+    True
+    """
     raw = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
 
 
 def tensor_digest(params: Params) -> str:
-    """12 hex digits that change with any value of a tree."""
+    """12 hex digits that change with any value of a tree.
+
+    >>> tensor_digest({"x": torch.zeros(2)}) == tensor_digest({"x": torch.tensor([0.0, 1e-30])})
+    False
+    """
     total = hashlib.sha256()
     for key in sorted(params):
         total.update(key.encode() + params[key].detach().cpu().contiguous().numpy().tobytes())

@@ -114,6 +114,12 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
 
     Raises:
         OSError: it cannot be written; names the folder. The file of before is still there.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_atomically(f"{folder}/note.txt", lambda partial: partial.write_text("whole"))
+    ...     read_text(f"{folder}/note.txt")
+    'whole'
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -175,7 +181,11 @@ def _sync(path: Path, mode: int) -> None:
 
 
 def suffixed(path: Path, suffix: str) -> Path:
-    """A path with this suffix, such as ".glb", added unless it is there: other dots may be part of a name."""
+    """A path with this suffix, such as ".glb", added unless it is there: other dots may be part of a name.
+
+    >>> suffixed(Path("stone-v1.2"), ".glb").name
+    'stone-v1.2.glb'
+    """
     return path if path.suffix == suffix else path.with_name(f"{path.name}{suffix}")
 
 
@@ -204,7 +214,11 @@ def _runs(process: int) -> bool:
 
 
 def named(error: Exception, source: Path) -> ValueError:
-    """An error that a reader met, with the file named."""
+    """An error that a reader met, with the file named.
+
+    >>> named(ValueError("12 bytes, expected 16"), Path("brdfs/gold.binary"))
+    ValueError('brdfs/gold.binary: 12 bytes, expected 16')
+    """
     text = str(error) or type(error).__name__
     return ValueError(text if source.name in text else f"{source}: {text}")
 
@@ -214,6 +228,10 @@ def entry_of(document: object, key: str, kind: type, where: str, remedy: str, ab
 
     Raises:
         ValueError: it is of another type; the message begins with `place` and ends with the remedy.
+
+    >>> entry_of({"steps": "3"}, "steps", int, "record.json: ", "fit again")
+    Traceback (most recent call last):
+    ValueError: record.json: 'steps' is "3", expected a whole number; fit again.
     """
     value = document.get(key, absent) if isinstance(document, dict) else None
     if not isinstance(value, kind) or isinstance(value, bool):
@@ -225,7 +243,11 @@ _KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}
 
 
 def as_text(value: Any) -> Any:
-    r"""A text, or a document, as JSON holds it: lone surrogates escaped, as \udcff, None for numbers not finite."""
+    r"""A text, or a document, as JSON holds it: lone surrogates escaped, as \udcff, None for numbers not finite.
+
+    >>> as_text({"error": float("nan"), "seconds": (0.5, 1.0)})
+    {'error': None, 'seconds': [0.5, 1.0]}
+    """
     if isinstance(value, str):
         return value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, dict):
@@ -245,6 +267,9 @@ def safe_name(name: str) -> str:
     """A name that can be printed and drawn, of NAME_BYTES bytes at most; others get a digest of the whole.
 
     Control characters, line ends and bytes that are no text (lone surrogates) become underscores.
+
+    >>> safe_name("old gold"), safe_name("old" + chr(10) + "gold")
+    ('old gold', 'old_gold-1c7b39')
     """
     return _marked("".join("_" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in name), name)
 
@@ -253,6 +278,9 @@ def file_name(task: str) -> str:
     """A task's name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
 
     It has NAME_BYTES bytes at most; one that differs from the task's name ends with a digest of that.
+
+    >>> file_name("old-gold"), file_name("old gold")
+    ('old-gold', 'old_gold-0d18a0')
     """
     return _marked("".join(c if c.isalnum() or c in "._-" else "_" for c in task).lstrip(".") or "task", task)
 

@@ -59,6 +59,12 @@ def write_fit(
 
     Raises:
         OSError: the disk is full; a record that was there stays.
+
+    >>> import tempfile, torch
+    >>> with tempfile.TemporaryDirectory() as run:
+    ...     kept = write_fit(Path(run), {"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)})
+    ...     [record["error"] for record in read_fits(Path(run))], read_params(kept["folder"])
+    ([1.5], {'weight': tensor([0., 0.])})
     """
     record = {"source": record["name"], **record}
     earlier = find_fit(run, record["name"], record["source"])
@@ -113,7 +119,11 @@ def _folders(run: Path, name: str, source: str) -> tuple[Path, Path]:
 
 
 def marked_name(name: str, source: str) -> str:
-    """The name of a task, as a file name, with a digest of its input, for a second input of that name."""
+    """The name of a task, as a file name, with a digest of its input, for a second input of that name.
+
+    >>> marked_name("gold", "/brdfs/second/gold.binary")
+    'gold-21ab9d'
+    """
     digest = hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
     return file_name(f"{file_name(as_text(name))}-{digest}")
 
@@ -160,7 +170,11 @@ def read_fits(run: Path, entries: Collection[str] = ()) -> list[Document]:
 
 
 def is_record(value: object, entries: Collection[str] = ()) -> bool:
-    """True if a document, which anybody may have written, is a task's record with these entries."""
+    """True if a document, which anybody may have written, is a task's record with these entries.
+
+    >>> is_record({"name": "gold", "error": 1.5}), is_record({"name": "gold", "error": "low"}), is_record(["gold"])
+    (True, False, False)
+    """
     if not isinstance(value, dict) or not value.keys() >= {"name", *entries}:
         return False
     numbers = [value[key] for key in FIT if key in value and (key, value[key]) != ("error", None)]
@@ -221,7 +235,11 @@ class Fits(NamedTuple):
 
 
 def summary(records: Sequence[Document]) -> dict[str, float | None]:
-    """Mean error, as the table prints it, and median inference time of a task, of those that have one."""
+    """Mean error, as the table prints it, and median inference time of a task, of those that have one.
+
+    >>> summary([{"error": 1.0, "seconds": 0.5}, {"error": 3.0, "seconds": 0.7}, {"error": None}])
+    {'error': 2.0, 'seconds': 0.6}
+    """
     errors = [record["error"] for record in records if record["error"] is not None]
     seconds = [record["seconds"] for record in records if "seconds" in record]
     return {
@@ -231,6 +249,10 @@ def summary(records: Sequence[Document]) -> dict[str, float | None]:
 
 
 def guarded(records: Sequence[Document]) -> int | None:
-    """On how many tasks the guard of a learned rule acted; None if fits have none."""
+    """On how many tasks the guard of a learned rule acted; None if fits have none.
+
+    >>> guarded([{"guarded": True}, {"guarded": False}]), guarded([{}])
+    (1, None)
+    """
     flags = [record["guarded"] for record in records if "guarded" in record]
     return sum(map(bool, flags)) if flags else None

@@ -87,7 +87,11 @@ def _write(values: np.ndarray, attributes: Mapping[str, str | int], form: str, p
 
 
 def in_8_bits(display: np.ndarray) -> Image:
-    """Display values [H, W, 1, 3 or 4], clamped to [0, 1], as a picture of PIL."""
+    """Display values [H, W, 1, 3 or 4], clamped to [0, 1], as a picture of PIL.
+
+    >>> in_8_bits(np.full((2, 3, 3), 0.5)).getpixel((0, 0))
+    (128, 128, 128)
+    """
     from PIL import Image
 
     pixels = (np.clip(display, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -124,6 +128,10 @@ def check_pixels(width: int, height: int, path: Path | str) -> None:
 
     Raises:
         ValueError: it has more.
+
+    >>> check_pixels(100_000, 100_000, "photo.jpg")
+    Traceback (most recent call last):
+    ValueError: photo.jpg: 100000x100000 px, expected 268,435,456 px or fewer; scale it down.
     """
     if width * height > _MAX_PIXELS:
         raise ValueError(f"{path}: {width}x{height} px, expected {_MAX_PIXELS:,} px or fewer; scale it down.")

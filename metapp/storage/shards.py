@@ -194,6 +194,13 @@ class ShardWriter:
     Raises:
         ValueError: the folder is a file or holds another application's tasks (on entering); no task was added (on
             leaving).
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with ShardWriter(folder, "brdf", {"angles": "rad"}) as writer:
+    ...         writer.add(Task("gold", {"angles": torch.zeros(2, 3)}), "train", "brdfs/gold.binary")
+    ...     [entry.source for entry in read_manifest(folder).tasks], read_shard(folder)[0].data["angles"].shape
+    (['gold.binary'], torch.Size([2, 3]))
     """
 
     def __init__(

@@ -18,7 +18,11 @@ from metapp.learning.task import Params
 
 
 def half_cosine(first: float, steps: int, final: float = 1.0, warmup: int = 0) -> Tensor:
-    """Rates [steps]: linear warm-up to `first`, then half a cosine down to `first * final`."""
+    """Rates [steps]: linear warm-up to `first`, then half a cosine down to `first * final`.
+
+    >>> half_cosine(1.0, 3, final=0.0)
+    tensor([1.0000, 0.7500, 0.2500])
+    """
     i = torch.arange(max(steps, 1), dtype=torch.float32)
     progress = ((i - warmup) / max(steps - warmup, 1)).clamp(0, 1)
     rates = final + (1 - final) * 0.5 * (1 + torch.cos(math.pi * progress))
@@ -26,7 +30,11 @@ def half_cosine(first: float, steps: int, final: float = 1.0, warmup: int = 0) -
 
 
 def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
-    """Plain Adam (Kingma & Ba 2015) for Overfit, Finetune and QuickFT."""
+    """Plain Adam (Kingma & Ba 2015) for Overfit, Finetune and QuickFT.
+
+    >>> fixed_adam(Adam(0.1), {"x": torch.zeros(1)}, steps=2).alpha["rate"]
+    tensor([0.1000, 0.1000])
+    """
     device = next(iter(theta.values())).device
     rate = half_cosine(settings.rate, steps, settings.final).to(device)
     alpha = {"rate": rate, "beta1": _one(settings.beta1, device), "beta2": _one(settings.beta2, device)}
@@ -49,7 +57,11 @@ def _one(value: float, device: torch.device) -> Tensor:
 
 
 def append_axes(value: Tensor, other: Tensor) -> Tensor:
-    """A tensor of fewer axes, with ones appended so that it broadcasts from the left (the task axis)."""
+    """A tensor of fewer axes, with ones appended so that it broadcasts from the left (the task axis).
+
+    >>> append_axes(torch.zeros(2), torch.zeros(2, 3, 4)).shape
+    torch.Size([2, 1, 1])
+    """
     return value.reshape(value.shape + (1,) * (other.ndim - value.ndim))
 
 
@@ -59,7 +71,11 @@ def sgd(alpha: Params) -> UpdateRule:
 
 
 def sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
-    """A step of `sgd`."""
+    """A step of `sgd`.
+
+    >>> sgd_step({"rate": torch.tensor(0.5)}, {"x": torch.tensor([1.0])}, {"x": torch.tensor([2.0])}, {})
+    ({'x': tensor([0.])}, {})
+    """
     return {key: theta[key] - _rate(alpha, key, grads[key]) * grads[key] for key in theta}, state
 
 
@@ -68,7 +84,11 @@ def _rate(alpha: Params, key: str, grad: Tensor) -> Tensor:
 
 
 def adam_state(theta: Params) -> Params:
-    """Both moments and the running products of the betas, which may differ from step to step."""
+    """Both moments and the running products of the betas, which may differ from step to step.
+
+    >>> sorted(adam_state({"x": torch.zeros(1)}))
+    ['m.x', 'product1', 'product2', 'v.x']
+    """
     first = next(iter(theta.values()))
     state = {f"m.{key}": torch.zeros_like(value) for key, value in theta.items()}
     state |= {f"v.{key}": torch.zeros_like(value) for key, value in theta.items()}
@@ -99,6 +119,10 @@ class AdamStep:
     Attributes:
         eps: added to the root of the second moment.
         decay: weight decay (L2), added to the gradient.
+
+    >>> theta, settings = {"x": torch.zeros(1)}, {"beta1": torch.tensor(0.9), "beta2": torch.tensor(0.999)}
+    >>> AdamStep(1e-8)({"rate": torch.tensor(0.1), **settings}, theta, {"x": torch.tensor([5.0])}, adam_state(theta))[0]
+    {'x': tensor([-0.1000])}
     """
 
     eps: float
