@@ -8,7 +8,7 @@ materials:
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -17,7 +17,6 @@ from metapp.appearance.relief import height_from_normal
 
 DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
 DESCRIPTION = "material.json"  # describes the files of an asset folder
-Encoding = Literal["srgb", "linear"]
 
 
 class Surface(NamedTuple):
@@ -40,6 +39,14 @@ class Surface(NamedTuple):
         """Height and width in texels."""
         return self.base.shape[-2], self.base.shape[-1]
 
+    def heights(self) -> Tensor:
+        """Heights [1, H, W] in texture widths, about a mean of 0; those of normals where the fit has none."""
+        height = self.height
+        if height is None:
+            assert self.maps is not None
+            height = height_from_normal(self.maps.normal, periodic=self.tiles)
+        return (height - height.mean()) / self.size[1]
+
     def linear_maps(self) -> dict[str, Tensor]:
         """The fit's own maps by name, linear: [H, W, 3], or [H, W] of roughness and of heights in texels.
 
@@ -51,37 +58,6 @@ class Surface(NamedTuple):
         maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
         maps = {name: part.movedim(0, -1) for name, part in maps.items()} | {"roughness": roughness[0]}
         return maps if self.height is None else maps | {"height": self.height[0]}
-
-
-class Plane(NamedTuple):
-    """One map as a file holds it.
-
-    Attributes:
-        values: [1 or 3, H, W], linear; in [0, 1] but for heights.
-        encoding: how a file of integers should hold it: colours as sRGB, data as they are.
-        meaning: in words, with the unit.
-    """
-
-    values: Tensor
-    encoding: Encoding
-    meaning: str
-
-
-def fitted_planes(surface: Surface) -> dict[str, Plane]:
-    """The fit's own maps, by name: heights in texture widths, about a mean of 0."""
-    if surface.maps is None:
-        return {"basecolor": Plane(surface.base, "srgb", "colour")}
-    maps, height = surface.maps, surface.height
-    if height is None:
-        height = height_from_normal(maps.normal, periodic=surface.tiles)
-    height = (height - height.mean()) / surface.size[1]
-    return {
-        "diffuse": Plane(maps.diffuse, "srgb", "diffuse albedo"),
-        "specular": Plane(maps.specular.expand(3, -1, -1), "srgb", "F0, reflectance at normal incidence"),
-        "roughness": Plane(maps.roughness, "linear", "roughness; GGX alpha is its square"),
-        "normal_gl": Plane(maps.normal * 0.5 + 0.5, "linear", "normal, 0..1 for -1..1; x right, y up, z out"),
-        "height": Plane(height, "linear", "height, up; in texture widths, mean 0"),
-    }
 
 
 def from_metallic(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:

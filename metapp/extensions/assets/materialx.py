@@ -12,8 +12,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from metapp.appearance.surface import Surface, fitted_planes
+from metapp.appearance.surface import Surface
 from metapp.extensions.assets.pictures import fitted_by, write_planes
+from metapp.extensions.assets.planes import fitted_planes
 from metapp.storage.files import write_xml
 
 VERSION = "1.39"

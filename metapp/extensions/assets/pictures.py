@@ -27,8 +27,8 @@ from torch.nn.functional import interpolate
 
 from metapp.appearance.colour import linear_to_srgb, stretched
 from metapp.appearance.flash import Maps, expose, positions, relightings, render
-from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Plane, Surface, fitted_planes
-from metapp.extensions.assets.planes import all_planes
+from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Surface
+from metapp.extensions.assets.planes import Plane, all_planes, fitted_planes
 from metapp.storage import images
 from metapp.storage.files import as_text, write_atomically
 

@@ -2,13 +2,43 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from metapp.appearance.surface import DIELECTRIC, Plane, Surface, fitted_planes
+from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.occlusion import occlusion_from_height
+
+Encoding = Literal["srgb", "linear"]
+
+
+class Plane(NamedTuple):
+    """One map as a file holds it.
+
+    Attributes:
+        values: [1 or 3, H, W], linear; in [0, 1] but for heights.
+        encoding: how a file of integers should hold it: colours as sRGB, data as they are.
+        meaning: in words, with the unit.
+    """
+
+    values: Tensor
+    encoding: Encoding
+    meaning: str
+
+
+def fitted_planes(surface: Surface) -> dict[str, Plane]:
+    """The fit's own maps, by name: heights in texture widths, about a mean of 0."""
+    if surface.maps is None:
+        return {"basecolor": Plane(surface.base, "srgb", "colour")}
+    maps = surface.maps
+    return {
+        "diffuse": Plane(maps.diffuse, "srgb", "diffuse albedo"),
+        "specular": Plane(maps.specular.expand(3, -1, -1), "srgb", "F0, reflectance at normal incidence"),
+        "roughness": Plane(maps.roughness, "linear", "roughness; GGX alpha is its square"),
+        "normal_gl": Plane(maps.normal * 0.5 + 0.5, "linear", "normal, 0..1 for -1..1; x right, y up, z out"),
+        "height": Plane(surface.heights(), "linear", "height, up; in texture widths, mean 0"),
+    }
 
 
 def all_planes(surface: Surface) -> dict[str, Plane]:

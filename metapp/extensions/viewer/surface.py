@@ -13,7 +13,7 @@ from metapp.appearance.colour import stretched
 from metapp.appearance.flash import GAMMA, Maps, expose, pack, positions, relightings, render, unpack
 from metapp.appearance.latlong import directions
 from metapp.appearance.sphere import environment
-from metapp.appearance.surface import Surface, fitted_planes
+from metapp.appearance.surface import Surface
 from metapp.extensions.viewer.view import THUMBNAIL, View
 
 LARGEST = 1024  # texels a side on a page
@@ -57,7 +57,7 @@ def surface_view(
     small = _reduced(surface)
     if small.maps is None:
         raise ValueError("a surface of one colour, expected one with maps")
-    heights = fitted_planes(small)["height"].values
+    heights = small.heights()
     height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
     pictures = {f"fit_{name}": pixels for name, pixels in _encoded(small.maps).items()} | {"height": _last(height)}
     if reference is not None:

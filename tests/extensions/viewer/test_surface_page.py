@@ -14,7 +14,7 @@ from torch.nn.functional import normalize
 
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
-from metapp.appearance.surface import Surface, fitted_planes
+from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
@@ -83,7 +83,7 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
     assert surface.maps is not None
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
-    torch.testing.assert_close(heights, fitted_planes(surface)["height"].values, atol=1e-5, rtol=0)
+    torch.testing.assert_close(heights, surface.heights(), atol=1e-5, rtol=0)
     assert list(view.facts["lit"]) == ["photo_1", *relightings()]
     assert view.facts["lit"]["photo_1"]["part"] == 1 / 4
     assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
@@ -143,7 +143,7 @@ def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
         maps.diffuse, large.maps.diffuse.unfold(1, 2, 2).unfold(2, 2, 2).mean((3, 4)), atol=1e-5, rtol=0
     )
     torch.testing.assert_close(maps.normal, large.maps.normal[:, ::2, ::2], atol=0.02, rtol=0)
-    heights = fitted_planes(large)["height"].values
+    heights = large.heights()
     assert view.facts["heights"] == pytest.approx([float(heights.min()), float(heights.max())], rel=2e-3)
     assert view.pictures["fit_specular"].shape[-1] == 3
     gray = large._replace(maps=large.maps._replace(specular=large.maps.specular[:1]))
