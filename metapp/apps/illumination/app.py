@@ -219,13 +219,9 @@ class Illumination(CodedApp):
 
     def spread(self, theta: Params, data: Batch) -> Weibull:
         """The distribution of differences of fits of photographs; `data` as of `prepare`, [T, ...]."""
-        return spread_of(self.read_off(theta, data))
-
-    def read_off(self, theta: Params, data: Batch) -> Tensor:
-        """The features that tell the confidence of fits, `confidence.features`."""
         gloss = body_of(BODY_GAIN * theta["body"])[0].gloss
         left = self._visible_loss(theta, self.radiance_of(theta), data, {})
-        return features(self.answer(theta, data), data, gloss @ gloss.new_tensor(GLOSSES), left)
+        return spread_of(features(self.answer(theta, data), data, gloss @ gloss.new_tensor(GLOSSES), left))
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

@@ -91,28 +91,21 @@ def features(maps: Tensor, data: Batch, rough: Tensor, left: Tensor) -> Tensor:
     return torch.stack([value.expand_as(logs) for value in rows], -1)
 
 
-def predicted(params: Params, read: Tensor) -> Weibull:
-    """The network, of features [..., len(FEATURES)]."""
+@functools.cache
+def _network() -> Params:
+    """The network's parameters that ship."""
+    folder = Path(str(resources.files("metapp.checkpoints")))
+    return read_tensors(folder / "illumination/confidence/photo.safetensors")
+
+
+def spread_of(read: Tensor) -> Weibull:
+    """The confidence of fits, by the network that ships, from their features [..., len(FEATURES)]."""
+    params = {key: value.to(read) for key, value in _network().items()}
     x = ((read - params["mean"]) / params["deviation"]).clamp(-LIMIT_DEVIATIONS, LIMIT_DEVIATIONS)
     for number in range(len(HIDDEN)):
         x = torch.tanh(dense(params, f"layer{number}", x))
     scale, shape = dense(params, f"layer{len(HIDDEN)}", x).unbind(-1)
     return Weibull((scale - 1).exp(), softplus(shape) + LEAST_SHAPE)
-
-
-def shipped() -> Path:
-    """The network's parameters that ship."""
-    return Path(str(resources.files("metapp.checkpoints"))) / "illumination/confidence/photo.safetensors"
-
-
-@functools.cache
-def _shipped(path: Path) -> Params:
-    return read_tensors(path)
-
-
-def spread_of(read: Tensor) -> Weibull:
-    """The confidence of fits, by the network that ships, from their features."""
-    return predicted({key: value.to(read) for key, value in _shipped(shipped()).items()}, read)
 
 
 def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:

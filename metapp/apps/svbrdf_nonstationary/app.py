@@ -42,7 +42,6 @@ from metapp.networks.map_pictures import map_pictures, photograph
 
 RADIANCE_FLOOR = 0.1  # of white: the log of radiance is flat below
 LEVEL_SINE = 0.01  # sine of an angle that hardly shows
-MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 STEEP, HIDDEN = 0.2, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
 SURE = 0.03  # and of the error that General predicts of its maps, which moves nothing but that
@@ -191,7 +190,7 @@ class SvbrdfNonstationary(CodedApp):
             return self._photo_loss(theta, maps, batch, learned)
         pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], learned)
         apart = differences(maps, unpack(batch["maps"]))
-        return pictures.mean((1, 2, 3, 4)) + MAPS * _map_loss(apart, learned)
+        return pictures.mean((1, 2, 3, 4)) + _map_loss(apart, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the maps and what they look like under any light, whatever fits see, [T].
