@@ -21,7 +21,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from data_tools.readers.nbrdf import SHAPES
-from metapp.appearance import precision
+from metapp.appearance import features
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
@@ -34,7 +34,7 @@ from tests.small_spheres import run_small, shrink_spheres
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
-os.environ[precision.FLOAT32] = "1"  # figures are the same on all machines
+os.environ[features.FLOAT32] = "1"  # figures are the same on all machines
 HAS_GPU = torch.cuda.is_available()
 
 
@@ -151,8 +151,8 @@ def with_bfloat16(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = {f"conv{i}.weight": torch.randn(out, of, 3, 3, generator=rng) / (9 * of) ** 0.5 for i, out, of in shapes}
     biases = {key.replace("weight", "bias"): torch.zeros(len(value)) for key, value in weights.items()}
     save_file(weights | biases, cache / "vgg16.safetensors")
-    monkeypatch.setattr(precision, "has_bfloat16", lambda: True)
-    monkeypatch.delenv(precision.FLOAT32)
+    monkeypatch.setattr(features, "has_bfloat16", lambda: True)
+    monkeypatch.delenv(features.FLOAT32)
 
 
 @pytest.fixture

@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 
 import torch
@@ -14,7 +15,6 @@ from safetensors import SafetensorError
 from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.precision import in_bfloat16
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import open_regular, opened_tensors
 
@@ -63,6 +63,21 @@ class Features(nn.Module):
     @cached_property
     def _in_bfloat16(self) -> nn.ModuleList:
         return copy.deepcopy(self.stages).bfloat16()
+
+
+FLOAT32 = "METAPP_FLOAT32"  # of the environment: 1 for float32 everywhere
+
+
+@cache
+def has_bfloat16() -> bool:
+    """True if the CPU multiplies bfloat16 by instructions of its own (AVX512-BF16, AMX), faster than float32."""
+    capabilities = torch.cpu.get_capabilities()
+    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
+def in_bfloat16(device: torch.device) -> bool:
+    """True if features in reduced precision are computed in bfloat16 on a device; METAPP_FLOAT32=1: never."""
+    return device.type == "cpu" and has_bfloat16() and os.environ.get(FLOAT32, "") in ("", "0")
 
 
 def describe_precision(device: torch.device) -> str:
@@ -137,30 +152,27 @@ def _load(taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.d
 
 def _vgg(taps: Sequence[str], path: str) -> Features:
     stages: list[list[nn.Module]] = [[]]
-    for name, tap, inputs, outputs in _layers():
-        if tap.endswith("_1") and name != "conv0":
-            stages[-1].append(nn.MaxPool2d(2))
-        stages[-1] += [_convolution(path, name, inputs, outputs), nn.ReLU(inplace=True)]
-        if tap in taps:
-            stages.append([])
-        if len(stages) > len(taps):  # deeper ones are not even read
-            break
-    return Features(describe_features(), [nn.Sequential(*stage) for stage in stages[:-1]])
-
-
-def _convolution(path: str, name: str, inputs: int, outputs: int) -> nn.Conv2d:
-    convolution = nn.Conv2d(inputs, outputs, 3, padding=1)
     try:
         with opened_tensors(path) as weights:
-            parts = [part for part in ("weight", "bias") if f"{name}.{part}" in weights.keys()]  # noqa: SIM118
-            convolution.load_state_dict({part: weights.get_tensor(f"{name}.{part}") for part in parts})
+            keys = set(weights.keys())
+            for name, tap, inputs, outputs in _layers():
+                if tap.endswith("_1") and name != "conv0":
+                    stages[-1].append(nn.MaxPool2d(2))
+                layer = nn.Conv2d(inputs, outputs, 3, padding=1)
+                parts = {part: f"{name}.{part}" for part in ("weight", "bias")}
+                layer.load_state_dict({part: weights.get_tensor(key) for part, key in parts.items() if key in keys})
+                stages[-1] += [layer, nn.ReLU(inplace=True)]
+                if tap in taps:
+                    stages.append([])
+                if len(stages) > len(taps):  # deeper ones are not even read
+                    break
     except SafetensorError:
         raise _damaged(path) from None
     except RuntimeError:
         raise ValueError(
             f"{path}: {name} missing or of another shape, expected VGG-16; fetch it again: metapp data vgg."
         ) from None
-    return convolution
+    return Features(describe_features(), [nn.Sequential(*stage) for stage in stages[:-1]])
 
 
 def _layers() -> Iterator[tuple[str, str, int, int]]:

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
-from metapp.appearance import features, precision
+from metapp.appearance import features
 from metapp.appearance.features import (
     IMAGENET_DEVIATION,
     IMAGENET_MEAN,
@@ -215,8 +215,8 @@ def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
 def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Made-up weights, and a CPU that is said to be made for bfloat16: torch computes it on any."""
     os.link(vgg16, cache / "vgg16.safetensors")
-    monkeypatch.setattr(precision, "has_bfloat16", lambda: True)
-    monkeypatch.delenv(precision.FLOAT32)
+    monkeypatch.setattr(features, "has_bfloat16", lambda: True)
+    monkeypatch.delenv(features.FLOAT32)
     yield
     features._load.cache_clear()
 
@@ -228,7 +228,7 @@ def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
 ) -> None:
     pictures = torch.rand(2, 3, 64, 64, generator=rng)
     found, slopes = gradient_of(pictures)
-    monkeypatch.setenv(precision.FLOAT32, "1")
+    monkeypatch.setenv(features.FLOAT32, "1")
     expected, exact = gradient_of(pictures)
     for one, other in zip(found, expected, strict=True):
         assert one.dtype == torch.float32
@@ -258,7 +258,7 @@ def test_descended_pictures_alone_are_in_bfloat16_and_where_it_is_fast(
     precise = descended.double()
     assert {each.dtype for each in load_features(TAPS, precise)(precise, reduced=True)} == {torch.float64}
     judged = [network(pictures, reduced=True), network(made, reduced=True), network(descended)]
-    monkeypatch.setattr(precision, "has_bfloat16", lambda: False)
+    monkeypatch.setattr(features, "has_bfloat16", lambda: False)
     assert describe_precision(torch.device("cpu")) == ""
     for maps in (*judged, reduced()):
         assert all(torch.equal(one, other) for one, other in zip(maps, long, strict=True))

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from data_tools.readers.material_maps import read_task
-from metapp.appearance import precision
+from metapp.appearance import features
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import normal_from_height, unpack
@@ -99,7 +99,7 @@ def test_fits_in_bfloat16_are_runs_of_their_own(
 
     short = fit("short")
     with monkeypatch.context() as patch:
-        patch.setenv(precision.FLOAT32, "1")
+        patch.setenv(features.FLOAT32, "1")
         long = fit("long")
     (one,), (other,) = (read_fits(run) for run in (short, long))
     if app == "svbrdf_stationary":  # whose fits gain less by it

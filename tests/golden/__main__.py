@@ -8,14 +8,14 @@ from pathlib import Path
 
 import torch
 
-from metapp.appearance import precision
+from metapp.appearance import features
 from tests.golden.measured import PARTS
 from tests.golden.test_golden import FILE
 
 if __name__ == "__main__":
     import os
 
-    os.environ[precision.FLOAT32] = "1"
+    os.environ[features.FLOAT32] = "1"
     torch.set_num_threads(1)
     values = json.loads(FILE.read_text()) if FILE.exists() else {}
     for part in sys.argv[1:] or PARTS:

@@ -17,9 +17,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 
-from metapp.appearance.features import load_features, weights_path
+from metapp.appearance.features import in_bfloat16, load_features, weights_path
 from metapp.appearance.flash import positions
-from metapp.appearance.precision import in_bfloat16
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import PARTS, SLOPE, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
