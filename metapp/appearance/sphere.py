@@ -14,8 +14,6 @@ from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, gauss_legendre
 from metapp.storage.cache import cached_tensors
 
-_FOUR = "-phi_h"  # of names of scenes with phi_h
-
 
 class SphereScene(NamedTuple):
     """A lit sphere seen by an orthographic camera, as (pixel, light) pairs to multiply with a BRDF.
@@ -177,28 +175,16 @@ def studio_lights() -> Tensor:
     return torch.stack(lights).float()
 
 
-def sphere_scene(
-    size: int = 96,
-    *,
-    azimuths: bool = False,
-    dtype: torch.dtype = torch.float32,
-    device: torch.device | str | None = None,
-) -> SphereScene:
-    """The reference picture: a sphere under three softboxes, a small lamp and a dim sky: 103 directions of light.
+def sphere_scene(size: int, *, azimuths: bool = False) -> SphereScene:
+    """The sphere under three softboxes, a small lamp and a dim sky, 103 directions of light, float64.
 
     Args:
         size: width and height in pixels, >= 8; the sphere fills 96 % of it.
         azimuths: with phi_h, for anisotropic reflection.
-        dtype: of the floating-point tensors.
-        device: where they live.
-
-    Returns:
-        The scene, exposed such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
     """
     mask, coverage, frame = _surface(size)
     wi, irradiance = _studio(frame)
-    scene = _exposed(mask, coverage, wi, frame[:, :, 2], irradiance, azimuths)
-    return SphereScene(*(part.to(device, None if part.dtype == torch.bool else dtype) for part in scene))
+    return _exposed(mask, coverage, wi, frame[:, :, 2], irradiance, azimuths)
 
 
 def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 8192) -> Tensor:
@@ -224,26 +210,28 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 
 
 @functools.cache
-def reference_scene(*, azimuths: bool = False) -> SphereScene:
-    """The scene of all BRDF pictures, of fits and references alike; with phi_h for those of anisotropic ones."""
-    return _kept(f"studio{_FOUR * azimuths}", lambda: sphere_scene(azimuths=azimuths))
+def reference_scene(size: int = 96, *, azimuths: bool = False) -> SphereScene:
+    """The scene of all BRDF pictures, of fits and references alike, float32: `sphere_scene`, cached."""
+    return _cached(f"studio-{size}", azimuths, lambda: sphere_scene(size, azimuths=azimuths))
 
 
 @functools.cache
-def environment_scene(size: int = 48, *, azimuths: bool = False) -> SphereScene:
-    """The same sphere under `environment` alone, 320 directions a pixel, float32; of width and height >= 8."""
-    return _kept(f"environment-{size}{_FOUR * azimuths}", lambda: _environment_scene(size, azimuths))
+def environment_scene(*, azimuths: bool = False) -> SphereScene:
+    """The sphere at 48 px under `environment` alone, 320 directions a pixel, float32, cached."""
+
+    def make() -> SphereScene:
+        mask, coverage, frame = _surface(48)
+        wo = frame[:, :, 2]
+        wi, solid_angle = _rings(wo, 16, 20)
+        light = environment(torch.einsum("pji,plj->pli", frame, wi))
+        return _exposed(mask, coverage, wi, wo, light * solid_angle[..., None], azimuths)
+
+    return _cached("environment-48", azimuths, make)
 
 
-def _environment_scene(size: int, azimuths: bool) -> SphereScene:
-    mask, coverage, frame = _surface(size)
-    wo = frame[:, :, 2]
-    wi, solid_angle = _rings(wo, 16, 20)
-    light = environment(torch.einsum("pji,plj->pli", frame, wi))
-    scene = _exposed(mask, coverage, wi, wo, light * solid_angle[..., None], azimuths)
-    return SphereScene(*(part if part.dtype == torch.bool else part.float() for part in scene))
+def _cached(name: str, azimuths: bool, make: Callable[[], SphereScene]) -> SphereScene:
+    def tensors() -> dict[str, Tensor]:
+        return {key: part if part.dtype == torch.bool else part.float() for key, part in make()._asdict().items()}
 
-
-def _kept(name: str, make: Callable[[], SphereScene]) -> SphereScene:
-    """A scene from the cache, or made now."""
-    return SphereScene(**cached_tensors(f"sphere-{name}", (__file__, geometry.__file__), lambda: make()._asdict()))
+    name = f"sphere-{name}{'-phi_h' * azimuths}"
+    return SphereScene(**cached_tensors(name, (__file__, geometry.__file__), tensors))

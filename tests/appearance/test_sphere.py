@@ -21,7 +21,7 @@ ALPHAS = (0.03, 0.1, 0.3, 0.6)
 
 @pytest.fixture(scope="module")
 def scene() -> SphereScene:
-    return sphere_scene(48, dtype=torch.float64)
+    return sphere_scene(48)
 
 
 def test_only_light_above_the_horizon_counts(scene: SphereScene) -> None:
@@ -43,7 +43,7 @@ def test_shading_is_the_weighted_sum_in_chunks_of_any_size(scene: SphereScene) -
 
 def test_the_sky_integrates_lobes_of_any_width() -> None:
     # At the centre of the sphere the sky's gradient cancels: a lobe sees its albedo times one and the same level.
-    scene = sphere_scene(49, dtype=torch.float64)
+    scene = sphere_scene(49)
     centre = len(scene.angles) // 2
     angles, weights = scene.angles[centre, -42:], scene.weights[centre, -42:]
     levels = []
