@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.rendering.scenes import plugins, rules
+from metapp.rendering.scenes import rules
 from metapp.rendering.scenes.rules import (
     MOST_CHARACTERS,
     MOST_NESTED,
@@ -114,4 +114,4 @@ def test_a_scene_is_what_its_text_says() -> None:
 def test_without_mitsuba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"mitsuba: not installed, .*; pip install mitsuba"):
-        plugins.own_folder()
+        rules.own_folder()

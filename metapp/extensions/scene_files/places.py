@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from metapp.extensions.scene_files.files import check_file
-from metapp.rendering.scenes.plugins import snake_case
-from metapp.rendering.scenes.rules import Files
+from metapp.rendering.scenes.rules import Files, snake_case
 from metapp.storage.files import open_regular
 
 TEXT_BYTES = 2**24  # of a scene file or an include

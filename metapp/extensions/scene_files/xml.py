@@ -15,14 +15,17 @@ from xml.etree.ElementTree import Element, iterparse, tostring
 from xml.parsers import expat
 
 from metapp.extensions.scene_files.places import TEXT_BYTES, Places
-from metapp.rendering.scenes.plugins import (
+from metapp.rendering.scenes.rules import (
+    MOST_CHARACTERS,
+    MOST_NESTED,
+    MOST_VALUES,
     PLUGIN,
     Unsupported,
     check_parameters,
     check_plugin,
+    checked_string,
     number_of,
 )
-from metapp.rendering.scenes.rules import MOST_CHARACTERS, MOST_NESTED, MOST_VALUES, checked_string
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip

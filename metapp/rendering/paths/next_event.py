@@ -1,10 +1,10 @@
-"""Paths by their random numbers, as `metapp.rendering.paths.path_space` traces them, with next-event estimation.
+"""Paths by their random numbers, for `metapp.rendering.paths.path_space`, with or without next-event estimation.
 
-The mean over all numbers that a point does not hold is that of paths without it, where these meet the light at all: a
-direction that the point holds decides alone what light it meets, and emitters are sampled from the next surface on.
-There multiple importance sampling counts light from both sides once (Veach & Guibas 1995). Emitters that no direction
-meets (point, spot, directional) are sampled at all surfaces but the first. What these send to the first surface depends
-on no direction: it is no part of what a path carries, but comes beside it, for pictures.
+With it, the mean over all numbers that a point does not hold is that of paths without it, where these meet the light at
+all: a direction that the point holds decides alone what light it meets, and emitters are sampled from the next surface
+on. There multiple importance sampling counts light from both sides once (Veach & Guibas 1995). Emitters that no
+direction meets (point, spot, directional) are sampled at all surfaces but the first. What these send to the first
+surface depends on no direction: it is no part of what a path carries, but comes beside it, for pictures.
 """
 
 from __future__ import annotations
@@ -47,7 +47,12 @@ class _Paths:
 
 
 def trace(
-    scene: mt.Scene, ray: mt.Ray, directions: list[mt.Point2], rng: mt.RandomStreams, depth: int
+    scene: mt.Scene,
+    ray: mt.Ray,
+    directions: list[mt.Point2],
+    rng: mt.RandomStreams,
+    depth: int,
+    next_event: bool,
 ) -> tuple[mt.Color, mt.Color]:
     """Trace paths.
 
@@ -58,34 +63,39 @@ def trace(
             next-event estimation of lights that a direction can meet, even if there are none.
         rng: of all further numbers.
         depth: edges of the longest path.
+        next_event: whether emitters are sampled, too; else a path counts only by the lights that it meets.
 
     Returns:
         What paths carry; and beside it the light of point, spot and directional emitters at the first surface that
-        scatters.
+        scatters, 0 without next-event estimation.
     """
     first = max(len(directions), 1)
 
     def bounce(paths: _Paths) -> tuple[_Paths]:
         si = scene.ray_intersect(paths.ray, paths.active)
-        paths.radiance += paths.throughput * _emitted(scene, si, paths)
+        paths.radiance += paths.throughput * _emitted(scene, si, paths, next_event)
         paths.depth += 1
         active = paths.active & si.is_valid() & (paths.depth < depth)
-        bsdf, rng = si.bsdf(paths.ray), paths.rng
+        bsdf, rng, context = si.bsdf(paths.ray), paths.rng, mi.BSDFContext()
         scatters = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        place = mi.Point2f(rng.next_float32(), rng.next_float32())
-        emitter, emitted = scene.sample_emitter_direction(si, place, True, scatters)
+        if next_event:
+            place = mi.Point2f(rng.next_float32(), rng.next_float32())
+            emitter, emitted = scene.sample_emitter_direction(si, place, True, scatters)
         lobe, pair = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
         for number, direction in enumerate(directions):
             pair = dr.select(paths.used == number, direction, pair)
-        to_emitter = si.to_local(emitter.d)
-        value, density, drawn, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, to_emitter, lobe, pair, active)
-        share = dr.select(emitter.delta, 1, mis_weight(emitter.pdf, density))
-        is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.used >= first))
-        light = dr.select(is_lit, paths.throughput * value * emitted * share, 0)
-        paths.direct += dr.select(paths.used == 0, light, 0)
-        paths.radiance += dr.select(paths.used == 0, 0, light)
-        paths.weighted = scatters & (paths.used >= first) & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        paths.origin, paths.density = si, drawn.pdf
+        if next_event:
+            to_emitter = si.to_local(emitter.d)
+            value, density, drawn, weight = bsdf.eval_pdf_sample(context, si, to_emitter, lobe, pair, active)
+            share = dr.select(emitter.delta, 1, mis_weight(emitter.pdf, density))
+            is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.used >= first))
+            light = dr.select(is_lit, paths.throughput * value * emitted * share, 0)
+            paths.direct += dr.select(paths.used == 0, light, 0)
+            paths.radiance += dr.select(paths.used == 0, 0, light)
+            paths.weighted = scatters & (paths.used >= first) & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+            paths.origin, paths.density = si, drawn.pdf
+        else:
+            drawn, weight = bsdf.sample(context, si, lobe, pair, active)
         paths.used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
         paths.throughput *= weight
         paths.active = active & (dr.max(paths.throughput) > 0)
@@ -101,9 +111,11 @@ def trace(
     return paths.radiance, paths.direct
 
 
-def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
+def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths, next_event: bool) -> mt.Color:
     """Emission of the surface or sky that paths met, by its weight where emitters were sampled before."""
+    light = si.emitter(scene, paths.active).eval(si, paths.active)
+    if not next_event:
+        return light
     there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
-    light = there.emitter.eval(si, paths.active)
     density = scene.pdf_emitter_direction(paths.origin, there, paths.active & paths.weighted)
     return light * dr.select(paths.weighted, mis_weight(paths.density, density), 1)

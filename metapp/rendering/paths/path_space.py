@@ -22,7 +22,7 @@ from torch import Generator, Tensor
 
 from metapp.rendering.scenes.loading import brightness, load_scene, reason_of
 from metapp.rendering.scenes.rules import SceneDict
-from metapp.rendering.types import Color, Mask, Point2, RandomStreams, Ray, UInt32
+from metapp.rendering.types import Color, Point2, RandomStreams, Ray
 
 DIMENSIONS = 4  # film, and the direction at the first surface that scatters
 DEPTH_EDGES = 6  # edges of the longest path
@@ -78,13 +78,11 @@ class Tracer:
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
         pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
         with _traceable():
-            streams = self.streams(len(points), rng)
-            if not self.next_event:
-                return _as_tensor(self._trace(pairs[0], pairs[1:], streams)), 0.0
-            from metapp.rendering.paths import next_event  # imports Mitsuba
+            from metapp.rendering.paths.next_event import trace  # imports Mitsuba
 
-            carried, direct = next_event.trace(self.scene, self.rays(pairs[0]), pairs[1:], streams, self.depth)
-            return _as_tensor(carried), _as_tensor(direct)
+            streams, rays = self.streams(len(points), rng), self.rays(pairs[0])
+            carried, direct = trace(self.scene, rays, pairs[1:], streams, self.depth, self.next_event)
+            return _as_tensor(carried), _as_tensor(direct) if self.next_event else 0.0
 
     def streams(self, count: int, rng: Generator) -> RandomStreams:
         """A Dr.Jit generator of `count` random streams; unlike neighbouring streams of PCG32, they are not alike."""
@@ -104,34 +102,6 @@ class Tracer:
         side = min(width, height)
         place = (film - 0.5) * mi.ScalarVector2f(side / width, side / height) + 0.5
         return sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
-
-    def _trace(self, film: Point2, directions: list[Point2], rng: RandomStreams) -> Color:
-        import drjit as dr
-
-        mi, scene, context = self.mi, self.scene, self.mi.BSDFContext()
-
-        def bounce(ray: Ray, throughput: Color, radiance: Color, depth: UInt32, used: UInt32, rng: RandomStreams,
-                   active: Mask) -> tuple[Ray, Color, Color, UInt32, UInt32, RandomStreams, Mask]:  # fmt: skip
-            si = scene.ray_intersect(ray, active)
-            radiance += dr.select(active, throughput * si.emitter(scene, active).eval(si, active), 0)
-            depth += 1
-            active &= si.is_valid() & (depth < self.depth)
-            bsdf = si.bsdf(ray)
-            scatters = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            lobe, pair = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
-            for number, direction in enumerate(directions):
-                pair = dr.select(used == number, direction, pair)
-            sample, weight = bsdf.sample(context, si, lobe, pair, active)
-            used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
-            throughput *= weight
-            active &= dr.max(throughput) > 0
-            return si.spawn_ray(si.to_world(sample.wo)), throughput, radiance, depth, used, rng, active
-
-        count = dr.width(film)
-        ones = dr.full(mi.Float, 1, count)
-        state = (self.rays(film), mi.Color3f(ones), mi.Color3f(0 * ones), mi.UInt32(0), mi.UInt32(0), rng,
-                 dr.full(mi.Bool, True, count))  # fmt: skip
-        return dr.while_loop(state, lambda *state: state[-1], bounce)[2]
 
 
 @contextlib.contextmanager
