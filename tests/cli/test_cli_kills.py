@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from metapp.runs.checkpoints import training
+from metapp.runs import training
 from tests import forks
 
 pytestmark = pytest.mark.usefixtures("compiled")
