@@ -19,8 +19,6 @@ from metapp.extensions.guided.histogram import (
     GRID,
     SIDE,
     SLOTS,
-    alias_words,
-    quantised,
     second_moments,
     shrunk,
 )
@@ -46,30 +44,6 @@ def weights(rows: int) -> torch.Tensor:
     return torch.rand(rows, BINS, generator=torch.Generator().manual_seed(0), dtype=torch.float64) ** 4
 
 
-def test_every_bin_has_slots_and_the_others_go_by_weight() -> None:
-    wanted = weights(5)
-    slots = quantised(wanted)
-    assert (slots.sum(1) == SLOTS).all()
-    assert int(slots.min()) >= LEAST
-    expected = LEAST + wanted / wanted.sum(1, keepdim=True) * (SLOTS - BINS * LEAST)
-    assert float((slots - expected).abs().max()) <= 1
-    assert float((slots - expected).cumsum(1).abs().max()) <= 0.5 + 1e-6  # ends are rounded to the nearest
-    one = torch.zeros(1, BINS, dtype=torch.float64)
-    one[0, 77] = 1e-30
-    assert int(quantised(one)[0, 77]) == SLOTS - (BINS - 1) * LEAST
-
-
-def test_words_draw_each_bin_as_often_as_it_has_slots() -> None:
-    some = torch.cat([weights(50), torch.ones(1, BINS), torch.eye(BINS)[7:8]]).double()
-    slots = quantised(some).numpy()
-    words = alias_words(slots).astype(np.int64)
-    assert np.array_equal(words >> 16, slots)
-    own, other = words >> 8 & 0xFF, words & 0xFF
-    drawn = own.copy()
-    np.add.at(drawn, (np.arange(len(slots))[:, None], other), BINS - own)
-    assert np.array_equal(drawn, slots)
-
-
 def test_with_many_paths_moments_are_means_however_they_were_sampled() -> None:
     counts = 50 * weights(len(VOXELS)).reshape(-1, SIDE, SIDE)
     even = second_moments(4.0 * counts, counts, VOXELS)
@@ -79,16 +53,6 @@ def test_with_many_paths_moments_are_means_however_they_were_sampled() -> None:
     assert torch.allclose(second_moments(expected * counts, counts, VOXELS), expected, rtol=1e-3)
     nothing = torch.zeros_like(expected)  # and without paths the expected ones
     torch.testing.assert_close(shrunk(nothing, nothing, expected), expected)
-
-
-def test_bins_without_paths_get_the_moment_of_those_around_them() -> None:
-    squares, counts = torch.zeros(2, 1, SIDE, SIDE, dtype=torch.float64)
-    counts += 1000
-    squares[:, : SIDE // 2, : SIDE // 2] = 1000  # a bright quarter
-    for row, column in ((3, 3), (12, 12)):  # one of it and one of the dark ones that nothing is known of
-        squares[:, row, column] = counts[:, row, column] = 0
-    moments = second_moments(squares, counts, VOXELS[:1])[0]
-    assert [float(moments[at]) for at in ((3, 3), (12, 12), (5, 5))] == pytest.approx([1, 0, 1], abs=0.1)
 
 
 def test_voxels_without_paths_get_the_moments_of_those_around_them_of_their_axis() -> None:
@@ -292,31 +256,6 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
 
 
 # The cache
-
-
-def test_frames_of_an_entry_are_turned_alike(mi: Any) -> None:
-    """Normals that differ by little have tangents that differ by little, also near the axes."""
-    rng = np.random.default_rng(0)
-    normals = rng.standard_normal((3, 2000)).astype(np.float32)
-    normals /= np.linalg.norm(normals, axis=0)
-    near = normals + 1e-3 * rng.standard_normal((3, 2000)).astype(np.float32)
-    near /= np.linalg.norm(near, axis=0)
-    cache = empty()
-    found, beside = (cache.locate(mi.Point3f(0, 0, 0), mi.Vector3f(each)) for each in (normals, near))
-    same = found.entry.numpy() == beside.entry.numpy()
-    assert same.mean() > 0.99
-    assert np.linalg.norm(found.frame.s.numpy() - beside.frame.s.numpy(), axis=0)[same].max() < 0.05
-
-
-def test_voxels_are_alike_where_points_are(mi: Any) -> None:
-    from metapp.extensions.guided.cache import GuideCache
-
-    points = np.random.default_rng(0).uniform(-1, 1, (3, 100_000))
-    place = np.random.default_rng(1).uniform(-1, 1, (3, 1000)).astype(np.float32)
-    place = place[:, (np.abs((place + 1) * GRID / 2 % 1 - 0.5) < 0.4).all(0)]  # not at a boundary
-    found = GuideCache([-1] * 3, [1] * 3, points).locate(mi.Point3f(place), mi.Vector3f(1, 0, 0)).entry.numpy()
-    x, y, z = ((place + 1) * GRID / 2).astype(int)
-    assert (found == ((z * GRID + y) * GRID + x) * AXES).all()
 
 
 def test_voxels_are_narrower_where_there_are_many_points(mi: Any) -> None:

@@ -12,7 +12,7 @@ from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import above_horizon
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.extensions.viewer.pages.anisotropic_residual import CELLS, gridded
+from metapp.extensions.viewer.pages.anisotropic_residual import CELLS
 from metapp.extensions.viewer.view import view_of
 from metapp.learning.task import Params
 from tests import anisotropic
@@ -59,18 +59,6 @@ def test_the_grid_has_no_seam() -> None:
         values = interpolated(noise(), path.reshape(-1, 4), TURN).reshape(64, 4000, 3)
         steepest = 8 * max(CELLS) * step  # cells a rad by the difference of neighbours
         assert float(values.diff(dim=1).abs().max()) < steepest
-
-
-def test_a_smooth_residual_is_found_between_its_samples() -> None:
-    def smooth(angles: Tensor) -> Tensor:
-        theta_h, theta_d, phi_d, phi_h = angles.unbind(1)
-        wave = theta_h.square() * (2 * phi_h).cos() + theta_d.square() * (2 * (phi_d + phi_h)).sin()
-        return wave[:, None] * wave.new_tensor([0.5, 1.0, -0.5])
-
-    seen, unseen = angles_above(20_000, 6), angles_above(5000, 7)
-    found = interpolated(gridded(seen, smooth(seen), TURN), unseen, TURN)
-    assert float((found - smooth(unseen)).abs().mean()) < 0.06 * float(smooth(unseen).abs().mean())
-    assert not gridded(seen, 0 * smooth(seen), 0.0).any()
 
 
 def isotropic() -> tuple[Brdf, Params]:

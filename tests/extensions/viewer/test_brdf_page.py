@@ -178,23 +178,6 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page
 
 
 @pytest.mark.long
-def test_the_screen_shows_an_anisotropic_material_beside_a_wrong_fit(open_page: Callable) -> None:
-    """The reference is metapp's picture of it, although the fit is of another; the pointer's plot is drawn."""
-    task = brdf_task("brushed", anisotropic.brushed, azimuths=True)
-    page = open_page(views("anisotropic", task=task))
-    page.sized(96, 96)
-    page.set(view="picture", paper="white", show="reference")
-    page.settle()
-    wanted = to_srgb(task.data["render"])
-    assert_alike(page.screenshot(), wanted, mean=3 / 255, least=0.95)
-    wrong = APPS["anisotropic"].preview(theta_of("anisotropic"), task)["fit"]
-    assert np.abs(to_srgb(wrong) - wanted).mean() >= 15 / 255
-    for plot in ("lobe", "slice"):
-        page.set(plot=plot)
-        page.page.evaluate("metapp.viewer.pointed({ fit: 0, x: 40, y: 40, width: 96, height: 96 })")
-
-
-@pytest.mark.long
 def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
     """Fit and reference, and the wipe has both; the numbers of their difference are those of metapp's pictures."""
     page = open_page(views("nbrdf", task=material()))
