@@ -4,18 +4,28 @@ from metapp.registry import Application, Entry, Export, Format, Recipe, Registry
 
 EITHER = ("reference", "photo")  # values of --observe
 
+# names of recipes by application, and the protocols under which they are
+USUAL = ("quick", "full", "paper")
+SMALLER = ("paper-64", "paper-128")
+RECIPES = (
+    ("brdf", ("",), USUAL),
+    ("texture", ("",), (*USUAL, *SMALLER)),
+    ("svbrdf_stationary", ("",), (*USUAL, *SMALLER)),
+    ("svbrdf_nonstationary", EITHER, USUAL),
+    ("svbrdf_nonstationary", ("reference",), SMALLER),
+    ("illumination", EITHER, USUAL),
+    ("transport", ("",), USUAL),
+)
+
 
 def register(registry: Registry) -> None:
     """Add the core's applications and all that belongs to them, rules, tables and commands."""
-    _add_brdf(registry)
-    _add_exemplars(registry)
-    _add_maps(registry)
-    _add_light(registry)
-    _add_rules(registry)
-    _add_commands(registry)
+    for app, protocols, names in RECIPES:
+        for protocol in protocols:
+            for name in names:
+                place = ".".join(filter(None, ("RECIPES", protocol, name)))
+                registry.recipes[app, protocol, name] = Recipe(f"metapp.apps.{app}.recipes:{place}")
 
-
-def _add_brdf(registry: Registry) -> None:
     app, recipes, readers = "metapp.apps.brdf", "metapp.apps.brdf.recipes:RECIPES", "data_tools.readers"
     registry.applications["brdf"] = Application(
         f"{app}.app:Brdf",
@@ -23,7 +33,6 @@ def _add_brdf(registry: Registry) -> None:
         options=f"{app}.options:BrdfOptions",
         kinds=("phi_h",),
     )
-    _add_recipes(registry, "brdf", "quick", "full", "paper")
     registry.recipes["brdf", "", "anisotropic"] = Recipe(
         f"{recipes}.anisotropic",
         help="reflectance that depends on phi_h",
@@ -42,9 +51,7 @@ def _add_brdf(registry: Registry) -> None:
         "data_tools.synthetic.brdf", "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)"
     )
 
-
-def _add_exemplars(registry: Registry) -> None:
-    """Textures, and stationary svBRDFs, whose maps come of noise as well."""
+    # textures, and stationary svBRDFs, whose maps come of noise as well
     registry.applications["texture"] = Application(
         "metapp.apps.texture.app:Texture",
         help="Textures that look like the photograph of an exemplar.",
@@ -55,8 +62,6 @@ def _add_exemplars(registry: Registry) -> None:
         help="Tiling maps of a flat material from one flash photograph.",
         options="metapp.apps.svbrdf_stationary.options:SvbrdfStationaryOptions",
     )
-    for app in ("texture", "svbrdf_stationary"):
-        _add_recipes(registry, app, "quick", "full", "paper", "paper-64", "paper-128")
     registry.formats["images"] = Format("data_tools.readers.photos", app="texture", inputs="images")
     registry.formats["flash"] = Format("data_tools.readers.flash", app="svbrdf_stationary", inputs="flash photos")
     registry.objects["texture"] = Entry("data_tools.readers.picture_objects:texture")
@@ -68,8 +73,6 @@ def _add_exemplars(registry: Registry) -> None:
         "data_tools.synthetic.svbrdf_stationary", "flash photos of 16 of these kinds; 0.2 MB (120 + 16)"
     )
 
-
-def _add_maps(registry: Registry) -> None:
     name, readers = "svbrdf_nonstationary", "data_tools.readers"
     registry.applications[name] = Application(
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",
@@ -78,8 +81,6 @@ def _add_maps(registry: Registry) -> None:
         kinds=("places", "photo"),
         protocols=EITHER,
     )
-    _add_recipes(registry, name, "quick", "full", "paper", protocols=EITHER)
-    _add_recipes(registry, name, "paper-64", "paper-128", protocols=("reference",))
     registry.formats["maps"] = Format(f"{readers}.material_maps", app=name)
     registry.formats["strips"] = Format(f"{readers}.strips", app=name)
     registry.formats["svbrdf"] = Format(  # of fits: photos, strips and maps
@@ -93,8 +94,6 @@ def _add_maps(registry: Registry) -> None:
         "data_tools.synthetic.svbrdf_nonstationary", "maps and flash photos of 19 kinds; 0.4 MB (1,200 + 16)"
     )
 
-
-def _add_light(registry: Registry) -> None:
     registry.applications["illumination"] = Application(
         "metapp.apps.illumination.app:Illumination",
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
@@ -106,8 +105,6 @@ def _add_light(registry: Registry) -> None:
         help="Light transport of a scene: densities that guide its paths.",
         options="metapp.apps.transport.options:TransportOptions",
     )
-    _add_recipes(registry, "illumination", "quick", "full", "paper", protocols=EITHER)
-    _add_recipes(registry, "transport", "quick", "full", "paper")
     registry.formats["laval"] = Format("data_tools.readers.latlong", app="illumination", inputs="HDR maps (.exr, .hdr)")
     registry.objects["illumination"] = Entry("data_tools.readers.picture_objects:light")
     registry.synthetic["illumination"] = Entry(
@@ -117,15 +114,6 @@ def _add_light(registry: Registry) -> None:
         "data_tools.synthetic.transport", "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)"
     )
 
-
-def _add_recipes(registry: Registry, app: str, *names: str, protocols: tuple[str, ...] = ("",)) -> None:
-    for protocol in protocols:
-        for name in names:
-            place = ".".join(filter(None, ("RECIPES", protocol, name)))
-            registry.recipes[app, protocol, name] = Recipe(f"metapp.apps.{app}.recipes:{place}")
-
-
-def _add_rules(registry: Registry) -> None:
     parts = "metapp.learning.rules.parts"
     # in the order in which they act on a step
     registry.parts["sgd"] = Entry(f"{parts}:SignedRates")
@@ -159,8 +147,6 @@ def _add_rules(registry: Registry) -> None:
     # ridge regression in the last layer, on learned features
     registry.rules["ridge"] = "solve+loss"
 
-
-def _add_commands(registry: Registry) -> None:
     tables = "metapp.evaluation.tables"
     registry.tables["results"] = Entry(f"{tables}.results:RESULTS")
     registry.tables["quickft"] = Entry(f"{tables}.results:QUICKFT")
@@ -179,4 +165,4 @@ def _add_commands(registry: Registry) -> None:
     registry.commands["data join"] = Entry("metapp.cli.data:join")
     registry.commands["data check"] = Entry("metapp.cli.data:check")
     for converter in ("merl", "nbrdf", "images", "flash", "maps", "strips", "laval"):
-        registry.commands[f"data {converter}"] = Entry(f"data_tools.formats.converters:{converter.capitalize()}")
+        registry.commands[f"data {converter}"] = Entry(f"data_tools.converters:{converter.capitalize()}")

@@ -16,9 +16,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
-from metapp.registry import did_you_mean
+from metapp.registry import application_of, did_you_mean, load
 
 PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # of --help
 Options = TypeVar("Options")
@@ -43,7 +43,8 @@ class Option:
         unused_by: paradigms that ignore it; scripts give all paradigms the same options.
         parse: value -> value of the field; ValueError states the expected form.
         short: the letter of a further name on the command line; "" for none.
-        name, kind, default: of the field.
+        name, kinds, default: of the field; a value has one of the types `kinds`.
+        flag: the name on the command line.
     """
 
     help: str = ""
@@ -57,18 +58,9 @@ class Option:
     parse: Callable[[Any], object] | None = None
     short: str = ""
     name: str = ""
-    kind: Any = None
+    kinds: tuple[Any, ...] = ()
     default: object = None
-
-    @property
-    def flag(self) -> str:
-        """Name on the command line."""
-        return f"--{self.name.replace('_', '-')}"
-
-    @property
-    def kinds(self) -> tuple[Any, ...]:
-        """The types of which a value has one."""
-        return get_args(self.kind) if isinstance(self.kind, UnionType) else (self.kind,)
+    flag: str = ""
 
     def value(self, given: object) -> object:
         """The field's value of a given one.
@@ -121,7 +113,8 @@ def _declared(options: type) -> Mapping[str, Option]:
     for field in fields(options):
         kind, *notes = get_args(hints[field.name]) if get_origin(hints[field.name]) is Annotated else (None,)
         if about := next((note for note in notes if isinstance(note, Option)), None):
-            found[field.name] = replace(about, name=field.name, kind=kind, default=field.default)
+            kinds, flag = get_args(kind) if isinstance(kind, UnionType) else (kind,), field.name.replace("_", "-")
+            found[field.name] = replace(about, name=field.name, kinds=kinds, default=field.default, flag=f"--{flag}")
     return found
 
 
@@ -175,7 +168,30 @@ class AppOptions:
         return {name: _as_json(value) for name, value in sorted(self.given(INPUT, FIT).items())}
 
 
+def options_of(app: str) -> type[AppOptions]:
+    """The dataclass of an application's own options."""
+    result: type[AppOptions] = load(application_of(app).options)
+    return result
+
+
 def _as_json(value: object) -> object:
     if isinstance(value, tuple):
         return [_as_json(each) for each in value]
     return str(value.absolute()) if isinstance(value, Path) else value
+
+
+@dataclass(frozen=True)
+class Converter:
+    """The command `metapp data NAME` that converts files of the format NAME: its options are fields, its help the text.
+
+    Attributes:
+        split_help: of --split, where files or names tell more than the general rule.
+    """
+
+    split_help: ClassVar[str] = (
+        "Where the tasks belong. auto: of the sorted names, every fifth is a test task (80 give 64 + 16)."
+    )
+
+    def arguments(self) -> dict[str, object]:
+        """The options as keywords of the format's `read_task`."""
+        return dict(vars(self))

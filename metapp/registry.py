@@ -127,7 +127,7 @@ class Format(Entry):
     The module has `find(paths)`, sources and a line for each file of a folder that is none, ValueError for a bad path;
     `read_task(source, ...)`, ValueError where it is damaged; of inputs of fits `recognises(path)`, True of a file of
     the format and of a folder with such files. Where the command "data NAME" converts files, a
-    `data_tools.formats.Converter`, it has UNITS, of the tasks' tensors by name, and, where places or names of sources
+    `metapp.options.Converter`, it has UNITS, of the tasks' tensors by name, and, where places or names of sources
     tell more than the general rule, `entries(sources, folders, split)`: names, groups and splits as
     `metapp.storage.shards.Entry`, of all sources that are not left out.
 
@@ -182,7 +182,7 @@ class Table(UserDict[Any, Value]):
         self.kind, self.words = kind, words
 
     def __setitem__(self, key: Any, value: Value) -> None:
-        words = key if isinstance(key, tuple) else (key,)
+        words = _words(key)
         if len(words) != self.words or not words[-1] or not all(isinstance(word, str) for word in words):
             raise TypeError(f"{key!r}: no name of {self.words} words")
         if not isinstance(value, self.kind):
@@ -193,7 +193,11 @@ class Table(UserDict[Any, Value]):
 
     def of(self, *first: str) -> dict[str, Value]:
         """Those whose keys are these words and one more, by that."""
-        return {key[-1]: value for key, value in self.items() if key[:-1] == first}
+        return {_words(key)[-1]: value for key, value in self.items() if _words(key)[:-1] == first}
+
+
+def _words(key: Any) -> tuple[str, ...]:
+    return key if isinstance(key, tuple) else (key,)
 
 
 def _line(*words: str) -> str:
@@ -271,8 +275,7 @@ class Registry:
     @staticmethod
     def name(table: str, key: Any) -> str:
         """The name that one package alone may have: of rules and what they are composed of it is "rules NAME"."""
-        words = key if isinstance(key, tuple) else (key,)
-        return _line("rules" if table in ("parts", "compositions") else table, *words)
+        return _line("rules" if table in ("parts", "compositions") else table, *_words(key))
 
     def check(self) -> None:
         """Refuse entries of modules that are missing, and commands that are no functions.
@@ -295,15 +298,13 @@ class Registry:
         What another package has and what cannot be loaded is left out with a warning.
         """
         objects = {}
-        for key, entry in getattr(self, table).items():
-            words = key if isinstance(key, tuple) else (key,)
-            if words[:-1] == first:
-                try:
-                    objects[words[-1]] = entry.load()
-                except ImportError as error:
-                    if (owner := self.owners[self.name(table, key)]) == SHIPPED:
-                        raise
-                    warnings.warn(f"extension of {owner}: {error}; {words[-1]} is left out.", stacklevel=2)
+        for name, entry in getattr(self, table).of(*first).items():
+            try:
+                objects[name] = entry.load()
+            except ImportError as error:
+                if (owner := self.owners[self.name(table, (*first, name))]) == SHIPPED:
+                    raise
+                warnings.warn(f"extension of {owner}: {error}; {name} is left out.", stacklevel=2)
         return objects
 
 
@@ -319,6 +320,77 @@ def registry() -> Registry:
 def left_out_with(table: str, name: str) -> str:
     """The extension that METAPP_WITHOUT leaves out and whose table has this name; "" for none."""
     return next((each for each, part in registry().left_out.items() if name in getattr(part, table)), "")
+
+
+def app_names() -> list[str]:
+    """The names of all applications.
+
+    >>> app_names()[:2]
+    ['brdf', 'illumination']
+    """
+    return sorted(registry().applications)
+
+
+def application_of(name: str) -> Application:
+    """The entry of an application.
+
+    Raises:
+        ValueError: there is none of that name; the message lists those that exist.
+
+    >>> application_of("illumination").protocols
+    ('reference', 'photo')
+    """
+    applications = registry().applications
+    if name not in applications:
+        expected = f"expected one of {', '.join(sorted(applications))}.{did_you_mean(name, applications)}"
+        raise ValueError(f"application '{name}': not known, {expected}")
+    return applications[name]
+
+
+def protocols_of(app: str) -> tuple[str, ...]:
+    """The protocols of an application, the values of --observe, the default first; () where there is no choice."""
+    return application_of(app).protocols
+
+
+def protocol_of(app: str, protocol: str = "") -> str:
+    """The protocol, the default one where none is named; "" where there is no choice.
+
+    >>> protocol_of("illumination")
+    'reference'
+    """
+    return protocol or next(iter(application_of(app).protocols), "")
+
+
+def recipe_names(app: str) -> list[str]:
+    """The recipes of an application under all its protocols.
+
+    >>> recipe_names("illumination")
+    ['quick', 'full', 'paper']
+    """
+    return list(dict.fromkeys(name for other, _, name in registry().recipes if other == app))
+
+
+def recipe_entries(app: str, protocol: str = "") -> dict[str, Recipe]:
+    """The recipes of an application under a protocol, its default one where none is named."""
+    return registry().recipes.of(app, protocol_of(app, protocol))
+
+
+def inputs_of(app: str) -> dict[str, Format]:
+    """The formats that fits of an application take as INPUT, sorted by name.
+
+    >>> list(inputs_of("texture"))
+    ['images']
+    """
+    return {name: form for name, form in sorted(registry().formats.items()) if form.app == app and form.inputs}
+
+
+def exports_of(app: str) -> dict[str, Export]:
+    """The forms that fits of an application can be written in, sorted by name.
+
+    >>> list(exports_of("texture"))
+    ['asset', 'exr', 'png16']
+    """
+    return dict(sorted(registry().exports.of(app).items()))
 
 
 @functools.cache

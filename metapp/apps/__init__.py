@@ -1,7 +1,6 @@
-"""The applications by name: their classes and recipes.
+"""Applications and their recipes, loaded by name; `metapp.registry` says which there are.
 
-What ships is a package here for each: it registers the application, and has modules for its class and its recipes.
-Nothing here is imported before it is asked for.
+What ships is a package here for each, with modules for its class, its recipes and its options.
 """
 
 from __future__ import annotations
@@ -10,31 +9,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from metapp.options import AppOptions
-from metapp.registry import Application, did_you_mean, load, registry
-from metapp.registry import Recipe as RecipeEntry
+from metapp.registry import application_of, protocol_of, recipe_entries
 
 if TYPE_CHECKING:
     from metapp.learning.app import App
     from metapp.learning.recipe import Recipe
-
-
-def app_names() -> list[str]:
-    """All applications; nothing is imported but the modules that register them."""
-    return sorted(registry().applications)
-
-
-def application_of(name: str) -> Application:
-    """The entry of an application.
-
-    Raises:
-        ValueError: there is none of that name; the message lists those that exist.
-    """
-    applications = registry().applications
-    if name not in applications:
-        expected = f"expected one of {', '.join(sorted(applications))}.{did_you_mean(name, applications)}"
-        raise ValueError(f"application '{name}': not known, {expected}")
-    return applications[name]
 
 
 def class_of(name: str) -> type[App]:
@@ -43,33 +22,18 @@ def class_of(name: str) -> type[App]:
     return result
 
 
-def protocols_of(name: str) -> tuple[str, ...]:
-    """The protocols of an application, the values of --observe, the default first; () where there is no choice."""
-    return application_of(name).protocols
-
-
-def options_of(name: str) -> type[AppOptions]:
-    """The dataclass of an application's own options."""
-    result: type[AppOptions] = load(application_of(name).options)
+def recipe_of(app: str, name: str, protocol: str = "") -> Recipe:
+    """The recipe of that name of an application under a protocol, its default one where none is named."""
+    result: Recipe = recipe_entries(app, protocol)[name].load()
     return result
 
 
-def recipe_names(name: str) -> list[str]:
-    """The recipes of an application under all its protocols."""
-    return list(dict.fromkeys(recipe for app, _, recipe in registry().recipes if app == name))
-
-
-def recipe_entries(name: str, protocol: str = "") -> dict[str, RecipeEntry]:
-    """The entries of recipes of an application under a protocol, its default one where none is named."""
-    return registry().recipes.of(name, protocol or next(iter(protocols_of(name)), ""))
-
-
-def recipes_of(name: str, protocol: str = "") -> Mapping[str, Recipe]:
+def recipes_of(app: str, protocol: str = "") -> Mapping[str, Recipe]:
     """The recipes of an application under a protocol, its default one where none is named.
 
     They are "quick", "full", of the size that people use, and "paper"; some applications have more.
     """
-    return {recipe: entry.load() for recipe, entry in recipe_entries(name, protocol).items()}
+    return {name: entry.load() for name, entry in recipe_entries(app, protocol).items()}
 
 
 def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> App:
@@ -77,9 +41,9 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
 
     Args:
         name: the application's.
-        recipe: of the table `recipes_of`, or made of one.
+        recipe: as of `recipe_of`, or made of one.
         protocol: what fits may see; "" for the default one.
         rule: a learned rule, which may have a network of its own.
     """
     app = (recipe.training(rule).app if rule else None) or recipe.app
-    return replace(app, protocol=protocol or next(iter(protocols_of(name)), ""))
+    return replace(app, protocol=protocol_of(name, protocol))

@@ -8,10 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from data_tools.formats import Converter
-from metapp.apps import app_names, application_of
 from metapp.cli.help import Command, Group
-from metapp.registry import SHIPPED, WITHOUT, did_you_mean, left_out_with, reason_of, registry
+from metapp.options import Converter
+from metapp.registry import (
+    SHIPPED,
+    WITHOUT,
+    app_names,
+    application_of,
+    did_you_mean,
+    left_out_with,
+    reason_of,
+    registry,
+)
 from metapp.runs.options import check_name
 from metapp.runs.reporter import say
 

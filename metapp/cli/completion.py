@@ -6,10 +6,8 @@ import os
 import re
 from collections.abc import Callable, Iterable
 
-from data_tools.formats import exports_of
-from metapp.apps import app_names, protocols_of, recipe_names
 from metapp.evaluation.tables import ALL, table_names
-from metapp.registry import registry
+from metapp.registry import app_names, exports_of, protocols_of, recipe_names, registry
 from metapp.rules import composition_names, rule_names
 
 LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed

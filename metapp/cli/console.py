@@ -232,8 +232,7 @@ def what_failed(error: Exception) -> str:
 
 def _remedy(message: str) -> str:
     """A remedy for an application that was forgotten or is no command, or a word that is no choice; else ""."""
-    from metapp.apps import app_names
-    from metapp.registry import did_you_mean
+    from metapp.registry import app_names, did_you_mean
 
     if message == "Missing argument 'APP'.":
         return f" It is one of {', '.join(app_names())}."

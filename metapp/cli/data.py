@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from data_tools.formats import Converter
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.options import Json, Out, Overwrite, Quiet, Split, parameters_of, signed
-from metapp.options import parse
+from metapp.options import Converter, parse
 from metapp.runs.inputs.convert import Converted, convert, converted
 from metapp.runs.reporter import progress, say
 

@@ -144,8 +144,9 @@ def check(options: Evaluation) -> Evaluation:
 
 def subjects_of(options: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
-    from metapp.apps import app_names, protocols_of, recipes_of
+    from metapp.apps import recipes_of
     from metapp.evaluation.subject import Subject
+    from metapp.registry import app_names, protocols_of
     from metapp.runs.run import Run
 
     run = not options.no_run

@@ -7,12 +7,10 @@ from typing import Annotated
 
 import typer
 
-from data_tools.formats import exports_of
-from metapp.apps import app_names
 from metapp.cli import completion
 from metapp.cli.console import print_json
 from metapp.cli.options import FittedData, Json, check_folder
-from metapp.registry import registry
+from metapp.registry import app_names, exports_of, registry
 from metapp.runs.reporter import say
 
 

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from data_tools.formats import exports_of, inputs_of
-from metapp.apps import options_of, protocols_of, recipe_names
 from metapp.cli.commands import app_group
 from metapp.cli.console import Exit, escaped, importing, one_line, out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
-from metapp.options import INPUT, OUTPUT, declared
-from metapp.registry import registry
+from metapp.options import INPUT, OUTPUT, declared, options_of
+from metapp.registry import exports_of, inputs_of, protocols_of, recipe_names, registry
 from metapp.rules import rule_names
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say

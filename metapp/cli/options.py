@@ -12,9 +12,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from data_tools.formats import Converter
 from metapp.cli import completion
-from metapp.options import Option, declared, parse
+from metapp.options import Converter, Option, declared, parse
 
 COMPLETIONS = {
     "observe": completion.observations,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from metapp.apps import protocols_of
 from metapp.learning.app import App
+from metapp.registry import protocols_of
 
 
 def is_first_protocol(app: App) -> bool:

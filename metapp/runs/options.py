@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from data_tools.formats import exports_of
-from metapp.apps import app_names, options_of, protocols_of, recipe_entries
-from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, parse
-from metapp.registry import did_you_mean
+from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, options_of, parse
+from metapp.registry import app_names, did_you_mean, exports_of, protocol_of, protocols_of, recipe_entries
 from metapp.storage.files import file_name
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
@@ -202,7 +200,7 @@ def _check(options: FitOptions) -> None:
         check_export(form, app)
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
-    protocol = options.observe or next(iter(protocols_of(app)), "")
+    protocol = protocol_of(app, options.observe)
     for name in options.own.given():
         option = declared(type(options.own))[name]
         if option.protocol and option.protocol != protocol:

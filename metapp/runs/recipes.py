@@ -12,11 +12,10 @@ from collections.abc import Collection, Sequence
 from importlib import resources
 from pathlib import Path
 
-from data_tools.formats import inputs_of
-from metapp.apps import application_of, recipe_entries, recipes_of
+from metapp.apps import recipe_of
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.registry import Format, Recipe, load
+from metapp.registry import Format, Recipe, application_of, inputs_of, load, recipe_entries
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
 from metapp.storage.shards import read_manifest
@@ -139,14 +138,13 @@ def shipped_names(app: str) -> dict[str, list[str]]:
 
 def ships(app: str, recipe: str, protocol: str = "") -> bool:
     """True if checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
-    same = recipe == FULL and full_fits_as_quick(app)
-    return recipe == QUICK or same or _recipe_folder(app, recipe, protocol).is_dir()
+    own = recipe == QUICK or _recipe_folder(app, recipe, protocol).is_dir()
+    return own or (recipe == FULL and full_fits_as_quick(app))
 
 
 def full_fits_as_quick(app: str) -> bool:
     """True if networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
-    recipes = recipes_of(app)
-    return recipes[FULL].app == recipes[QUICK].app
+    return recipe_of(app, FULL).app == recipe_of(app, QUICK).app
 
 
 def usual_recipe(app: str) -> str:

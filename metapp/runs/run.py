@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from metapp.apps import app_of, recipes_of
+from metapp.apps import app_of, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -63,7 +63,7 @@ class Run:
             hint = did_you_mean(options.paradigm, PARADIGMS)
             raise ValueError(f"paradigm '{options.paradigm}': expected one of {names}.{hint}")
         name = options.recipe or chosen_recipe(options)
-        usual = recipes_of(options.app, options.observe)[name]
+        usual = recipe_of(options.app, name, options.observe)
         recipe = _adapted(options, name, usual)
         if recipe == usual:  # by options that say what it does anyway
             options = replace(options, own=type(options.own)(**options.own.given(INPUT, OUTPUT)))

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps import app_names, protocols_of, recipes_of
+from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
+from metapp.registry import app_names, protocols_of
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import FULL, QUICK, shipped_path, ships
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest

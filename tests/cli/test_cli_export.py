@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from data_tools.formats import exports_of
+from metapp.registry import exports_of
 from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.small_spheres import run_small
 

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from data_tools.formats import exports_of
 from data_tools.readers.latlong import read_map
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import tone_map
@@ -26,6 +25,7 @@ from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.networks.field import LocalField
+from metapp.registry import exports_of
 from metapp.runs.outputs.recorded import read_run, tasks_as
 from metapp.runs.run import Run
 from metapp.storage.fits import PARAMS, RECORD, read_fits

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps import app_names
-from metapp.registry import GROUP, WITHOUT, registry
+from metapp.registry import GROUP, WITHOUT, app_names, registry
 from tests import forks
 
 NETWORKS = 1

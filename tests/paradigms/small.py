@@ -17,7 +17,7 @@ from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps import app_names, app_of, recipes_of
+from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF
@@ -35,6 +35,7 @@ from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.paradigms import PARADIGMS, Paradigm
 from metapp.paradigms.training import TrainState
+from metapp.registry import app_names
 from metapp.rules import rule_names, rule_of
 from tests.marked import long
 from tests.small_spheres import shrink_spheres

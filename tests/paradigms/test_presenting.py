@@ -9,12 +9,13 @@ import pytest
 import torch
 
 from metapp.appearance.picture_measures import image_errors
-from metapp.apps import app_of, protocols_of, recipes_of
+from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Paradigm
+from metapp.registry import protocols_of
 from metapp.storage.files import file_name
 from tests.paradigms.small import rng
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from metapp.apps import app_names, protocols_of
 from metapp.learning import learn as learning
 from metapp.learning.app import stack
 from metapp.learning.learn import check_finite, descend, final_item
 from metapp.paradigms.meta import Meta
+from metapp.registry import app_names, protocols_of
 from tests.paradigms.small import KINDS, OWN_RULES, SMALL, prepared_for, rng, small_app, small_recipe
 
 READS = ("item", "tolist", "cpu", "numpy", "__bool__", "__int__", "__float__", "__index__")

@@ -7,11 +7,10 @@ from dataclasses import is_dataclass
 
 import pytest
 
-from data_tools.formats import formats
 from metapp.registry import Export, registry
 
 
-@pytest.mark.parametrize("name", formats())
+@pytest.mark.parametrize("name", sorted(registry().formats))
 def test_modules_have_what_entries_say(name: str) -> None:
     form = registry().formats[name]
     module = form.load()

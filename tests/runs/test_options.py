@@ -11,12 +11,13 @@ import torch
 from torch import Generator
 from typer.testing import CliRunner
 
-from metapp.apps import app_names, app_of, options_of, protocols_of, recipes_of
+from metapp.apps import app_of, recipes_of
 from metapp.cli.commands import app as cli
 from metapp.cli.fit import SUMMARIES
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.options import BadOption, declared
+from metapp.options import BadOption, declared, options_of
+from metapp.registry import app_names, protocols_of
 from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.recipes import ships
 from metapp.runs.run import Run

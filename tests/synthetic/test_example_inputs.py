@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from data_tools.synthetic.examples import EXAMPLES, write_example
-from metapp.apps import app_names
+from metapp.registry import app_names
 
 
 @pytest.mark.parametrize("app", app_names())

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from data_tools.formats import Converter
+from metapp.options import Converter
 from metapp.registry import Application, Entry, Export, Format, Recipe, Registry
 
 

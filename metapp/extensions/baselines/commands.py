@@ -9,13 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from metapp.apps import options_of, protocols_of
 from metapp.cli import completion
 from metapp.cli.commands import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import parameter, parameter_of, signed
-from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared
-from metapp.registry import did_you_mean, registry
+from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared, options_of
+from metapp.registry import did_you_mean, protocols_of, registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import progress, say
 

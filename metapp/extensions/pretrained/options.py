@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from data_tools.formats.converters import Maps, Size
+from data_tools.converters import Maps, Size
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from data_tools.formats import Converter
-from data_tools.formats.converters import Samples
+from data_tools.converters import Samples
+from metapp.options import Converter
 
 
 @dataclass(frozen=True)

@@ -86,9 +86,9 @@ def try_all(
     Example: metapp try --out try
     """
     begin = time.perf_counter()
-    from metapp.apps import app_names
     from metapp.extensions.viewer.viewing import try_app, view_page
     from metapp.options import BadOption
+    from metapp.registry import app_names
     from metapp.runs.options import check_name
 
     runs, fits = list[Path](), []

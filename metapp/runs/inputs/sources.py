@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.formats import formats, inputs_of
 from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.registry import WITHOUT, registry
+from metapp.registry import WITHOUT, inputs_of, registry
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
@@ -152,7 +151,8 @@ def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], 
     if not readers:
         inputs = ", ".join(form.inputs for form in forms_of_app)
         expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
-        others = sorted({form.app for form in formats().values() if form.inputs and form.load().recognises(path)})
+        forms = (form for form in registry().formats.values() if form.inputs)
+        others = sorted({form.app for form in forms if form.load().recognises(path)})
         fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
         more = f"; it is one of {', '.join(others)}" if others else fit
         for name, part in registry().left_out.items():

@@ -8,13 +8,12 @@ from pathlib import Path
 
 from torch import Generator
 
-from data_tools.formats import exports_of
 from metapp.appearance.colour import stretched, tone_map
 from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
-from metapp.registry import Entry, registry
+from metapp.registry import Entry, exports_of, registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.recipes import QUICK

@@ -11,7 +11,7 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.apps import app_names, app_of, class_of, protocols_of, recipes_of
+from metapp.apps import app_of, class_of, recipes_of
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
 from metapp.evaluation.cell import run_cells
@@ -25,7 +25,7 @@ from metapp.extensions.examples.commands import lines_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT as LEAVING_OUT
-from metapp.registry import registry
+from metapp.registry import app_names, protocols_of, registry
 from metapp.runs.options import fit_options
 from metapp.runs.reporter import Reporter
 from metapp.runs.run import Run

@@ -14,7 +14,6 @@ import pytest
 import torch
 from torch import Generator
 
-from data_tools.formats import inputs_of
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
@@ -24,6 +23,7 @@ from metapp.extensions.several import checkpoints, photos
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.options import BadOption
+from metapp.registry import inputs_of
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
 from metapp.runs.recipes import FULL, chosen_recipe, recipe_of_tasks, shipped_path

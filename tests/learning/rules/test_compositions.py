@@ -8,10 +8,11 @@ from dataclasses import replace
 import pytest
 from torch import Generator
 
-from metapp.apps import app_names, app_of, protocols_of, recipes_of
+from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
+from metapp.registry import app_names, protocols_of
 from metapp.rules import composition_names, rule_names, rule_of
 from tests.quick import app_by
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from data_tools.formats import Converter
 from metapp.networks.options import field_of_view
-from metapp.options import Option
+from metapp.options import Converter, Option
 
 Samples = Annotated[
     int,
