@@ -13,7 +13,6 @@ import functools
 import importlib
 import importlib.metadata
 import importlib.util
-import inspect
 import os
 import warnings
 from collections import UserDict
@@ -142,10 +141,6 @@ class Format(Entry):
     app: str
     inputs: str = ""
     kinds: tuple[tuple[str, str], ...] = ()
-
-    def taken(self, arguments: Mapping[str, object]) -> dict[str, object]:
-        """Those that `read_task` has: `size`, px a side, or `rows`; `least`, px of photos; of `AppOptions.reading`."""
-        return {key: arguments[key] for key in inspect.signature(self.load().read_task).parameters if key in arguments}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -373,6 +368,16 @@ def recipe_names(app: str) -> list[str]:
 def recipe_entries(app: str, protocol: str = "") -> dict[str, Recipe]:
     """The recipes of an application under a protocol, its default one where none is named."""
     return registry().recipes.of(app, protocol_of(app, protocol))
+
+
+def rule_words() -> list[str]:
+    """The words of --rule, which + joins: rules, short names of compositions, and parts.
+
+    >>> rule_words()[:2]
+    ['meta-sgd', 'meta-curvature']
+    """
+    tables = registry()
+    return [*tables.rules, *tables.compositions, *tables.parts]
 
 
 def inputs_of(app: str) -> dict[str, Format]:

@@ -1,4 +1,4 @@
-"""Learned rules by name: those that ship, those of extensions, and compositions of both; nothing large is imported."""
+"""Learned rules by name: those of the registry and compositions of them; nothing large is imported."""
 
 from __future__ import annotations
 
@@ -9,24 +9,6 @@ from metapp.registry import Entry, registry
 
 if TYPE_CHECKING:
     from metapp.learning.rules import LearnedRule, Part
-
-
-def rule_names() -> list[str]:
-    """The names of rules.
-
-    >>> rule_names()[:2]
-    ['meta-sgd', 'meta-curvature']
-    """
-    return list(registry().rules)
-
-
-def composition_names() -> list[str]:
-    """The further names within compositions: short ones, then parts.
-
-    >>> composition_names()[:3]
-    ['adam', 'tied', 'sgd']
-    """
-    return [*registry().compositions, *registry().parts]
 
 
 def rule_of(name: str) -> LearnedRule:

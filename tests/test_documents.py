@@ -14,7 +14,7 @@ import typer
 from packaging.specifiers import SpecifierSet
 
 from metapp.cli.commands import app as cli
-from metapp.rules import rule_names
+from metapp.registry import registry
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -84,7 +84,7 @@ def unknown_in(line: str, rules: Collection[str] = ()) -> str:
     for i, word in enumerate(words):
         if word.startswith("-") and word not in known:
             return word
-        if word == "--rule" and "+" not in words[i + 1] and words[i + 1] not in {*rule_names(), *rules}:
+        if word == "--rule" and "+" not in words[i + 1] and words[i + 1] not in {*registry().rules, *rules}:
             return words[i + 1]
     return ""
 

@@ -20,7 +20,7 @@ from data_tools.synthetic import brdf, cornell, illumination, svbrdf_nonstationa
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.appearance.latlong import texel_of
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_atomically, write_bytes
 from metapp.storage.images import write_exr, write_png
 
 _SEED = 1  # the embedded sets have 0
@@ -144,7 +144,7 @@ def _write_transport(file: Path) -> None:
     ):
         scene[name] = cornell.sphere(cornell.Ball(centre, radius), cornell.diffuse(colour))
     text = cornell.to_xml(scene)
-    write_atomically(file, lambda path: path.write_text(text, encoding="utf-8"))
+    write_bytes(file, text.encode())
 
 
 def _write_picture(values: Tensor, file: Path) -> None:

@@ -7,8 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 
 from metapp.evaluation.tables import ALL, table_names
-from metapp.registry import app_names, exports_of, protocols_of, recipe_names, registry
-from metapp.rules import composition_names, rule_names
+from metapp.registry import app_names, exports_of, protocols_of, recipe_names, registry, rule_words
 
 LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
 Words = Callable[[str], list[str]]
@@ -38,7 +37,7 @@ def _of_apps(names: Callable[[str], Iterable[str]]) -> Callable[[], Iterable[str
 
 applications = _words(app_names)
 recipes = _words(_of_apps(recipe_names))
-rules = _words(lambda: (*rule_names(), *composition_names()), "+")
+rules = _words(rule_words, "+")
 observations = _words(_of_apps(protocols_of))
 exports = _words(_of_apps(exports_of), ",")
 kinds = _words(lambda: (*_of_apps(exports_of)(), *registry().file_exports))

@@ -15,7 +15,6 @@ from metapp.cli.console import Exit, escaped, importing, one_line, out, print_js
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.options import INPUT, OUTPUT, declared, options_of
 from metapp.registry import exports_of, inputs_of, protocols_of, recipe_names, registry
-from metapp.rules import rule_names
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
@@ -56,7 +55,7 @@ def command_of(paradigm: str, app: str) -> Callable[..., None]:
         "observe": declared(FitOptions)["observe"].help if protocols_of(app) else "",
         "export": f"{exports}; several separated by commas." if exports else "",
         "recipe": f"{', '.join(recipe_names(app))}; default: full, the best that ships.",
-        "rule": f"{', '.join(rule_names())}; or parts joined by +, such as adam+curvature; default: the recipe's.",
+        "rule": f"{', '.join(registry().rules)}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
     files = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")

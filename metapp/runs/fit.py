@@ -15,7 +15,6 @@ import torch
 from safetensors.torch import save
 from torch import Tensor
 
-from data_tools.readers.brdf_objects import unit_vectors
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -27,7 +26,7 @@ from metapp.runs.outputs.pictures import beside, image_of
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_bytes
 from metapp.storage.images import png_address
 
 if TYPE_CHECKING:
@@ -141,6 +140,8 @@ class Fit:
         Raises:
             ValueError: a fit of another application; no unit vectors, another shape.
         """
+        from data_tools.readers.brdf_objects import unit_vectors  # which needs readers of pictures, too
+
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
@@ -195,7 +196,7 @@ class Fit:
         """
         content = save({key: value.contiguous() for key, value in self.parameters.items()})
         file = Path(os.fsdecode(path))
-        write_atomically(file, lambda partial: partial.write_bytes(content))
+        write_bytes(file, content)
         return file
 
     def export(self, form: str, path: str | bytes | PathLike[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,8 +16,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
-from metapp.registry import did_you_mean
-from metapp.rules import composition_names, rule_names, rule_of
+from metapp.registry import did_you_mean, rule_words
+from metapp.rules import rule_of
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.options import FitOptions, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import chosen_recipe, usual_recipe
@@ -105,17 +106,17 @@ class Run:
                 raise
             raise ValueError(f"{app}: a fit of other settings than are known ({error})") from None
 
-    @property
+    @functools.cached_property
     def app(self) -> App:
         """The application of its paradigm."""
         return self.paradigm.app
 
-    @property
+    @functools.cached_property
     def recipe(self) -> Recipe:
         """The recipe of its paradigm."""
         return self.paradigm.recipe
 
-    @property
+    @functools.cached_property
     def steps(self) -> int:
         """Gradient steps of a fit."""
         return self.paradigm.steps
@@ -215,7 +216,7 @@ def _rule_name(options: FitOptions, recipe: Recipe) -> str:
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.require(app, theta)
     except ValueError as error:
-        words = [*rule_names(), *composition_names()]
+        words = rule_words()
         unknown = [word for word in options.rule.split("+") if word not in words]
         raise BadOption(f"--rule: {error}{did_you_mean(unknown[0], words) if unknown else ''}") from None
     return rule.name

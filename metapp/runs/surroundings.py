@@ -13,8 +13,6 @@ from typing import Any
 import torch
 
 from metapp.learning.app import App
-from metapp.options import BadOption
-from metapp.registry import did_you_mean
 
 # their precision may be lowered, as by torch.set_float32_matmul_precision
 _MKLDNN: Any = torch.backends.mkldnn  # whose members are made at its import
@@ -28,8 +26,6 @@ def threads_of(app: App) -> int | None:
 
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application is single-threaded."""
-    if name not in ("auto", "cpu", "cuda"):
-        raise BadOption(f"--device '{name}': expected auto, cpu or cuda.{did_you_mean(name, ('auto', 'cpu', 'cuda'))}")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
     automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metapp.storage.files import opened_tensors, write_atomically
+from metapp.storage.files import opened_tensors, write_bytes
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -101,7 +101,7 @@ def cached_tensors(name: str, sources: Sequence[str], make: Callable[[], dict[st
             return {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118  (not a mapping)
     tensors = {key: value.contiguous() for key, value in make().items()}
     with contextlib.suppress(OSError):
-        write_atomically(path, lambda partial: partial.write_bytes(save(tensors, maker)))
+        write_bytes(path, save(tensors, maker))
     return tensors
 
 

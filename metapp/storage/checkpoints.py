@@ -13,7 +13,7 @@ from safetensors.torch import save
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import opened_tensors, read_bytes, write_atomically
+from metapp.storage.files import opened_tensors, read_bytes, write_bytes
 
 SCHEMA = 1
 FLOATS = (torch.half, torch.float32, torch.float64)
@@ -24,7 +24,7 @@ def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous:
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
     # bytes: save_file writes under a name of its own, which a kill would leave behind
-    write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
+    write_bytes(path, save(tensors, metadata), previous)
 
 
 def load_checkpoint(

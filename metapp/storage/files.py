@@ -140,13 +140,18 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
         _sync(path.parent, os.O_RDONLY)
 
 
+def write_bytes(path: str | Path, content: bytes, previous: Path | None = None) -> None:
+    """Write a file of this content, as `write_atomically`."""
+    write_atomically(path, lambda partial: partial.write_bytes(content), previous)
+
+
 def write_xml(path: Path, root: ET.Element) -> None:
     """Write an XML document, indented, whole or not at all."""
     from xml.etree.ElementTree import indent, tostring  # here: every command imports this module
 
     indent(root)
     content: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
-    write_atomically(path, lambda target: target.write_bytes(content + b"\n"))
+    write_bytes(path, content + b"\n")
 
 
 @contextlib.contextmanager

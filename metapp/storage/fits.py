@@ -14,7 +14,7 @@ import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from metapp.storage.files import (
     partial_path,
     read_bytes,
     read_tensors,
-    write_atomically,
+    write_bytes,
 )
 
 Record = Document  # of a task
@@ -67,15 +67,15 @@ def write_fit(
     ([1.5], {'weight': tensor([0., 0.])})
     """
     record = {"source": record["name"], **record}
-    earlier = find_fit(run, record["name"], record["source"])
-    plain, marked = _folders(run, record["name"], record["source"])
+    plain, marked = folders = _folders(run, record["name"], record["source"])
+    earlier = _fit_in(folders, record["source"])
     folder = Path(earlier["folder"]) if earlier else partial_path(plain)
     try:
         with naming(plain):
             folder.mkdir(parents=True, exist_ok=True)
             if theta is not None:
                 content = save({key: value.detach().cpu().contiguous() for key, value in theta.items()})
-                write_atomically(folder / PARAMS, lambda target: target.write_bytes(content))
+                write_bytes(folder / PARAMS, content)
             draw(folder)
             for target in [folder] if earlier else [plain, marked]:
                 try:
@@ -83,7 +83,7 @@ def write_fit(
                 except OSError:
                     if earlier or not os.path.lexists(target):
                         raise
-                    if find_fit(run, record["name"], record["source"]):  # of another program, since a moment ago
+                    if _fit_in(folders, record["source"]):  # of another program, since a moment ago
                         return write_fit(run, record, theta, draw)
         raise ValueError(f"{marked}: no fit of this input, expected one or a new folder; remove it.")
     finally:
@@ -94,8 +94,7 @@ def write_fit(
 def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Document:
     """Write a record into a folder, which is then renamed; OSError if the target is another fit's."""
     kept: Document = as_text(record) | ({"name": marked.name} if target == marked else {})
-    text = json.dumps(kept, allow_nan=False, indent=1)
-    write_atomically(folder / RECORD, lambda file: file.write_text(text, "utf-8"))
+    write_bytes(folder / RECORD, json.dumps(kept, allow_nan=False, indent=1).encode())
     if folder != target:
         os.rename(folder, target)
     return kept | {"folder": str(target)}
@@ -103,9 +102,13 @@ def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Do
 
 def find_fit(run: Path, name: str, source: str) -> Document | None:
     """The record of the fit of an input, as `read_fit` gives it; None if there is none."""
-    for folder in _folders(run, name, source):
+    return _fit_in(_folders(run, name, source), source)
+
+
+def _fit_in(folders: Iterable[Path], source: str) -> Document | None:
+    for folder in folders:
         try:
-            record = None if folder.is_symlink() else read_fit(folder)
+            record = read_fit(folder) if folder.is_dir() and not folder.is_symlink() else None
         except ValueError:
             continue
         if record and record.get("source") == as_text(source):
@@ -115,7 +118,8 @@ def find_fit(run: Path, name: str, source: str) -> Document | None:
 
 def _folders(run: Path, name: str, source: str) -> tuple[Path, Path]:
     """The folders that a fit may be in: that of the task's name, and that with a digest of its input."""
-    return run / file_name(as_text(name)), run / marked_name(name, source)
+    plain, digest = file_name(as_text(name)), hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
+    return run / plain, run / file_name(f"{plain}-{digest}")
 
 
 def marked_name(name: str, source: str) -> str:
@@ -124,8 +128,7 @@ def marked_name(name: str, source: str) -> str:
     >>> marked_name("gold", "/brdfs/second/gold.binary")
     'gold-21ab9d'
     """
-    digest = hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
-    return file_name(f"{file_name(as_text(name))}-{digest}")
+    return _folders(Path(), name, source)[1].name
 
 
 def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:

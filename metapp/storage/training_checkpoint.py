@@ -21,7 +21,7 @@ from torch import Tensor
 from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest, tensor_digest
-from metapp.storage.files import opened_tensors, remove_partial, write_atomically
+from metapp.storage.files import opened_tensors, remove_partial, write_bytes
 
 SCHEMA = 3
 
@@ -49,7 +49,7 @@ def save_state(path: Path, fields: Mapping[str, Any], settings: Document) -> Non
     tensors = {name: value.detach().cpu().contiguous().clone() for name, value in named.items()}
     metadata = {"training": text, "digest": _digest(text, tensors)}
     try:
-        write_atomically(path, lambda partial: partial.write_bytes(save(tensors, metadata)))
+        write_bytes(path, save(tensors, metadata))
     except OSError as error:
         warnings.warn(f"no training checkpoint: {error}", stacklevel=2)
 

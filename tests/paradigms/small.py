@@ -35,8 +35,8 @@ from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.paradigms import PARADIGMS, Paradigm
 from metapp.paradigms.training import TrainState
-from metapp.registry import app_names
-from metapp.rules import rule_names, rule_of
+from metapp.registry import app_names, registry
+from metapp.rules import rule_of
 from tests.marked import long
 from tests.small_spheres import shrink_spheres
 
@@ -47,7 +47,7 @@ KINDS = [*app_names(), FEATURED]
 OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
 # each application with its own rule, and each other rule on the fastest application, instead of all with all
 ONE_QUICK = ["brdf", *(long(kind) for kind in KINDS if kind != "brdf")]  # trainings of one application, of others long
-PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in rule_names() if rule not in OWN_RULES.values())]
+PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in registry().rules if rule not in OWN_RULES.values())]
 
 
 class Small(NamedTuple):
@@ -155,7 +155,7 @@ def small_recipe(app: App) -> Recipe:
 def applicable(app: App) -> list[str]:
     """The named rules whose parts apply to an application."""
     theta = {key: value[0] for key, value in app.init(rng(), 1).items()}
-    return [name for name in rule_names() if not any(part.refusal(app, theta) for part in rule_of(name).parts)]
+    return [name for name in registry().rules if not any(part.refusal(app, theta) for part in rule_of(name).parts)]
 
 
 def rng(seed: int = 0) -> Generator:

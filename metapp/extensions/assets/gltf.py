@@ -20,7 +20,7 @@ import torch
 from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.pictures import write_plane
 from metapp.extensions.assets.planes import all_planes
-from metapp.storage.files import as_text, read_bytes, suffixed, write_atomically
+from metapp.storage.files import as_text, read_bytes, suffixed, write_bytes
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC
 BITS = 8  # more is not decoded by browsers
@@ -54,7 +54,7 @@ class _Binary:
 def write_gltf(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>.glb."""
     content = glb(surface, path.name, provenance)
-    write_atomically(suffixed(path, ".glb"), lambda target: target.write_bytes(content))
+    write_bytes(suffixed(path, ".glb"), content)
 
 
 def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:

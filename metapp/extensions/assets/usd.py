@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from metapp.appearance.surface import Surface
 from metapp.extensions.assets.pictures import fitted_by, write_plane
 from metapp.extensions.assets.planes import all_planes
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_bytes
 
 if TYPE_CHECKING:
     from pxr import Sdf, Usd, UsdGeom, UsdShade
@@ -37,7 +37,7 @@ def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
         write_plane(planes[key], path / TEXTURES / f"{path.name}_{key}.png", BITS)
     text = stage_text(surface, path.name, provenance)
     layer = path / f"{path.name}.usda"
-    write_atomically(layer, lambda target: target.write_text(text, encoding="utf-8"))
+    write_bytes(layer, text.encode())
     package = path / f"{path.name}.usdz"
     if not UsdUtils.CreateNewARKitUsdzPackage(Sdf.AssetPath(str(layer)), str(package)):
         raise ValueError(f"{package}: not written by usd-core; is the disk full?")

@@ -28,7 +28,7 @@ from data_tools.readers.measured_pairs import FEW, LARGEST, Pairs, depends_on_az
 from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
-from metapp.storage.files import open_regular, write_atomically
+from metapp.storage.files import open_regular, write_bytes
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: Pairs) -> None:
     for *pair, colour in zip(before.wi, before.wo, before.reflectance.tolist(), strict=True):
         lines.append(",".join([*_degrees(*pair), *(f"{value:.6g}" for value in colour)]))
     lines += [",".join([*_degrees(*pair), "", "", ""]) for pair in zip(wi, wo, strict=True)]
-    write_atomically(path, lambda file: file.write_text("\n".join(lines) + "\n", encoding="utf-8"))
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def _degrees(*vectors: Tensor) -> Iterator[str]:

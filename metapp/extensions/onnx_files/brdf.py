@@ -12,7 +12,7 @@ from metapp.appearance.geometry import directions_to_four_angles, half_differenc
 from metapp.apps.brdf.network import network_of
 from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
-from metapp.storage.files import suffixed, write_atomically
+from metapp.storage.files import suffixed, write_bytes
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -50,4 +50,4 @@ def write_onnx(app: Brdf, theta: Params, path: Path) -> None:
     sizes = {name: {0: "n"} for name in examples}
     about = {"made_by": "metapp export", "of": path.name, **ABOUT}
     model = model_of(Reflectance(theta), examples, ["reflectance"], sizes, about)
-    write_atomically(suffixed(path, ".onnx"), lambda target: target.write_bytes(model))
+    write_bytes(suffixed(path, ".onnx"), model)

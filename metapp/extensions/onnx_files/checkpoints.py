@@ -15,7 +15,7 @@ from metapp.runs.recipes import FULL
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_bytes
 
 APP, PAGE = "svbrdf_nonstationary", "onnx-page"
 
@@ -51,7 +51,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     if kind == PAGE:
         write_folder(folder, model, parts, SIDES if any_size else (side,), features=reads_features)
     else:
-        write_atomically(file, lambda target: target.write_bytes(model))
+        write_bytes(file, model)
     if not quiet:
         sizes = f"whose sides are multiples of {STEP}" if any_size else f"of {side} x {side}"
         say(f"{file}: {len(model) / 1e6:.1f} MB of ONNX, opset {OPSET}, takes photos {sizes} px")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from metapp.extensions.onnx_files.photographs import FEATURES
 from metapp.extensions.onnx_files.runtime import VERSION
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_atomically, write_bytes
 
 SIDES = (256, 512, 1024)  # px of photos, of models that take any
 
@@ -40,7 +40,7 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
     for name, content in files.items():
         write_atomically(folder / name, lambda partial, content=content: partial.write_bytes(content))  # type: ignore[misc]
     page = page_of(sides, features)
-    write_atomically(folder / "index.html", lambda partial: partial.write_text(page, encoding="utf-8"))
+    write_bytes(folder / "index.html", page.encode())
 
 
 def packed(name: str, content: bytes) -> bytes:

@@ -9,7 +9,7 @@ import tarfile
 from collections.abc import Callable
 
 from metapp.storage.cache import cache_folder, download
-from metapp.storage.files import read_bytes, write_atomically
+from metapp.storage.files import read_bytes, write_bytes
 
 VERSION = "1.30.0"
 ARCHIVE = f"onnxruntime-web-{VERSION}.tgz"
@@ -42,7 +42,7 @@ def runtime(report: Report) -> dict[str, bytes]:
         found = digest(content)
         if found != SHA512:
             raise ValueError(f"{URL}: SHA-512 {found[:16]}..., expected {SHA512[:16]}...; damaged or another file.")
-        write_atomically(path, lambda partial: partial.write_bytes(content))
+        write_bytes(path, content)
     with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
         members = {name: archive.extractfile(member) for name, member in PARTS.items()}
         return {name: file.read() for name, file in members.items() if file}

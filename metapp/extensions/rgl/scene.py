@@ -14,7 +14,7 @@ from safetensors.torch import save
 
 from metapp.extensions.rgl.rgl import write_fit
 from metapp.learning.task import Params
-from metapp.storage.files import write_atomically, write_xml
+from metapp.storage.files import write_bytes, write_xml
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -35,7 +35,7 @@ SCENE = """<scene version="3.0.0"><integrator type="path"/>
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
     tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
-    write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))
+    write_bytes(path / f"{path.name}.safetensors", save(tensors))
     write_fit(app, theta, path / f"{path.name}.bsdf", path.name)
     for plugin, (suffix, ending) in FILES.items():
         write_xml(path / f"{path.name}{suffix}.xml", brdf_scene(plugin, path.name, f"{path.name}{ending}"))

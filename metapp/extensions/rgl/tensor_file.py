@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.storage.files import read_bytes, write_atomically
+from metapp.storage.files import read_bytes, write_bytes
 
 MAGIC = b"tensor_file\0\1\0"  # with the version
 TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
@@ -64,4 +64,4 @@ def write_tensor_file(path: str | Path, fields: Fields) -> None:
         head.append(struct.pack(f"<HBQ{array.ndim}Q", array.ndim, kinds[array.dtype], offset + pad, *array.shape))
         body.append(bytes(pad) + np.ascontiguousarray(array).tobytes())
         offset += pad + array.nbytes
-    write_atomically(path, lambda target: target.write_bytes(b"".join((*head, *body))))
+    write_bytes(path, b"".join((*head, *body)))

@@ -13,7 +13,7 @@ from metapp.apps.brdf.network import network_of
 from metapp.extensions.shaders.languages import LANGUAGES, translated
 from metapp.extensions.shaders.source import source_of
 from metapp.learning.task import Params
-from metapp.storage.files import write_atomically, write_xml
+from metapp.storage.files import write_bytes, write_xml
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -80,4 +80,4 @@ def node(name: str) -> ET.Element:
 
 
 def _write(path: Path, text: str) -> None:
-    write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_bytes(path, text.encode())

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from metapp.appearance.features import VGG_BLOCKS, weights_path
 from metapp.storage.cache import download
-from metapp.storage.files import open_regular, opened_tensors, write_atomically
+from metapp.storage.files import open_regular, opened_tensors, write_bytes
 
 TORCHVISION = "vgg16-397923af.pth"
 TORCHVISION_SHA256 = "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0"
@@ -89,7 +89,7 @@ def store(weights: Weights, origin: Origin) -> None:
             raise ValueError(f"{origin.source}: {key} {found}, expected {list(shape)} of VGG-16; take {TORCHVISION}.")
     kept = {key: weights[key].float().contiguous() for key in shapes()}
     try:
-        write_atomically(weights_path(), lambda partial: partial.write_bytes(save(kept, origin._asdict())))
+        write_bytes(weights_path(), save(kept, origin._asdict()))
     except OSError as error:
         raise ValueError(f"{error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document
-from metapp.storage.files import write_atomically
+from metapp.storage.files import write_bytes
 from metapp.storage.images import in_8_bits, png_address
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
@@ -130,7 +130,7 @@ def write_page(title: str, groups: Sequence[Group], path: Path) -> Path:
         OSError: it cannot be written.
     """
     text = html(document(title, groups))
-    write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8", errors="backslashreplace"))
+    write_bytes(path, text.encode(errors="backslashreplace"))
     return path
 
 

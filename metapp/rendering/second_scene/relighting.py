@@ -24,7 +24,7 @@ from metapp.rendering.scenes.rules import box_film
 from metapp.rendering.types import Mitsuba
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import read_tensors, write_atomically
+from metapp.storage.files import read_tensors, write_bytes
 
 HEIGHT, WIDTH = 64, 96  # of the picture, px
 FLOOR_ALBEDO, MATTE_ALBEDO, GLOSSY_REFLECTANCE = 0.5, 0.7, 0.9
@@ -75,7 +75,7 @@ def transfer(height: int = 32, width: int = 64) -> Tensor:
     with suppress(OSError, SafetensorError, KeyError):  # not there, or damaged
         return _load(path, path.stat().st_mtime_ns)
     matrix = _build(height, width)
-    write_atomically(path, lambda partial: partial.write_bytes(save({"matrix": matrix})))
+    write_bytes(path, save({"matrix": matrix}))
     return matrix
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import torch
@@ -146,13 +148,13 @@ def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], 
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
-    forms_of_app = inputs_of(app.name).values()
-    readers = [form for form in forms_of_app if form.load().recognises(path)]
+    forms = inputs_of(app.name).values()
+    readers = [reader for form in forms if (reader := form.load()).recognises(path)]
     if not readers:
-        inputs = ", ".join(form.inputs for form in forms_of_app)
+        inputs = ", ".join(form.inputs for form in forms)
         expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
-        forms = (form for form in registry().formats.values() if form.inputs)
-        others = sorted({form.app for form in forms if form.load().recognises(path)})
+        every = (form for form in registry().formats.values() if form.inputs)
+        others = sorted({form.app for form in every if form.load().recognises(path)})
         fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
         more = f"; it is one of {', '.join(others)}" if others else fit
         for name, part in registry().left_out.items():
@@ -161,15 +163,23 @@ def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], 
             ):
                 more = f"; the extension {name} reads it, which {WITHOUT} leaves out; unset it"
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
-    for form in readers:
-        places, skipped = form.load().find([path])
+    for reader in readers:
+        places, skipped = reader.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(form.load().read_task, **form.taken(_arguments(run)))
+        yield places, functools.partial(reader.read_task, **_taken(reader, _arguments(run)))
+
+
+def _taken(reader: ModuleType, arguments: Mapping[str, object]) -> dict[str, object]:
+    """The arguments that `read_task` of a format has."""
+    return {key: arguments[key] for key in inspect.signature(reader.read_task).parameters if key in arguments}
 
 
 def _arguments(run: Run) -> dict[str, object]:
-    """The arguments of readers, by keyword: the size that fits have, and the options about INPUT that were given."""
+    """The arguments of readers, by keyword: the size that fits have, and the options about INPUT that were given.
+
+    `size` is px a side, or `rows`; `least` px of photos.
+    """
     reads = run.app.read_size
     return ({"size": reads, "rows": reads, "least": min(reads, SIZE)} if reads else {}) | run.options.own.reading()
 
@@ -178,11 +188,11 @@ def _merged(run: Run, option: str) -> Source:
     """The one source of all inputs, as an option merges them."""
     app = run.app
     places = [place for path in run.options.paths for some, _ in _found(run, path) for place in some]
-    (form, *_) = (form for form in inputs_of(app.name).values() if form.load().recognises(places[0]))
+    (reader, *_) = (form.load() for form in inputs_of(app.name).values() if form.load().recognises(places[0]))
 
     def read() -> Task:
         merge = registry().merges[app.name, option].load()
-        task: Task = merge(places, getattr(run.options.own, option), **form.taken(_arguments(run)))
+        task: Task = merge(places, getattr(run.options.own, option), **_taken(reader, _arguments(run)))
         return task
 
     return Source(as_text(str(places[0].resolve())), read, True, run.options.paths)

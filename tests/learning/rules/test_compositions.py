@@ -12,8 +12,8 @@ from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
-from metapp.registry import app_names, protocols_of
-from metapp.rules import composition_names, rule_names, rule_of
+from metapp.registry import app_names, protocols_of, registry, rule_words
+from metapp.rules import rule_of
 from tests.quick import app_by
 
 
@@ -45,9 +45,9 @@ def test_every_name_names_its_own_rule() -> None:
     assert rule_of("adam+loss+curvature").name == "meta-curvature"
     assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
     assert rule_of("sgd+curvature").name == "sgd+curvature"
-    names = [*rule_names(), *composition_names()]
-    assert [rule_of(name).name for name in rule_names()] == rule_names()
-    assert len({rule_of(name).parts for name in rule_names()}) == len(rule_names())
+    names, rules = rule_words(), list(registry().rules)
+    assert [rule_of(name).name for name in rules] == rules
+    assert len({rule_of(name).parts for name in rules}) == len(rules)
     assert len(set(names)) == len(names)
 
 
