@@ -7,7 +7,7 @@ import hashlib
 import torch
 from torch import Generator
 
-from metapp.extensions.few.app import factors
+from metapp.learning.draws import normal
 from metapp.learning.task import Task
 
 
@@ -25,7 +25,7 @@ def as_measured(task: Task, noise: float, samples: int | None = None) -> Task:
     half = len(task.data["angles"]) // 2
     data = {key: task.data[key].clone() for key in ("angles", "phi_h", "reflectance") if key in task.data}
     rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
-    data["reflectance"][:half] *= factors(rng, (half,), noise, 0.0)
+    data["reflectance"][:half] *= torch.exp(noise * normal(rng, half, 3))
     if samples is not None:
         rows = torch.randperm(half, generator=rng)[:samples]
         missing = torch.ones(half, dtype=torch.bool)

@@ -77,7 +77,7 @@ def few(registry: Registry) -> None:
     )
     registry.networks["brdf", "few"] = Entry(f"{here}.network:NETWORK")
     registry.recipes["brdf", "", "few"] = Recipe(
-        f"{here}.recipe:FEW",
+        f"{here}.app:FEW",
         help="1,000 samples or fewer",
         kind="few",
         paradigms=("meta",),

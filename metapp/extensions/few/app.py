@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
@@ -10,10 +10,9 @@ from torch import Generator, Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.augmentation import mixed, within_reach
 from metapp.apps.brdf.network import BrdfNetwork, samples_at
-from metapp.extensions.few import gaussian
+from metapp.apps.brdf.recipes import FULL, RIDGE
 from metapp.extensions.few.design import Posterior, expected_errors
-from metapp.extensions.few.gaussian import slope_of
-from metapp.extensions.few.network import NETWORK
+from metapp.extensions.few.network import NETWORK, linear, slope_of
 from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks
 
@@ -22,7 +21,6 @@ SHORT = 512  # samples of shorter batches
 TABLE = 32  # samples of a table, which has more, that a fit sees: the first ones
 FEWEST, SEEN = 4, 256  # samples in training, at least and at most
 NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy, and their most noise
-DECADES = (0.5, 1.0)  # by which outliers are off, up or down
 POLAR = 3  # the power that crowds theta_h around 0
 
 
@@ -63,7 +61,7 @@ class FewSamples(Brdf):
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         """The ridge regression of all samples in logarithms."""
-        return gaussian.linear(theta, batch)
+        return linear(theta, batch)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """With the error that samples leave, x100: `expected` over all directions, in highlights, at grazing angles."""
@@ -93,7 +91,7 @@ def few_of(data: Params, rng: Generator) -> Params:
     wanted = torch.where(uniform(rng, count, 1) < 0.5, crowded, 1.0) * seen + 1e-9
     chosen = torch.multinomial(wanted, SEEN, generator=rng)[..., None]
     level = torch.where(uniform(rng, count, 1) < NOISY, uniform(rng, count, 1), 0.0)[..., None]
-    factor = factors(rng, (count, SEEN), MOST_NOISE * level, 0.0)
+    factor = torch.exp(MOST_NOISE * level * normal(rng, count, SEEN, 3))
     where[:, :SEEN] = where.gather(1, chosen.expand(-1, -1, 7))
     target[:, :SEEN] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
     return {
@@ -103,17 +101,18 @@ def few_of(data: Params, rng: Generator) -> Params:
     }
 
 
-def factors(rng: Generator, shape: tuple[int, ...], noise: Tensor | float, outliers: Tensor | float) -> Tensor:
-    """Factors [*shape, 3] by which measured reflectance is off.
-
-    Args:
-        rng: of all draws.
-        shape: of the samples.
-        noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %; broadcasts.
-        outliers: share of samples that are off by DECADES, all channels alike; broadcasts.
-    """
-    factor = torch.exp(noise * normal(rng, *shape, 3))
-    low, high = DECADES
-    decades = low + (high - low) * uniform(rng, *shape, 1)
-    decades = decades * (2 * torch.randint(2, (*shape, 1), generator=rng, device=rng.device) - 1)
-    return factor * torch.where(uniform(rng, *shape, 1) < outliers, 10**decades, 1.0)
+# one solve of all samples, which may be noisy or lack grazing angles
+FEW = replace(
+    FULL,
+    steps=1,
+    batch=MOST,
+    meta={
+        "ridge": replace(
+            RIDGE,
+            tasks=12,
+            rates=RIDGE.rates | {f"encoder.encoder.{own}": 1e-2 for own in ("last", "deviation", "noise")},
+            validate_every=1000,
+            app=FewSamples(),
+        )
+    },
+)

@@ -63,9 +63,8 @@ def plan(options: Options) -> None:
     from data_tools.readers.measured_pairs import LEAST, Pairs
     from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
-    from metapp.extensions.few.figure import directions
     from metapp.extensions.few.gonio import read_pairs, write_pairs
-    from metapp.extensions.few.planning import plan_brdf
+    from metapp.extensions.few.planning import directions, plan_brdf
 
     out = options.out
     if options.app != "brdf":

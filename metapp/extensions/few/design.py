@@ -1,4 +1,4 @@
-"""The error that samples leave, and the directions to measure next, by the model of `gaussian`.
+"""The error that samples leave, and the directions to measure next, by the model of `network`.
 
 Its covariance after samples does not depend on what their colours are but through their brightness, so that directions
 can be chosen before anything is measured: one after the other, each where the expected error of all directions falls
@@ -20,7 +20,7 @@ from metapp.appearance.geometry import (
     outgoing_cosine,
     spread_angles,
 )
-from metapp.extensions.few.gaussian import features_of, opponent, precision, reflectance_of, slope_of
+from metapp.extensions.few.network import features_of, opponent, precision, reflectance_of, slope_of
 from metapp.learning.task import Params
 
 CANDIDATES, REFERENCES = 4096, 2048
@@ -74,7 +74,7 @@ class Posterior:
         Args:
             theta: parameters of one task [1, ...].
             where: places of the samples, [1, 7, N]; N may be 0.
-            slope: of the samples, [1, 3, N], as `gaussian.slope_of` of what was measured; None: of what theta says.
+            slope: of the samples, [1, 3, N], as `network.slope_of` of what was measured; None: of what theta says.
         """
         if slope is None:
             slope = slope_of(reflectance_of(theta, where).clamp_min(0), where)

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
 from torch import Generator, Tensor
 
 from data_tools.readers.measured_pairs import Pairs
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.extensions.few import gaussian
+from metapp.evaluation.style import COLOURS, INK, MUTED, STYLE
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
-from metapp.extensions.few.network import NETWORK
+from metapp.extensions.few.network import NETWORK, linear, slope_of
 from metapp.learning.task import Params
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
+
+NUMBERED = 32  # pairs up to which a picture numbers each
 
 
 def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple[Tensor, Tensor, tuple[float, float]]:
@@ -51,8 +58,38 @@ def fitted(encoder: Params, angles: Tensor, reflectance: Tensor) -> Params:
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
     batch = {"where": where, "target": target, "count": torch.tensor([float(len(angles))])}
     theta = NETWORK.encode(encoder, batch)
-    linear = gaussian.linear(theta, batch)
-    posterior = Posterior.of(theta, where, gaussian.slope_of(reflectance.T[None].float(), where))
-    moment = (linear.residual[0] * linear.weights[0] / len(angles)) @ linear.features[0].T
+    fit = linear(theta, batch)
+    posterior = Posterior.of(theta, where, slope_of(reflectance.T[None].float(), where))
+    moment = (fit.residual[0] * fit.weights[0] / len(angles)) @ fit.features[0].T
     change = torch.einsum("cfg,cg->cf", posterior.covariance, moment.double())
     return theta | {"last": theta["last"] + change[None].float()}
+
+
+def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
+    """Pairs to measure, unit vectors [N, 3] to light and detector, and those measured before, seen from above."""
+    light, detector = COLOURS["meta"], COLOURS["overfit"]
+    pairs = [(*pair, MUTED, MUTED, "") for pair in zip(before.wi, before.wo, strict=True)]
+    for at, pair in enumerate(zip(wi, wo, strict=True), 1):
+        pairs.append((*pair, light, detector, str(at) if len(wi) <= NUMBERED else ""))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(5.2, 5.6), layout="constrained")
+        axis = figure.add_subplot(projection="polar")
+        assert isinstance(axis, PolarAxes)
+        axis.set_rlim(0, 90)
+        axis.set_rticks([30, 60, 90], ["30", "60", "90 degrees"])
+        axis.set_thetagrids(range(0, 360, 45))
+        for *vectors, first, second, number in pairs:
+            (a, r), (b, s) = (
+                (math.atan2(y, x), math.degrees(math.acos(min(1.0, z)))) for x, y, z in (v.tolist() for v in vectors)
+            )
+            axis.plot([a, b], [r, s], color="#c8c8c8", linewidth=0.6, zorder=1)
+            axis.plot([a], [r], "o", color=first, markersize=5, zorder=3)
+            axis.plot([b], [s], "s", color=second, markersize=4, zorder=2)
+            if number:
+                axis.annotate(number, (a, r), xytext=(4, 3), textcoords="offset points", fontsize=7, color=INK)
+        axis.plot([], [], "o", color=light, markersize=5, label="light")
+        axis.plot([], [], "s", color=detector, markersize=4, label="detector")
+        if len(before.wi):
+            axis.plot([], [], "o", color=MUTED, markersize=5, label="measured before")
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure

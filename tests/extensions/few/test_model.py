@@ -14,8 +14,9 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import inputs_of
 from metapp.extensions.few.app import MOST, TABLE, FewSamples, few_of
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
-from metapp.extensions.few.gaussian import (
+from metapp.extensions.few.network import (
     DARKEST,
+    Few,
     cosine_product,
     evidence,
     features_of,
@@ -25,7 +26,6 @@ from metapp.extensions.few.gaussian import (
     reflectance_of,
     slope_of,
 )
-from metapp.extensions.few.network import Few
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params
 
