@@ -46,32 +46,18 @@ BODY = """<header>
 <noscript>This page draws with WebGL 2 and needs JavaScript.</noscript>"""
 
 
-class Shown(NamedTuple):
-    """A fit on the page.
-
-    Attributes:
-        label: what tells it from others of its group, such as the paradigm.
-        caption: error, seconds and the like.
-        view: what is shown.
-    """
-
-    label: str
-    caption: str
-    view: View
-
-
 class Group(NamedTuple):
     """Fits that are shown side by side: of one task, and of one kind.
 
     Attributes:
         title: of the task.
         section: what it is listed under, such as the application's title.
-        fits: one or more.
+        views: of one fit or more.
     """
 
     title: str
     section: str
-    fits: Sequence[Shown]
+    views: Sequence[View]
 
 
 def document(title: str, groups: Sequence[Group]) -> Document:
@@ -80,14 +66,14 @@ def document(title: str, groups: Sequence[Group]) -> Document:
     parts: list[Document] = []
     for group in groups:
         fits: list[Document] = []
-        for label, caption, view in group.fits:
+        for view in group.views:
             shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}
             arrays = {name: array(values) for name, values in view.arrays.items()}
             pictures = {name: picture(pixels) for name, pixels in view.pictures.items()}
             thumbnail = "" if view.thumbnail is None else picture(view.thumbnail)
-            fits.append({"label": label, "caption": caption, "facts": dict(view.facts), "arrays": arrays,
+            fits.append({"label": view.label, "caption": view.caption, "facts": dict(view.facts), "arrays": arrays,
                          "pictures": pictures, "thumbnail": thumbnail})  # fmt: skip
-        kind = group.fits[0].view.kind
+        kind = group.views[0].kind
         parts.append({"title": group.title, "section": group.section, "kind": kind, "fits": fits})
     return {"title": title, "groups": parts, "shared": shared}
 

@@ -12,6 +12,8 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.colour import to_srgb
+from metapp.appearance.latlong import directions
+from metapp.appearance.sphere import environment
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
@@ -30,6 +32,8 @@ class View(NamedTuple):
         facts: what JSON holds.
         shared: arrays that are the same for all fits of a page that name them.
         thumbnail: display values [h, w, 3] of the fit in the list, small; None for none.
+        label: what tells it from others that stand beside it, such as the paradigm.
+        caption: error, seconds and the like.
     """
 
     kind: str
@@ -38,6 +42,8 @@ class View(NamedTuple):
     facts: Mapping[str, object] = NOTHING
     shared: Mapping[str, Tensor] = NOTHING
     thumbnail: Tensor | None = None
+    label: str = ""
+    caption: str = ""
 
 
 def view_of(app: App, theta: Params, task: Task) -> View:
@@ -71,3 +77,8 @@ def thumbnail(pixels: Tensor) -> Tensor:
     square = pixels[top : top + side, left : left + side, :3].permute(2, 0, 1).float().clamp(0, 1)
     small = adaptive_avg_pool2d(square, min(side, THUMBNAIL))
     return small.expand(3, -1, -1).permute(1, 2, 0)
+
+
+def light_map() -> Tensor:
+    """The environment of the reference sphere as a page's light map, [64, 128, 3], float16."""
+    return environment(directions(64, 128).permute(1, 2, 0)).half()

@@ -7,16 +7,15 @@ import time
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
 from data_tools.synthetic.examples import EXAMPLES, write_example
-from metapp.extensions.viewer.page import Group, Shown, write_page
-from metapp.extensions.viewer.view import view_of
-from metapp.learning.app import App
-from metapp.learning.task import Params, Task
+from metapp.extensions.viewer.page import Group, write_page
+from metapp.extensions.viewer.view import View, view_of
+from metapp.learning.task import Task
 from metapp.runs.execution import execute
+from metapp.runs.fit import Fit
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import Recorded, by_settings, read_run, tasks_as
@@ -27,21 +26,9 @@ from metapp.storage import Document
 from metapp.storage.files import file_name
 from metapp.storage.fits import read_params
 
-if TYPE_CHECKING:
-    from metapp.runs.fit import Fit
-
 MOST = 20  # tasks of a page, unless it says otherwise
 PAGE = "view.html"
 INPUTS = "inputs"  # the folder of those of `metapp try`
-
-
-class FitOfRun(NamedTuple):
-    """A fit that is to be shown: of which run, its record, what was fitted (without data where that is not at hand)."""
-
-    app: App
-    run: Path
-    record: Document
-    task: Task
 
 
 def view_page(
@@ -69,91 +56,81 @@ def view_page(
         ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
     """
     read = [read_run(path, task) for path in runs]
-    fits = [fit for run in read for fit in _fits(run, inputs, data)]
-    by_task: dict[tuple[str, str], list[FitOfRun]] = {}
-    for fit in fits:
-        by_task.setdefault((fit.app.name, fit.record["name"]), []).append(fit)
-    tasks_shown = list(by_task.values())[:most]
-    if len(by_task) > len(tasks_shown):
-        say(f"view: {len(tasks_shown)} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
     labels, page = _labels(read), out or read[0].folder / PAGE
+    by_task: dict[tuple[str, str], list[tuple[str, Run, Task, Document]]] = {}
+    for folder, records in read:
+        missing = 0
+        for some in by_settings(records):
+            run = Run.of_settings(some[-1]["settings"])
+            tasks = tasks_as(some, run.app, list(inputs), data)
+            missing += sum(record["name"] not in tasks for record in some)
+            for record in some:
+                name = record["name"]
+                fit = labels[folder], run, tasks.get(name, Task(name, {})), record
+                by_task.setdefault((run.app.name, name), []).append(fit)
+        if missing:
+            what = f"the inputs of {missing} of {len(records)} fits are not at hand"
+            say(f"view: {what}; give them by --input or --data to see references.")
+    if len(by_task) > most:
+        say(f"view: {most} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
     make_folder(page.parent)  # before what takes time
+    groups, lacking = [], list[str]()
+    tasks_shown = list(by_task.values())[:most]
     with progress("view", len(tasks_shown), quiet=quiet) as bar:
-        groups, lacking = [], list[str]()
         for several in tasks_shown:
-            groups.append(group_of(several, labels, lacking))
-            bar.advance(several[0].record["name"])
-    groups = [group for group in groups if group.fits]
+            views = []
+            for label, run, fitted, record in several:
+                try:
+                    views.append(labelled_view(Fit(run, fitted, record, read_params(record["folder"])), label))
+                except ValueError as error:
+                    lacking.append(f"{label} of {error}")
+            _, run, fitted, _ = several[0]
+            groups += [Group(fitted.name, title_of(run.app), views)] if views else []
+            bar.advance(fitted.name)
     if not groups:
         raise ValueError(lacking[0])
     for line in lacking:
         say(f"warning: left out: {line}")
-    title = f"metapp: {', '.join(dict.fromkeys(title_of(fit.app) for fit in fits))}"
-    return write_page(title, groups, page)
-
-
-def _fits(run: Recorded, inputs: Sequence[Path], data: Path | None) -> list[FitOfRun]:
-    groups = [(Run.of_settings(some[-1]["settings"]).app, some) for some in by_settings(run.records)]
-    tasks = {name: task for app, some in groups for name, task in tasks_as(some, app, list(inputs), data).items()}
-    if missing := sum(record["name"] not in tasks for record in run.records):
-        what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"
-        say(f"view: {what}; give them by --input or --data to see references.")
-    return [
-        FitOfRun(app, run.folder, record, tasks.get(record["name"], Task(record["name"], {})))
-        for app, some in groups
-        for record in some
-    ]
+    titles = dict.fromkeys(title_of(several[0][1].app) for several in by_task.values())
+    return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
 def _labels(runs: Sequence[Recorded]) -> dict[Path, str]:
-    """Labels that tell runs apart: the paradigm, and of what differs as much as is needed."""
-    labels: dict[Path, str] = {}
-    for app in {run.records[-1]["settings"]["app"] for run in runs}:
-        labels |= _apart({run.folder: of for run in runs if (of := run.records[-1]["settings"])["app"] == app})
-    return labels
-
-
-def _apart(settings: dict[Path, Document]) -> dict[Path, str]:
+    """Labels that tell the runs of an application apart: the paradigm, and of what differs as much as is needed."""
+    settings = {run.folder: run.records[-1]["settings"] for run in runs}
     labels = {folder: of["paradigm"] for folder, of in settings.items()}
-    for key in ("rule", "recipe", "steps", "seed"):
-        if len(set(labels.values())) == len(labels):
-            break
-        word = f" {key}" if key in ("steps", "seed") else ""
-        if len({str(of.get(key)) for of in settings.values()}) > 1:
-            labels = {folder: f"{label}{word} {settings[folder].get(key)}" for folder, label in labels.items()}
+    for app in {of["app"] for of in settings.values()}:
+        folders = [folder for folder, of in settings.items() if of["app"] == app]
+        for key in ("rule", "recipe", "steps", "seed"):
+            if len({labels[folder] for folder in folders}) == len(folders):
+                break
+            word = f" {key}" if key in ("steps", "seed") else ""
+            if len({str(settings[folder].get(key)) for folder in folders}) > 1:
+                labels |= {folder: f"{labels[folder]}{word} {settings[folder].get(key)}" for folder in folders}
     return labels
 
 
 @torch.no_grad()
-def group_of(fits: Sequence[FitOfRun], labels: dict[Path, str], lacking: list[str]) -> Group:
-    """Fits of one task, side by side; `lacking` gets a line for each that needs what was fitted and has not got it."""
-    shown = []
-    for fit in fits:
-        try:
-            theta = read_params(fit.record["folder"])
-            with threads(threads_of(fit.app)):
-                shown.append(shown_of(fit.app, labels[fit.run], fit.record, theta, fit.task))
-        except ValueError as error:
-            lacking.append(f"{labels[fit.run]} of {error}")
-    return Group(fits[0].record["name"], title_of(fits[0].app), shown)
+def labelled_view(fit: Fit, label: str) -> View:
+    """The view of a fit, with a label, its error and its seconds.
 
-
-def shown_of(app: App, label: str, record: Document, theta: Params, task: Task) -> Shown:
-    """One fit, with its error and seconds."""
+    Raises:
+        ValueError: the view needs the input, which is not at hand.
+    """
     try:
-        view = view_of(app, theta, task)
+        with threads(threads_of(fit.app)):
+            view = view_of(fit.app, fit.parameters, fit.task)
     except KeyError as missing:
-        if task.data:
+        if fit.task.data:
             raise
         raise ValueError(
-            f"{task.name}: its view is made of the fit and its input ({missing}), expected both; "
+            f"{fit.name}: its view is made of the fit and its input ({missing}), expected both; "
             "give what was fitted by --input or --data."
         ) from None
-    error = "" if record["error"] is None else f"error{factor_of(app)} {number(record['error'], '.3f')}, "
-    return Shown(label, f"{error}{number(record['seconds'], '.3g')} s", view)
+    error = "" if fit.error is None else f"error{factor_of(fit.app)} {number(fit.error, '.3f')}, "
+    return view._replace(label=label, caption=f"{error}{number(fit.seconds, '.3g')} s")
 
 
-@torch.no_grad()
 def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     """Write an interactive page of a fit, as `metapp view` does.
 
@@ -164,11 +141,9 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    title, record = title_of(fit.app), {"error": fit.error, "seconds": fit.seconds}
-    with threads(threads_of(fit.app)):
-        shown = shown_of(fit.app, fit.settings["paradigm"], record, fit.parameters, fit.task)
+    title, views = title_of(fit.app), [labelled_view(fit, fit.settings["paradigm"])]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
-    return write_page(f"metapp: {title}", [Group(fit.name, title, [shown])], page)
+    return write_page(f"metapp: {title}", [Group(fit.name, title, views)], page)
 
 
 def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from metapp.extensions.viewer.page import Group, Shown, write_page
+from metapp.extensions.viewer.page import Group, write_page
 from metapp.extensions.viewer.view import View
 from tests.browser import Page, browsing
 
 
-def written(folder: Path, *fits: View | list[Shown]) -> Path:
+def written(folder: Path, *fits: View | list[View]) -> Path:
     """A page of groups: of one fit, `meta`, or of several side by side."""
-    several = [each if isinstance(each, list) else [Shown("meta", "error 0.1", each)] for each in fits]
+    several = [each if isinstance(each, list) else [each._replace(label="meta", caption="error 0.1")] for each in fits]
     groups = [Group(f"fit {i}", "Fits", each) for i, each in enumerate(several)]
     return write_page("metapp", groups, folder / "view.html")
 
@@ -31,7 +31,7 @@ def open_page(opened: Any, tmp_path: Path) -> Iterator[Callable[..., Page]]:
     """Opens such a page, on which there are no errors; none goes on drawing after its test."""
     pages: list[Page] = []
 
-    def call(*fits: View | list[Shown], **more: Any) -> Page:
+    def call(*fits: View | list[View], **more: Any) -> Page:
         pages.append(Page(opened, written(tmp_path, *fits), **more))
         return pages[-1]
 

@@ -18,10 +18,10 @@ from metapp.appearance.geometry import above_horizon, directions_to_four_angles,
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.extensions.few.network import Few
-from metapp.extensions.viewer.page import Shown, array
+from metapp.extensions.viewer.page import array
 from metapp.extensions.viewer.pages.anisotropic_residual import CELLS as AZIMUTHAL
 from metapp.extensions.viewer.pages.brdf import CELLS
-from metapp.extensions.viewer.view import view_of
+from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
 from tests import anisotropic
 from tests.browser import LEGEND, assert_alike, false_colours
@@ -61,11 +61,11 @@ def theta_of(name: str) -> Params:
     return theta
 
 
-def views(*names: str, task: Task | None = None, theta: Params | None = None) -> list[Shown]:
+def views(*names: str, task: Task | None = None, theta: Params | None = None) -> list[View]:
     shown = []
     for name in names:
         view = view_of(APPS[name], theta or theta_of(name), task or Task("lobe", {}))
-        shown.append(Shown(name, "", view))
+        shown.append(view._replace(label=name))
     return shown
 
 
@@ -81,7 +81,7 @@ def test_a_reference_has_the_smallest_grid_and_takes_less_than_a_megabyte_of_the
     (brushed,) = views("anisotropic", task=anisotropic.task())
     shapes = (CELLS[0] // 2, *CELLS[1:], 4), (*AZIMUTHAL, 4)
     for shown, shape in zip((reciprocal, brushed), shapes, strict=True):
-        grid = shown.view.arrays["residual"]
+        grid = shown.arrays["residual"]
         assert grid.shape == shape
         assert len(array(grid)["data"]) < 1e6
 
@@ -170,7 +170,7 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page
     # at a network without phi_h, which need not be reciprocal, the reference begins folded
     folded = torch.stack([angles[:, 0], angles[:, 1], angles[:, 2] % math.pi], 1)
     base = app.reflectance(theta, angles if app.network.anisotropic else folded)
-    more = anisotropic.interpolated(shown[0].view.arrays["residual"], angles, turn)
+    more = anisotropic.interpolated(shown[0].arrays["residual"], angles, turn)
     wanted = torch.expm1(torch.log1p(base) + more).clamp_min(0)
     for pair in ([wi, wo], [wo, wi]):
         found = torch.tensor(page.page.evaluate(SHADER, [0, torch.stack(pair, 1).tolist(), 1]))
@@ -221,7 +221,7 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(open_page: Callable) -> No
     """A matte body of albedo a is a times as bright as a white map; the side away from a lamp is black."""
     task = brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
     (matte,) = views("nbrdf", task=task, theta=even(math.log1p(0.3 / math.pi)))
-    page = open_page(matte.view._replace(shared=dict(matte.view.shared) | {"light": torch.ones(8, 16, 3).half()}))
+    page = open_page(matte._replace(shared=dict(matte.shared) | {"light": torch.ones(8, 16, 3).half()}))
     page.sized(64, 64)
     page.set(light="map", shape="plane", show="fit")
     page.page.evaluate("metapp.viewer.most = () => 64")

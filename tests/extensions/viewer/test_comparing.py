@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.viewer.surface import Lit, surface_view
+from metapp.extensions.viewer.pages.flat import Lit, surface_view
 from metapp.extensions.viewer.view import THUMBNAIL, View, thumbnail
 from tests.browser import Page, assert_alike
 from tests.surfaces import rock

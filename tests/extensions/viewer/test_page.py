@@ -15,14 +15,14 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.extensions.viewer.page import KINDS, Group, Shown, array, document, html, picture, write_page
+from metapp.extensions.viewer.page import KINDS, Group, array, document, html, picture, write_page
 from metapp.extensions.viewer.view import View
 
 LARGEST = 3_000_000  # bytes of a page beside the run's own data
 
 
 def page_of(view: View, title: str = "gold") -> dict[str, Any]:
-    return document("metapp", [Group(title, "BRDF", [Shown("meta", "error 0.1", view)])])
+    return document("metapp", [Group(title, "BRDF", [view._replace(label="meta", caption="error 0.1")])])
 
 
 def read_data(text: str) -> dict[str, Any]:
@@ -79,5 +79,5 @@ def test_a_page_is_written_whatever_its_names_are(tmp_path: Path) -> None:
 def test_what_fits_share_stands_once() -> None:
     shared = {"light": torch.rand(64, 128, 3)}
     one = View("pictures", shared=shared)
-    data = document("metapp", [Group(name, "BRDF", [Shown("meta", "", one)] * 3) for name in "ab"])
+    data = document("metapp", [Group(name, "BRDF", [one] * 3) for name in "ab"])
     assert len(json.dumps(data)) < 1.1 * len(json.dumps(page_of(one)))

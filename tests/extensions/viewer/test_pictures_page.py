@@ -20,7 +20,6 @@ from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
-from metapp.extensions.viewer.page import Shown
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.flat import QUILTED
 from metapp.extensions.viewer.view import View, view_of
@@ -161,7 +160,8 @@ def test_the_worst_region_is_where_errors_are_greatest() -> None:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
-    textures = [Shown(f"seed {seed}", "error 0.1", view_of(SHOWN, theta_of(seed), exemplar_of())) for seed in (0, 1)]
+    views = [view_of(SHOWN, theta_of(seed), exemplar_of()) for seed in (0, 1)]
+    textures = [view._replace(label=f"seed {seed}", caption="error 0.1") for seed, view in enumerate(views)]
     file = written(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
     with browsing() as browser:
         opened = Page(browser, file)

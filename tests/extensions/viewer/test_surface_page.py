@@ -18,7 +18,7 @@ from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.viewer.surface import Lit, surface_view
+from metapp.extensions.viewer.pages.flat import Lit, surface_view
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
@@ -133,7 +133,7 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
 
 def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
     """To means of texels; heights stay as they are in widths of the texture."""
-    monkeypatch.setattr("metapp.extensions.viewer.surface.LARGEST", 64)
+    monkeypatch.setattr("metapp.extensions.viewer.pages.flat.LARGEST", 64)
     large = rock(128)
     view = surface_view(large, [])
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])

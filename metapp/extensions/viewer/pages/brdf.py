@@ -17,8 +17,7 @@ from metapp.apps.brdf import anisotropic, featured
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.network import network_of
 from metapp.extensions.viewer.pages import anisotropic_residual
-from metapp.extensions.viewer.surface import light_map
-from metapp.extensions.viewer.view import View, thumbnail
+from metapp.extensions.viewer.view import View, light_map, thumbnail
 from metapp.learning.task import Params, Task
 
 CELLS = (48, 24, 48)  # of phi_d in [0, 2 pi), theta_d, and the square root of theta_h

@@ -2,20 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, normalize
 
-from metapp.appearance.flash import GAMMA, unpack
+from metapp.appearance.colour import stretched
+from metapp.appearance.flash import GAMMA, Maps, expose, pack, positions, relightings, render, unpack
 from metapp.appearance.quilting import block_of, quilted
+from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
 from metapp.apps.texture.app import Texture
-from metapp.extensions.viewer.surface import Lit, surface_view
-from metapp.extensions.viewer.view import View, thumbnail
+from metapp.extensions.assets.planes import fitted_planes
+from metapp.extensions.viewer.view import THUMBNAIL, View, light_map, thumbnail
 from metapp.learning.task import Params, Task
 
 QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
+LARGEST = 1024  # texels a side on a page
+LARGEST_PHOTO = 512  # px a side
+
+
+class Lit(NamedTuple):
+    """One of metapp's pictures of a surface.
+
+    Attributes:
+        light: where the flash is, [3].
+        eye: where the camera is, [3].
+        gain: of the flash, the intensity of `metapp.appearance.flash.render`.
+        photo: the photograph that it is compared with, linear [3, H, W] in [0, 1].
+        part: side of the maps' part that it shows, the upper left one; 1 is all.
+    """
+
+    light: Tensor
+    eye: Tensor
+    gain: float = 1.0
+    photo: Tensor | None = None
+    part: float = 1.0
 
 
 @torch.no_grad()
@@ -55,3 +82,93 @@ def texture(app: Texture, theta: Params, task: Task) -> View:
     rows = [{"title": name, "name": name, "tiles": how} for name, how in tiles.items() if name in pictures]
     facts = {"pictures": rows, "compared": [rows[0]["title"], "fit"]}
     return View("pictures", pictures=pictures, facts=facts, thumbnail=thumbnail(fit))
+
+
+def surface_view(
+    surface: Surface, photographed: Sequence[Lit], *, falloff: float = 0.0, reference: Maps | None = None
+) -> View:
+    """A surface with all maps, under its photographs' flashes and in the three pictures of other lights.
+
+    Args:
+        surface: the fit.
+        photographed: its photographs, or none.
+        falloff: of flashes in pictures, as of `metapp.appearance.flash.render`.
+        reference: the true maps, where they are known.
+    """
+    small = _reduced(surface)
+    if small.maps is None:
+        raise ValueError("a surface of one colour, expected one with maps")
+    heights = fitted_planes(small)["height"].values
+    height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
+    pictures = {f"fit_{name}": pixels for name, pixels in _encoded(small.maps).items()} | {"height": _last(height)}
+    if reference is not None:
+        true_maps = _resized(reference, _within(max(small.size), reference.diffuse))
+        pictures |= {f"reference_{name}": pixels for name, pixels in _encoded(true_maps).items()}
+    lit = {f"photo_{number}": each for number, each in enumerate(photographed, 1)}
+    for name, each in lit.items():
+        if each.photo is not None:
+            pictures[name] = _last(expose(adaptive_avg_pool2d(each.photo, _within(LARGEST_PHOTO, each.photo))))
+    lit |= {name: Lit(light, eye) for name, (light, eye) in relightings().items()}
+    facts = {
+        "tiles": surface.tiles,
+        "size": list(surface.size),
+        "shown": list(small.size),
+        "heights": [low, high],
+        "fitted_height": surface.height is not None,
+        "falloff": falloff,
+        "lit": {
+            name: {"light": each.light.tolist(), "eye": each.eye.tolist(), "gain": each.gain, "part": each.part}
+            for name, each in lit.items()
+        },
+    }
+    few = _resized(small.maps, (THUMBNAIL, THUMBNAIL))
+    shown = expose(render(few, positions(THUMBNAIL, THUMBNAIL), *relightings()["above"])).squeeze(0)
+    return View("surface", pictures=pictures, facts=facts, shared={"light": light_map()}, thumbnail=_last(shown))
+
+
+def _level(height: Tensor) -> Tensor:
+    """Heights [1, H, W] without the paraboloid that fits them best: the sum of errors of normals over a whole map."""
+    y, x = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in height.shape[1:]), indexing="ij")
+    terms = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y], dim=-1).reshape(-1, 6).double()
+    values = height.reshape(-1, 1).double()
+    drift: Tensor = terms @ torch.linalg.lstsq(terms, values).solution
+    return (values - drift).reshape(height.shape).float()
+
+
+def _encoded(maps: Maps) -> dict[str, Tensor]:
+    """Maps as pictures [H, W, 1 or 3]: colours at gamma 2.2; x and y of normals, 0 at 128 of 255, with roughness."""
+    x_and_y = (maps.normal[:2] * 127 + 128) / 255
+    return {
+        "diffuse": _last(maps.diffuse.clamp(0, 1) ** (1 / GAMMA)),
+        "specular": _last(maps.specular.clamp(0, 1) ** (1 / GAMMA)),
+        "detail": _last(torch.cat([x_and_y, maps.roughness])),
+    }
+
+
+def _last(pixels: Tensor) -> Tensor:
+    return pixels.permute(1, 2, 0)
+
+
+def _within(largest: int, values: Tensor) -> tuple[int, int]:
+    """The size of values [..., H, W], reduced to `largest` a side."""
+    height, width = values.shape[-2:]
+    share = min(1.0, largest / max(height, width))
+    return max(1, round(share * height)), max(1, round(share * width))
+
+
+def _reduced(surface: Surface) -> Surface:
+    """The same, at most LARGEST texels a side."""
+    size = _within(LARGEST, surface.base)
+    if size == surface.size or surface.maps is None:
+        return surface
+    maps, height = _resized(surface.maps, size), surface.height
+    if height is not None:
+        height = adaptive_avg_pool2d(height, size) * (size[1] / surface.size[1])  # in larger texels
+    return surface._replace(base=maps.diffuse, maps=maps, height=height)
+
+
+def _resized(maps: Maps, size: tuple[int, int]) -> Maps:
+    """Means of texels, normals of unit length."""
+    means = unpack(adaptive_avg_pool2d(pack(maps), size))
+    specular = means.specular[: len(maps.specular)]
+    return means._replace(specular=specular, normal=normalize(means.normal, dim=0))
