@@ -76,11 +76,11 @@ def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Trai
     planned = Run.of(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
     baseline = next(each for each in baselines_of(planned.app) if each.name == way.name)
     allowed = allowed_for(planned)
-    prepared = baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
+    baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
     errors = {}
     for task in tasks:
         stacked = stack(planned.app, [task])
-        answer = prepared.fit(stacked, rng_of(planned, task), allowed).answer()
+        answer = baseline.fit(stacked, rng_of(planned, task), allowed).answer()
         errors[task.name] = planned.app.scale * float(planned.app.errors_of(answer, stacked)["error"])
     return errors
 

@@ -5,24 +5,26 @@ from __future__ import annotations
 import torch
 from torch import Generator
 
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
 
-def fit_line(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-    """Fit the line to the visible samples of one task; two numbers are kept."""
-    x, y = (tasks.data[key][tasks.rows][0] for key in ("x", "y"))
-    columns = torch.stack([x, torch.ones_like(x)], 1)
-    line = torch.linalg.lstsq(columns[::2], y[::2, None]).solution
-    return BaselineFit(lambda: (columns[1::2] @ line).T[None], 2, 8)
+class Line(Baseline):
+    """A straight line; it learns nothing from training tasks."""
 
+    name = "line"
+    title = "a straight line by least squares"
+    cannot = "bend"
 
-def prepare(training: Training, allowed: Allowed) -> PreparedBaseline:
-    """Prepare nothing: a line learns nothing from training tasks."""
-    return PreparedBaseline(fit_line)
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """Fit the line to the visible samples of one task; two numbers are kept."""
+        x, y = (tasks.data[key][tasks.rows][0] for key in ("x", "y"))
+        columns = torch.stack([x, torch.ones_like(x)], 1)
+        line = torch.linalg.lstsq(columns[::2], y[::2, None]).solution
+        return BaselineFit(lambda: (columns[1::2] @ line).T[None], 2, 8)
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """The baselines of curves."""
-    return (Baseline("line", "a straight line by least squares", "bend", prepare, learns=False),)
+    return (Line(app),)

@@ -1,8 +1,9 @@
-"""The record of a baseline: prepared once on training tasks, then fitted to one task at a time."""
+"""The contract of baselines: prepared once on training tasks, then fitted to one task at a time."""
 
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -61,41 +62,36 @@ class BaselineFit(NamedTuple):
     picture: Tensor | None = None
 
 
-FitTask = Callable[[Tasks, Generator, Allowed], BaselineFit]  # of one task
-
-
-class PreparedBaseline(NamedTuple):
-    """A baseline at work.
-
-    Attributes:
-        fit: fits one task.
-        shared: bytes that all tasks share, without which no fit can be evaluated or made; None where not known.
-        chosen: what validation tasks have chosen.
-    """
-
-    fit: FitTask
-    shared: int | None = 0
-    chosen: dict[str, object] = {}  # noqa: RUF012  (never written to)
-
-
-class Baseline(NamedTuple):
-    """A method that a reader would use instead.
+class Baseline(ABC):
+    """A method that a reader would use instead of a network.
 
     Attributes:
         name: as rows call it.
         title: what it is, with its source.
         cannot: what it cannot do that a network can.
-        prepare: (training tasks, what fits may use) -> the baseline at work.
-        learns: whether it needs any.
+        learns: whether it is prepared on training tasks.
         stored: the tensor of tasks that holds its answers, which were made elsewhere: it has no time; "" for none.
+        shared: bytes that all tasks share, without which no fit can be evaluated or made; None where not known.
+        chosen: what validation tasks have chosen.
     """
 
     name: str
     title: str
     cannot: str
-    prepare: Callable[[Training, Allowed], PreparedBaseline]
-    learns: bool = True
-    stored: str = ""
+    learns = False
+    stored = ""
+    shared: int | None = 0
+
+    def __init__(self, app: App) -> None:
+        self.app = app
+        self.chosen: dict[str, object] = {}
+
+    def prepare(self, training: Training, allowed: Allowed) -> None:  # noqa: B027  (nothing to do for most)
+        """Learn from training tasks, once: of methods that do."""
+
+    @abstractmethod
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The fit of one task."""
 
 
 def bytes_of(*tensors: Tensor) -> int:

@@ -15,8 +15,6 @@ from metapp.extensions.baselines.baseline import (
     Allowed,
     Baseline,
     BaselineFit,
-    FitTask,
-    PreparedBaseline,
     Training,
     bytes_of,
 )
@@ -33,24 +31,7 @@ FEWEST = 4  # groups of training materials: of fewer none is kept for validation
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
-    cannot = "say anything between the angles of its table, which all training materials must share"
-    title = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015), weighted for the table's error"
-    return (
-        *(Baseline(f"pca_{count}", title, cannot, functools.partial(_components, count)) for count in COUNTS),
-        Baseline(
-            "ggx_2",
-            "a Lambertian body and two GGX lobes, by least squares on the table's error",
-            "be more than a sum of such lobes",
-            lambda *_: PreparedBaseline(_two_lobes),
-            learns=False,
-        ),
-        Baseline(
-            "nearest",
-            "the training material with the least error on the samples",
-            "be a material that is not in its set",
-            _nearest,
-        ),
-    )
+    return (*(Pca(app, count) for count in COUNTS), TwoLobes(app), Nearest(app))
 
 
 def places_of(tasks: Tasks) -> Tensor:
@@ -120,61 +101,84 @@ def _learned(training: Training) -> tuple[Tensor, Components, Components, Tasks]
     return where[0], whole, part, chosen_on
 
 
-def _components(count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
-    """So many components: penalty and solves are chosen on validation materials, then all are taken."""
-    where, whole, part, chosen_on = _learned(training)
+class Pca(Baseline):
+    """Coefficients of so many components: penalty and solves are chosen on validation materials, then all are taken."""
 
-    def error(setting: tuple[float, int]) -> float:
-        fit = ridge_in(where, part.first(count), *setting)
-        return mean_error(training.app, fit, chosen_on, allowed)
+    title = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015), weighted for the table's error"
+    cannot = "say anything between the angles of its table, which all training materials must share"
+    learns = True
 
-    penalty, solves = min(itertools.product(PENALTIES, SOLVES), key=error)
-    used = whole.first(count)
-    shared = bytes_of(used.mean, used.axes, used.reference)
-    return PreparedBaseline(ridge_in(where, used, penalty, solves), shared, {"penalty": penalty, "solves": solves})
+    def __init__(self, app: App, count: int) -> None:
+        super().__init__(app)
+        self.name, self.count = f"pca_{count}", count
+
+    def prepare(self, training: Training, allowed: Allowed) -> None:
+        """Learn components; ValueError where materials are not at the same angles."""
+        self.where, whole, part, chosen_on = _learned(training)
+        self.components = part.first(self.count)
+
+        def error(setting: tuple[float, int]) -> float:
+            self.penalty, self.solves = setting
+            return mean_error(self, chosen_on, allowed)
+
+        self.penalty, self.solves = min(itertools.product(PENALTIES, SOLVES), key=error)
+        self.components = whole.first(self.count)
+        self.shared = bytes_of(self.components.mean, self.components.axes, self.components.reference)
+        self.chosen = {"penalty": self.penalty, "solves": self.solves}
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The coefficients of a material's samples; ValueError where these are at other angles."""
+        components, (rows, target) = self.components, drawn(tasks, rng, allowed.samples)
+        found = components.at(rows_in(self.where, tasks, rows)).coefficients(target, self.penalty, self.solves)
+        held = slice(len(self.where) // 2, None)
+        return BaselineFit(lambda: components.at(held).reflectance(found).T[None], found.numel(), bytes_of(found))
 
 
 @torch.no_grad()
-def mean_error(app: App, fit: FitTask, tasks: Tasks, allowed: Allowed) -> float:
+def mean_error(baseline: Baseline, tasks: Tasks, allowed: Allowed) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the application has it, unscaled."""
     total = 0.0
     for row in range(len(tasks)):
         one = tasks.select([row])
-        fitted = fit(one, Generator().manual_seed(row), allowed)
-        total += float(app.errors_of(fitted.answer(), one)["error"])
+        fitted = baseline.fit(one, Generator().manual_seed(row), allowed)
+        total += float(baseline.app.errors_of(fitted.answer(), one)["error"])
     return total / len(tasks)
 
 
-def ridge_in(where: Tensor, components: Components, penalty: float, solves: int) -> FitTask:
-    """Fits of coefficients, of components at places [N, 7], to a material's samples."""
+class TwoLobes(Baseline):
+    """A body under two lobes."""
 
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        rows, target = drawn(tasks, rng, allowed.samples)
-        found = components.at(rows_in(where, tasks, rows)).coefficients(target, penalty, solves)
-        held = slice(len(where) // 2, None)
-        return BaselineFit(lambda: components.at(held).reflectance(found).T[None], found.numel(), bytes_of(found))
+    name = "ggx_2"
+    title = "a Lambertian body and two GGX lobes, by least squares on the table's error"
+    cannot = "be more than a sum of such lobes"
 
-    return fit
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The numbers of `lobes.fit`."""
+        where, (rows, target) = places_of(tasks), drawn(tasks, rng, allowed.samples)
+        numbers = lobes.fit(cosines_of(where[rows]), target.double()).float()
 
+        def answer() -> Tensor:
+            return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
 
-def _two_lobes(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-    where, (rows, target) = places_of(tasks), drawn(tasks, rng, allowed.samples)
-    numbers = lobes.fit(cosines_of(where[rows]), target.double()).float()
-
-    def answer() -> Tensor:
-        return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
-
-    return BaselineFit(answer, numbers.numel(), bytes_of(numbers))
+        return BaselineFit(answer, numbers.numel(), bytes_of(numbers))
 
 
-def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
-    """The set itself is shared."""
-    targets, where = training.stacked.data["target"], training.stacked.data["where"]
-    half = where.shape[1] // 2
+class Nearest(Baseline):
+    """The nearest training material; the set itself is shared."""
 
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    name = "nearest"
+    title = "the training material with the least error on the samples"
+    cannot = "be a material that is not in its set"
+    learns = True
+
+    def prepare(self, training: Training, allowed: Allowed) -> None:
+        """Take the set."""
+        self.targets, self.where = training.stacked.data["target"], training.stacked.data["where"]
+        self.shared = bytes_of(self.where[0], self.targets)
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The number of a material is kept; ValueError where samples are at other angles."""
+        targets, where, half = self.targets, self.where, self.where.shape[1] // 2
         rows, target = drawn(tasks, rng, allowed.samples)
         index = (targets[:, rows_in(where[0], tasks, rows)] - target).abs().mean((1, 2)).argmin()
         return BaselineFit(lambda: reflectance_of(where[index, half:], targets[index, half:]).T[None], *INDEX)
-
-    return PreparedBaseline(fit, bytes_of(where[0], targets))

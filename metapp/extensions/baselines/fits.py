@@ -97,13 +97,14 @@ def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm:
     """
     app, allowed = plan.app, allowed_for(plan)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
-        prepared = baseline.prepare(training_of(app, training_folder(plan, baseline)), allowed)
+        if baseline.learns:
+            baseline.prepare(training_of(app, training_folder(plan, baseline)), allowed)
         for task in tasks[:1] if warm and not baseline.stored else ():
-            prepared.fit(stack(app, [task]), rng_of(plan, task), allowed)
+            baseline.fit(stack(app, [task]), rng_of(plan, task), allowed)
         for task in tasks:
             rng, begin = rng_of(plan, task), time.perf_counter()
             stacked = stack(app, [task])
-            fitted = prepared.fit(stacked, rng, allowed)
+            fitted = baseline.fit(stacked, rng, allowed)
             seconds = time.perf_counter() - begin
             answer = fitted.answer()
             errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
@@ -117,7 +118,7 @@ def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm:
                 **({} if baseline.stored else {"seconds": seconds, "threads": torch.get_num_threads()}),
                 "numbers": fitted.numbers,
                 "size": fitted.size,
-                "shared": prepared.shared,
-                "chosen": prepared.chosen,
+                "shared": baseline.shared,
+                "chosen": baseline.chosen,
             }
             yield record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import mean_luminance
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
 from metapp.extensions.baselines.harmonics import from_harmonics, harmonics, orders
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Tasks
@@ -19,43 +19,48 @@ SCALE, VALUE = 4, 2  # bytes of a scale, a float, and of a coefficient over it, 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of maps, or of photographs, by the protocol."""
-    if app.protocol == "photo":
-        title, fill = "what a mirror ball shows, as it is", "tell what the photo does not show"
-        unwrap = PreparedBaseline(unwrapped)
-        return (Baseline("unwrap", title, fill, lambda *_: unwrap, learns=False, stored="seen"),)
-    title = "spherical harmonics, least squares by solid angle"
-    rings = "read a map from a photo, nor show a sun that does not ring"
-    return (Baseline("sh", title, rings, lambda *_: PreparedBaseline(spherical), learns=False),)
+    return (Unwrap(app) if app.protocol == "photo" else Harmonics(app),)
 
 
-def spherical(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+class Harmonics(Baseline):
     """As many coefficients, half floats over their largest, as take no more bytes than a network."""
-    (row,) = tasks.rows.tolist()
-    radiance = tasks.data["map"][row].double().numpy()
-    channels, height, width = radiance.shape
-    most = math.isqrt(max(0, allowed.size - SCALE) // (VALUE * channels)) - 1
-    coefficients = harmonics(radiance, max(0, min(most, orders(height, width) - 1)))
-    scale = float(np.abs(coefficients).max()) or 1.0
-    kept = (coefficients / scale).astype(np.float16)
 
-    def answer() -> Tensor:
-        return torch.from_numpy(from_harmonics(kept.astype(np.float64) * scale, height, width)).float()[None]
+    name = "sh"
+    title = "spherical harmonics, least squares by solid angle"
+    cannot = "read a map from a photo, nor show a sun that does not ring"
 
-    return BaselineFit(answer, kept.size, SCALE + VALUE * kept.size)
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The coefficients of a map."""
+        (row,) = tasks.rows.tolist()
+        radiance = tasks.data["map"][row].double().numpy()
+        channels, height, width = radiance.shape
+        most = math.isqrt(max(0, allowed.size - SCALE) // (VALUE * channels)) - 1
+        coefficients = harmonics(radiance, max(0, min(most, orders(height, width) - 1)))
+        scale = float(np.abs(coefficients).max()) or 1.0
+        kept = (coefficients / scale).astype(np.float16)
+
+        def answer() -> Tensor:
+            return torch.from_numpy(from_harmonics(kept.astype(np.float64) * scale, height, width)).float()[None]
+
+        return BaselineFit(answer, kept.size, SCALE + VALUE * kept.size)
 
 
-def unwrapped(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-    """The light that a mirror shows.
+class Unwrap(Baseline):
+    """The light that a mirror ball shows."""
 
-    Raises:
-        ValueError: the ball is no mirror.
-    """
-    data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
-    for name, certain in zip(tasks.selected_names, data["certain"], strict=True):
-        if not certain.any():
-            raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's.")
-    numbers = 5 * data["seen"][0, 0].numel()
-    return BaselineFit(lambda: shown(data), numbers, 2 * numbers)
+    name = "unwrap"
+    title = "what a mirror ball shows, as it is"
+    cannot = "tell what the photo does not show"
+    stored = "seen"
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The map that is seen; ValueError: the ball is no mirror."""
+        data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
+        for name, certain in zip(tasks.selected_names, data["certain"], strict=True):
+            if not certain.any():
+                raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's.")
+        numbers = 5 * data["seen"][0, 0].numel()
+        return BaselineFit(lambda: shown(data), numbers, 2 * numbers)
 
 
 def shown(data: Batch) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -16,38 +16,38 @@ ROUGHNESS, F0 = 0.5, 0.04  # of what a photo says nothing of: the middle, and th
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of photographs; none of maps."""
-    if app.protocol != "photo":
-        return ()
-    return (
-        Baseline(
-            "flat",
-            f"the photo without the flash's falloff as diffuse map, flat, of roughness {ROUGHNESS} and F0 {F0}",
-            "tell highlights and shading from colour",
-            lambda *_: PreparedBaseline(_flat),
-            learns=False,
-        ),
-        Baseline(
-            "predicted",
-            "the maps that another method predicts of the photo, as `metapp data strips --predicted` reads them",
-            "be made of another photo here, as its network is not at hand",
-            lambda *_: PreparedBaseline(_predicted, shared=None),
-            learns=False,
-            stored="predicted",
-        ),
-    )
+    return (Flat(app), Predicted(app)) if app.protocol == "photo" else ()
 
 
-def _flat(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-    photo = tasks.data["photo"][tasks.rows]
-    return BaselineFit(lambda: flat_maps(photo), photo.numel(), photo.numel())
+class Flat(Baseline):
+    """The photograph as a flat material."""
+
+    name = "flat"
+    title = f"the photo without the flash's falloff as diffuse map, flat, of roughness {ROUGHNESS} and F0 {F0}"
+    cannot = "tell highlights and shading from colour"
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The photograph itself is kept."""
+        photo = tasks.data["photo"][tasks.rows]
+        return BaselineFit(lambda: flat_maps(photo), photo.numel(), photo.numel())
 
 
-def _predicted(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-    if "predicted" not in tasks.data:
-        (name,) = tasks.selected_names
-        raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")
-    maps = tasks.data["predicted"][tasks.rows]
-    return BaselineFit(lambda: unpack(maps), maps.numel(), maps.numel())
+class Predicted(Baseline):
+    """The maps that another method predicts."""
+
+    name = "predicted"
+    title = "the maps that another method predicts of the photo, as `metapp data strips --predicted` reads them"
+    cannot = "be made of another photo here, as its network is not at hand"
+    stored = "predicted"
+    shared = None
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The maps of a task; ValueError where it has none."""
+        if "predicted" not in tasks.data:
+            (name,) = tasks.selected_names
+            raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")
+        maps = tasks.data["predicted"][tasks.rows]
+        return BaselineFit(lambda: unpack(maps), maps.numel(), maps.numel())
 
 
 def flat_maps(photos: Tensor) -> Maps:

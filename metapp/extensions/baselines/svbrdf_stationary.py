@@ -9,8 +9,8 @@ from metapp.appearance.flash import GAMMA, Maps, normal_from_height
 from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.appearance.order import high_passed
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
-from metapp.extensions.baselines.texture import nearest_exemplar, picture_of, quilts
+from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
+from metapp.extensions.baselines.texture import NearestExemplar, picture_of, quilts
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.layout import as_tile
@@ -54,34 +54,33 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of flash photographs of stationary materials."""
+    return NearestPhoto(app), QuiltedMaterial(app)
+
+
+class NearestPhoto(NearestExemplar):
+    """The training photograph with the least error."""
+
+    title = "the training photograph with the least error"
     cannot = "be a material that is not in its set, nor be lit from elsewhere: it is a photograph"
-    guessed = (
+
+
+class QuiltedMaterial(Baseline):
+    """Maps of pieces of the photo; seconds are of as many materials as are judged."""
+
+    name = "quilting"
+    title = "the photo without its light, quilted (Efros & Freeman 2001), and the gloss of its highlight's profile"
+    cannot = (
         "make anything but pieces of the photo, which it repeats, nor tell what a highlight hides or how gloss varies: "
         "roughness is constant, F0 goes with brightness, colours below the highlight are a guess"
     )
-    return (
-        Baseline("nearest", "the training photograph with the least error", cannot, nearest_exemplar),
-        Baseline(
-            "quilting",
-            "the photo without its light, quilted (Efros & Freeman 2001), and the gloss of its highlight's profile",
-            guessed,
-            _quilting,
-            learns=False,
-        ),
-    )
 
-
-def _quilting(training: Training, allowed: Allowed) -> PreparedBaseline:
-    """Maps of pieces of the photo; seconds are of as many materials as are judged."""
-    app = training.app
-    assert isinstance(app, SvbrdfStationary)
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The photograph and NUMBERS are kept."""
+        app = self.app
+        assert isinstance(app, SvbrdfStationary)
         photos = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)
         light = tasks.data["light"][tasks.rows]
         maps = quilted_maps(photos, light, rng)
         kept = photos.numel()
         picture = picture_of(app.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
         return BaselineFit(lambda: maps, kept + NUMBERS, kept + 4 * NUMBERS, picture=picture)
-
-    return PreparedBaseline(fit)

@@ -14,7 +14,6 @@ from metapp.extensions.baselines.baseline import (
     Allowed,
     Baseline,
     BaselineFit,
-    PreparedBaseline,
     Training,
     bytes_of,
 )
@@ -27,39 +26,47 @@ AT_ONCE = 8  # training tasks whose matrices are compared
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of textures."""
-    return (
-        Baseline(
-            "nearest",
-            "the training texture with the least error",
-            "be a texture that is not in its set, nor make more of it",
-            nearest_exemplar,
-        ),
-        Baseline(
-            "quilting",
-            "image quilting (Efros & Freeman 2001), blocks of a quarter of the exemplar",
-            "make anything that is no copy of pieces of the exemplar, which it holds; nor does it tile",
-            _quilting,
-            learns=False,
-        ),
-    )
+    return NearestExemplar(app), Quilting(app)
 
 
-def nearest_exemplar(training: Training, allowed: Allowed) -> PreparedBaseline:
+class NearestExemplar(Baseline):
     """The training exemplar with the least error; the set itself is shared, its pictures and their Gram matrices."""
-    assert isinstance(training.app, ExemplarApp)
-    exemplars = training.stacked
-    names = sorted(name for name in exemplars.data if name.startswith("gram"))
-    pictures = training.app.exemplar(exemplars.data["image"].float() / 255)
 
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        targets = [tasks.data[name][tasks.rows] for name in names]
-        parts = torch.arange(len(exemplars)).split(AT_ONCE)
-        errors = [distance([exemplars.data[name][rows] for name in names], targets) for rows in parts]
-        nearest = pictures[int(torch.cat(errors).reshape(len(exemplars), -1).mean(1).argmin())]
+    name = "nearest"
+    title = "the training texture with the least error"
+    cannot = "be a texture that is not in its set, nor make more of it"
+    learns = True
+
+    def prepare(self, training: Training, allowed: Allowed) -> None:
+        """Take the pictures and matrices of the set."""
+        assert isinstance(self.app, ExemplarApp)
+        data = training.stacked.data
+        self.grams = {name: data[name] for name in sorted(data) if name.startswith("gram")}
+        self.pictures = self.app.exemplar(data["image"].float() / 255)
+        self.shared = bytes_of(data["image"], *self.grams.values())
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The number of an exemplar is kept."""
+        targets = [tasks.data[name][tasks.rows] for name in self.grams]
+        parts = torch.arange(len(self.pictures)).split(AT_ONCE)
+        errors = [distance([gram[rows] for gram in self.grams.values()], targets) for rows in parts]
+        nearest = self.pictures[int(torch.cat(errors).reshape(len(self.pictures), -1).mean(1).argmin())]
         return BaselineFit(lambda: nearest[None, None], *INDEX, picture=picture_of(nearest))
 
-    shared = bytes_of(exemplars.data["image"], *(exemplars.data[name] for name in names))
-    return PreparedBaseline(fit, shared)
+
+class Quilting(Baseline):
+    """Image quilting."""
+
+    name = "quilting"
+    title = "image quilting (Efros & Freeman 2001), blocks of a quarter of the exemplar"
+    cannot = "make anything that is no copy of pieces of the exemplar, which it holds; nor does it tile"
+
+    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        """The exemplar is kept: numbers, and as many bytes."""
+        assert isinstance(self.app, ExemplarApp)
+        exemplar = self.app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
+        pictures, kept = quilts(exemplar, (exemplar.shape[1], exemplar.shape[2]), rng), exemplar.numel()
+        return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]))
 
 
 def picture_of(srgb: Tensor) -> Tensor:
@@ -77,16 +84,3 @@ def quilts(exemplar: Tensor, size: tuple[int, int], rng: Generator, *, tiles: bo
     block, overlap = block_of(picture)
     made = [quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles) for _ in range(JUDGED_PICTURES)]
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
-
-
-def _quilting(training: Training, allowed: Allowed) -> PreparedBaseline:
-    app = training.app
-    assert isinstance(app, ExemplarApp)
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        exemplar = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
-        pictures = quilts(exemplar, (exemplar.shape[1], exemplar.shape[2]), rng)
-        kept = exemplar.numel()  # numbers, and as many bytes
-        return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]))
-
-    return PreparedBaseline(fit)

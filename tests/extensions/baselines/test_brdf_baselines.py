@@ -18,14 +18,13 @@ from metapp.extensions.baselines.baseline import Allowed, Training
 from metapp.extensions.baselines.brdf import (
     PENALTIES,
     SOLVES,
-    _components,
+    Pca,
     baselines,
     components_of,
     cosines_of,
     drawn,
     mean_error,
     places_of,
-    ridge_in,
 )
 from metapp.extensions.baselines.components import DELTA, EPSILON, Components, principal, ridge
 from metapp.learning.app import stack
@@ -148,39 +147,48 @@ def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> Non
 
 def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_bytes_are_counted(rng: Generator) -> None:
     training, allowed = Training(APP, random_materials(12, rng)), Allowed(400, 2700)
-    prepared = _components(8, training, allowed)
+    pca = Pca(APP, 8)
+    pca.prepare(training, allowed)
     known, validation = split_validation(training.stacked)
-    where = known.data["where"][0]
+    where, errors = known.data["where"][0], {}
     components = components_of(where, known.data["target"][known.rows]).first(8)
-    settings = itertools.product(PENALTIES, SOLVES)
-    errors = {each: mean_error(APP, ridge_in(where, components, *each), validation, allowed) for each in settings}
+    for setting in itertools.product(PENALTIES, SOLVES):
+        errors[setting] = mean_error(pca_of(where, components, *setting), validation, allowed)
     penalty, solves = min(errors, key=errors.__getitem__)
-    assert prepared.chosen == {"penalty": penalty, "solves": solves}
-    assert prepared.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
+    assert pca.chosen == {"penalty": penalty, "solves": solves}
+    assert pca.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
     one = training.stacked.select([2])
-    fitted = prepared.fit(one, Generator().manual_seed(0), allowed)
+    fitted = pca.fit(one, Generator().manual_seed(0), allowed)
     assert (fitted.numbers, fitted.size) == (24, 96)
     assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
     (named,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
-    assert named.prepare(training, allowed).fit(one, rng, allowed).numbers == 30  # all that vary by more than rounding
+    named.prepare(training, allowed)
+    assert named.fit(one, rng, allowed).numbers == 30  # all that vary by more than rounding
+
+
+def pca_of(where: Tensor, components: Components, penalty: float, solves: int) -> Pca:
+    """Components that are known."""
+    pca = Pca(APP, components.axes.shape[1])
+    pca.where, pca.components, pca.penalty, pca.solves = where, components, penalty, solves
+    return pca
 
 
 def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
-    allowed = Allowed(100, 2700)
+    allowed, pca = Allowed(100, 2700), Pca(APP, 4)
     with pytest.raises(ValueError, match="angles of their own"):
-        _components(4, Training(APP, random_materials(8, rng, apart=True)), allowed)
-    prepared = _components(4, Training(APP, random_materials(8, rng)), allowed)
+        pca.prepare(Training(APP, random_materials(8, rng, apart=True)), allowed)
+    pca.prepare(Training(APP, random_materials(8, rng)), allowed)
     other = stack(APP, random_materials(1, rng))
     with pytest.raises(ValueError, match="other angles"):
-        prepared.fit(other, rng, allowed).answer()
+        pca.fit(other, rng, allowed).answer()
     materials, half = random_materials(12, rng), SAMPLES // 2
     known = stack(APP, materials).data
     where = known["where"][0]
-    fit = ridge_in(where, components_of(where, known["target"]).first(8), 1e-9, 1)
+    pca = pca_of(where, components_of(where, known["target"]).first(8), 1e-9, 1)
     order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack(APP, [moved])
-    assert APP.errors_of(fit(one, rng, Allowed(400, 2700)).answer(), one)["error"].item() < 0.01
+    assert APP.errors_of(pca.fit(one, rng, Allowed(400, 2700)).answer(), one)["error"].item() < 0.01
 
 
 @pytest.fixture

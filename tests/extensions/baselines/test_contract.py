@@ -98,8 +98,8 @@ def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, pr
     if draws and (name, protocol) not in WITHOUT:
         tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
         first, allowed = baselines_of(app)[0], Allowed(64, 20_000)
-        prepared = first.prepare(Training(app, tasks), allowed)
-        answer = prepared.fit(stack(app, tasks[:1]), rng, allowed).answer()
+        first.prepare(Training(app, tasks), allowed)
+        answer = first.fit(stack(app, tasks[:1]), rng, allowed).answer()
         for pixels, kind in app.answer_pictures(answer, tasks[0]).values():
             assert pixels.shape[2] in (1, 3)
             assert pixels.isfinite().all()
@@ -268,7 +268,8 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
         app = app_by(name, protocol=protocol)
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(5)]
         (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "nearest"]
-        fitted = baseline.prepare(Training(app, tasks), Allowed(64, 1)).fit(stack(app, tasks[3:4]), rng, Allowed(64, 1))
+        baseline.prepare(Training(app, tasks), Allowed(64, 1))
+        fitted = baseline.fit(stack(app, tasks[3:4]), rng, Allowed(64, 1))
         with torch.no_grad():
             assert app.errors_of(fitted.answer(), stack(app, tasks[3:4]))["error"].item() < 1e-5
         assert (fitted.numbers, fitted.size) == (1, 4)

@@ -18,9 +18,9 @@ from metapp.appearance.quilting import beyond_cut
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Allowed, BaselineFit, Training
+from metapp.extensions.baselines.baseline import Allowed, BaselineFit
 from metapp.extensions.baselines.harmonics import from_harmonics, harmonics, orders
-from metapp.extensions.baselines.illumination import shown, spherical, unwrapped
+from metapp.extensions.baselines.illumination import Harmonics, Unwrap, shown
 from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
 from metapp.extensions.baselines.svbrdf_stationary import quilted_maps
 from metapp.learning.app import stack
@@ -63,7 +63,7 @@ def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
     data = {"seen": torch.zeros(1, 3, 8, 16), "certain": torch.zeros(1, 2, 8, 16)}
     tasks = Tasks(("garden",), data, torch.arange(1))
     with pytest.raises(ValueError, match="garden: a photo of a glossy sphere, expected a mirror ball's"):
-        unwrapped(tasks, rng, Allowed(1, 1))
+        Unwrap(app_by("illumination", protocol="photo")).fit(tasks, rng, Allowed(1, 1))
 
 
 @pytest.fixture
@@ -114,7 +114,8 @@ def test_more_bytes_come_nearer_until_the_map_itself(numbers: np.random.Generato
     radiance = np.exp(numbers.normal(size=(3, 16, 32)))
     tasks, wanted = _task(radiance), torch.from_numpy(radiance).float()
     sizes = (1, 10, 100, 400, 10**6)
-    fitted = [spherical(tasks, rng, Allowed(1, size)) for size in sizes]
+    baseline = Harmonics(app_by("illumination"))
+    fitted = [baseline.fit(tasks, rng, Allowed(1, size)) for size in sizes]
     errors = [(each.answer()[0] - wanted).square().mean().item() for each in fitted]  # type: ignore[index]
     assert errors[0] == errors[1] > errors[2] > errors[3] > errors[4]
     assert [each.numbers for each in fitted] == [3, 3, 48, 192, 768]  # of orders 0, 0, 3, 7, 15
@@ -152,8 +153,7 @@ def task_of(app: SvbrdfStationary, maps: Maps) -> Task:
 
 def quilting(app: SvbrdfStationary, tasks: Tasks, seed: int = 0) -> BaselineFit:
     (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "quilting"]
-    allowed = Allowed(64, 1)
-    return baseline.prepare(Training(app, []), allowed).fit(tasks, Generator().manual_seed(seed), allowed)
+    return baseline.fit(tasks, Generator().manual_seed(seed), Allowed(64, 1))
 
 
 def waves(period: float) -> Tensor:
