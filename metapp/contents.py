@@ -148,13 +148,13 @@ def register(registry: Registry) -> None:
     registry.rules["ridge"] = "solve+loss"
 
     tables = "metapp.evaluation.tables"
-    registry.tables["results"] = Entry(f"{tables}.results:RESULTS")
-    registry.tables["quickft"] = Entry(f"{tables}.results:QUICKFT")
-    registry.tables["image"] = Entry(f"{tables}.image:IMAGE")
-    registry.tables["ablation"] = Entry(f"{tables}.ablation:ABLATION")
-    registry.tables["storage"] = Entry(f"{tables}.storage:STORAGE")
-    registry.tables["samples"] = Entry(f"{tables}.storage:SAMPLES")
-    registry.tables["convergence"] = Entry(f"{tables}.convergence:CONVERGENCE")
+    registry.tables["results"] = Entry(f"{tables}.results:results")
+    registry.tables["quickft"] = Entry(f"{tables}.results:quickft")
+    registry.tables["image"] = Entry(f"{tables}.image:image")
+    registry.tables["ablation"] = Entry(f"{tables}.ablation:ablation")
+    registry.tables["storage"] = Entry(f"{tables}.storage:storage")
+    registry.tables["samples"] = Entry(f"{tables}.storage:samples")
+    registry.tables["convergence"] = Entry(f"{tables}.convergence:convergence")
     for paradigm in ("general", "overfit", "finetune", "quickft", "meta"):
         registry.commands[paradigm] = Entry(f"metapp.cli.fit:COMMANDS.{paradigm}")
     registry.commands["evaluate"] = Entry("metapp.cli.evaluate:command")

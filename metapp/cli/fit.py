@@ -142,7 +142,7 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.evaluation.notes import warned
+    from metapp.evaluation.rows import warned
     from metapp.runs.naming import caption_of, factor_of, title_of
     from metapp.storage.fits import guarded, summary
 

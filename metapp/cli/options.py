@@ -21,6 +21,7 @@ COMPLETIONS = {
     "rule": completion.rules,
     "export": completion.exports,
     "device": completion.devices,
+    "which": completion.tables,
 }
 
 

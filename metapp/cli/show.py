@@ -2,52 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.cli.console import escaped, out, print_json
-from metapp.evaluation.notes import csv_of, text_table, title_of
-from metapp.evaluation.rows import Column, Row, Table
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.table import Column, Row, Table, csv_of, flat, text_of
 from metapp.evaluation.tables import ALL
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 
 
-def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
-    """Print tables in a format."""
-    several = len(tables) > 1
-    by_table = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}
+def show(tables: Mapping[str, Sequence[Table]], form: str) -> None:
+    """Print tables of several applications, by the table's name, in a format other than rich."""
     if form in ("json", "csv"):
-        rows = [
-            row | ({"table": name} if several else {})
-            for name in by_table
-            for _, some in by_table[name]
-            for row in some
-        ]
+        several = len(tables) > 1
+        pairs = [(name, row) for name, some in tables.items() for table in some for row in table.rows]
+        rows = [flat(row) | ({"table": name} if several else {}) for name, row in pairs]
         if form == "csv":
             out().print(csv_of(rows), soft_wrap=True)
         else:
-            print_json({"which": ALL if several else tables[0].name, "rows": rows})
+            print_json({"which": ALL if several else next(iter(tables)), "rows": rows})
         return
-    for table in tables:
-        if form == "rich":
-            for subject, rows in by_table[table.name]:
-                out().print(rich_table(table, subject, rows))
-        else:
-            out().print(text_table(table, by_table[table.name], form), soft_wrap=True)
+    for some in tables.values():
+        if some:
+            out().print(text_of(some, form), soft_wrap=True)
 
 
-def rich_table(table: Table, subject: Subject, rows: list[Row]) -> RichTable:
+def rich_table(table: Table) -> RichTable:
     """The table of one application for a terminal."""
-    grid = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(table.notes(subject, rows))))
-    columns = fitting(table.columns, rows, out().width)
+    grid = RichTable(title=table.whole_title, caption=Text("\n".join(table.notes)))
+    columns = fitting(table.columns, table.rows, out().width)
     for column in columns:
-        left = column.left
-        grid.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)
-    for row in rows:
+        right = bool(column.form)
+        grid.add_column("\n".join(heading(column)), justify="right" if right else "left", no_wrap=right)
+    for row in table.rows:
         grid.add_row(*(Text(escaped(column.text(row))) for column in columns))
     return grid
 

@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 
-from metapp.evaluation.notes import carried, change, paired_note, verdict
-from metapp.evaluation.rows import blank, paired_entries, paired_of
+from metapp.evaluation.rows import carried, paired_note, verdict
+from metapp.evaluation.table import flat
+from metapp.evaluation.tables.results import change
 from metapp.runs.outputs.statistics import Paired
 
 
 def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
-    return blank("brdf", paradigm) | {"error": error, "seconds": seconds, "tasks": 8}
+    return {"app": "brdf", "paradigm": paradigm, "error": error, "seconds": seconds, "tasks": 8}
 
 
 @pytest.mark.parametrize(
@@ -27,13 +28,15 @@ def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, A
     ],
 )
 def test_a_verdict_says_who_wins(found: Paired | None, said: str) -> None:
-    compared = row("meta", 1.0) | paired_entries("quickft", found)
-    assert verdict(compared).endswith(said)
-    assert bool(verdict(compared)) == bool(found)
-    assert paired_of(compared, "quickft") == found
+    compared = row("meta", 1.0) | {"vs_quickft": found}
+    lines = verdict(compared)
+    assert len(lines) == bool(found)
+    assert all(line.endswith(said) for line in lines)
     notes = paired_note([compared])
     assert notes == [] if found is None else f"below {found.kind == 'ratio':d} means a lower error" in notes[0]
-    assert paired_entries("quickft", None).keys() == paired_entries("quickft", found).keys()
+    written = flat(compared)
+    assert set(written) == {*compared, *(f"vs_quickft_{field}" for field in Paired._fields[1:])}
+    assert [written[key] for key in ("vs_quickft", "vs_quickft_low")] == ([*found[:2]] if found else [None, None])
 
 
 def test_changes_are_of_the_size_of_the_other_error() -> None:

@@ -6,11 +6,9 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
-from metapp.evaluation.cell import Cell
-from metapp.evaluation.notes import compared_text, few_note, measures_note, paired_note, threads_note
-from metapp.evaluation.pictures import draw_cells
-from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
+from metapp.evaluation.rows import compared_text, few_note, measures_note, paired_note, row_of, threads_note
 from metapp.evaluation.subject import Subject
+from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.evaluation.tables.storage import size, stored
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
@@ -22,24 +20,51 @@ from metapp.extensions.baselines.fits import (
     training_folder,
 )
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import caption_of, name_of
+from metapp.runs.naming import caption_of, factor_of, name_of
 from metapp.runs.outputs.statistics import apart
 from metapp.runs.reporter import say
 from metapp.storage.fits import PARAMS, Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
+COLUMNS = columns(
+    Column("method", "paradigm"),
+    *("error", "seconds", "vs meta"),
+    Column("numbers", "numbers", ",.0f"),
+    bytes_column("bytes", "size"),
+    bytes_column("shared bytes", "shared"),
+    *("interval", "median", "worst"),
+)
 
 
-def cells(subject: Subject) -> list[Cell]:
-    """The fits of General, QuickFT and Meta, and of the baselines that there are training tasks for."""
-    names = [*RUN, *_larger(subject)]
-    return [*(subject.cell(name) for name in names), *(baseline_cell(subject, baseline) for baseline in _able(subject))]
-
-
-def _larger(subject: Subject) -> list[str]:
-    """Meta's rules that have a network of their own."""
-    return [name for name, fit in subject.fits.items() if fit.app != subject.app and name not in SHOWN]
+def baselines(subject: Subject) -> Table:
+    """The paradigms, then the baselines that there are training tasks for: their errors, times and bytes."""
+    # Meta's rules that have a network of their own are compared, too
+    larger = [name for name, fit in subject.fits.items() if fit.app != subject.app and name not in SHOWN]
+    for name in (*RUN, *larger):
+        subject.records(name)
+    able = _able(subject)
+    records = {baseline.name: baseline_records(subject, baseline) for baseline in able}
+    rows = [
+        *(_row_of_paradigm(subject, name) for name in (*SHOWN, *larger)),
+        *(_row_of_baseline(subject, name, of_baseline) for name, of_baseline in records.items()),
+    ]
+    notes = [
+        *_compared([row for row in rows if row["baseline"]]),
+        *_missing(subject, rows, able),
+        *_described(able),
+        "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
+        caption_of(subject.app),
+        *measures_note(subject, rows),
+        *paired_note(rows, "meta"),
+        *threads_note(rows),
+        *few_note(subject),
+    ]
+    pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}
+    meta = subject.records("meta")
+    title = f"mean error{factor_of(subject.app)} and what is kept, of paradigms and of methods without a network"
+    fits = {"meta": meta} | pictures if meta and pictures else {}
+    return Table(subject.title, "Methods without a network", title, COLUMNS, rows, notes, fits)
 
 
 def _able(subject: Subject) -> list[Baseline]:
@@ -53,7 +78,7 @@ def _able(subject: Subject) -> list[Baseline]:
     return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
 
 
-def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
+def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
     """The fits of a baseline."""
     kept = None
     if subject.tasks and (not baseline.learns or training_folder(subject.plan, baseline)):
@@ -68,71 +93,26 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
-    return subject.make_cell(baseline.name, kept, measured)
-
-
-def picture(subject: Subject) -> Path | None:
-    """Draw Meta's fits and those of baselines that are pictures; None where either is missing."""
-    meta, others = subject.cell("meta"), picture_cells(subject)
-    return draw_cells(subject, {"meta": meta} | others, "baselines") if others and meta.whole else None
-
-
-def picture_cells(subject: Subject) -> dict[str, Cell]:
-    """The fits of the baselines that are measured and are pictures, by name."""
-    cells = {baseline.name: baseline_cell(subject, baseline) for baseline in _able(subject)}
-    measured = {name: cell for name, cell in cells.items() if cell.whole}
-    return {name: cell for name, cell in measured.items() if Path(cell.records()[0]["folder"], PARAMS).is_file()}
-
-
-def rows(subject: Subject) -> list[Row]:
-    """The paradigms, then the baselines."""
-    return [
-        *(_row_of_paradigm(subject, name) for name in (*SHOWN, *_larger(subject))),
-        *baseline_rows(subject),
-    ]
-
-
-def baseline_rows(subject: Subject) -> list[Row]:
-    """The baselines alone."""
-    return [_row_of_baseline(subject, baseline) for baseline in _able(subject)]
+    return subject.measured(baseline.name, kept, measured, subject.tasks)
 
 
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
     fit = subject.fits[name]
     theta = own_parameters(fit.app)
-    kept = {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
-    entries = kept | {"shared": stored(fit.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
-    return row_of(subject, name, [subject.cell(name)], entries, against=against(subject, name, "meta"))
+    entries = {"shared": stored(fit.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
+    entries |= {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
+    return row_of(subject, name, subject.records(name, found=True), entries, against=("meta",))
 
 
-def _row_of_baseline(subject: Subject, baseline: Baseline) -> Row:
-    cell, name = baseline_cell(subject, baseline), baseline.name
-    records = cell.records()
+def _row_of_baseline(subject: Subject, name: str, records: list[Record]) -> Row:
     kept = {key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "size")}
     entries = kept | {"shared": records[-1]["shared"] if records else None, "baseline": True}
-    return row_of(subject, name, [cell], entries, against=against(subject, name, "meta"))
-
-
-def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
-    """Which baselines have a lower error than Meta, at what cost, what they are and cannot do."""
-    by_name = {row["paradigm"]: row for row in all_rows}
-    baselines = _able(subject)
-    return [
-        *_compared([by_name[baseline.name] for baseline in baselines]),
-        *_missing(subject, all_rows),
-        *_described(baselines),
-        "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
-        caption_of(subject.app),
-        *measures_note(subject, all_rows),
-        *paired_note(all_rows, "meta"),
-        *threads_note(all_rows),
-        *few_note(subject),
-    ]
+    return row_of(subject, name, records, entries, against=("meta",))
 
 
 def _compared(all_rows: list[Row]) -> list[str]:
     """The baselines of a lower error than Meta's, of a higher one, and those not told apart."""
-    pairs = {row["paradigm"]: pair for row in all_rows if (pair := paired_of(row, "meta"))}
+    pairs = {row["paradigm"]: pair for row in all_rows if (pair := row["vs_meta"])}
     higher = [name for name, pair in pairs.items() if apart(pair) and pair.value > pair.level]
     level = [name for name, pair in pairs.items() if not apart(pair)]
     return [
@@ -142,12 +122,12 @@ def _compared(all_rows: list[Row]) -> list[str]:
     ]
 
 
-def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
+def _missing(subject: Subject, all_rows: list[Row], able: list[Baseline]) -> list[str]:
     """Rows without records, and the commands that make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
-    able = {baseline.name for baseline in _able(subject)}
-    others = [baseline for baseline in baselines_of(subject.app) if baseline.name not in able]
+    names = {baseline.name for baseline in able}
+    others = [baseline for baseline in baselines_of(subject.app) if baseline.name not in names]
     lines += [f"{each.name}: left out, as not all tasks hold {each.title}" for each in others if each.stored]
     if without := [baseline.name for baseline in others if not baseline.stored]:
         remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
@@ -161,15 +141,3 @@ def _described(baselines: list[Baseline]) -> list[str]:
     for baseline in baselines:
         named.setdefault((baseline.title, baseline.cannot), []).append(baseline.name)
     return [f"{', '.join(names)}: {title}; cannot {cannot}" for (title, cannot), names in named.items()]
-
-
-COLUMNS = columns(
-    words("method", "paradigm"),
-    *("error", "seconds", "vs meta"),
-    numbers("numbers", "numbers", ",.0f"),
-    bytes_column("bytes", "size"),
-    bytes_column("shared bytes", "shared"),
-    *("interval", "median", "worst"),
-)
-TITLE = "mean error{factor} and what is kept, of paradigms and of methods without a network"
-BASELINES = Table("baselines", TITLE, COLUMNS, rows, notes, cells, "Methods without a network", picture, baseline_rows)

@@ -5,7 +5,7 @@ Pillow draws sheets: matplotlib, which figures are made by, takes longer to impo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -145,32 +145,6 @@ def picture_of_run(
     whole = "" if mean is None else f": mean error{factor_of(app)} {mean:.3f}"
     labelled = [column._replace(error=_label(record)) for column, record in columns]
     return write_sheet(labelled, f"{title_of(app)}, {paradigm}{whole}", folder / "pictures.png")
-
-
-def picture_of_table(
-    app: App,
-    tasks: Sequence[Task],
-    runs: Sequence[tuple[str, list[Document]]],
-    file: Path,
-    tell: Callable[[], None] = lambda: None,
-) -> Path:
-    """Write one picture of up to COMPARED tasks, a column each: the reference, and the fit of every paradigm below it.
-
-    Args:
-        app: the application.
-        tasks: what was fitted.
-        runs: (label, records of all tasks) of each paradigm.
-        file: where to.
-        tell: called after each task's pictures, as those of a scene take seconds.
-
-    Returns:
-        The file.
-    """
-    columns = []
-    for i, task in enumerate(tasks[:COMPARED]):
-        columns.append(column_of(task, [(label, app, records[i]) for label, records in runs]))
-        tell()
-    return write_compared(app, columns, file)
 
 
 def column_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Column:

@@ -12,7 +12,6 @@ import pytest
 
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import load_table
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
 from tests.small_spheres import shrink_spheres
@@ -44,4 +43,4 @@ def subject_of(data: Path, runs: Path) -> Subject:
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:
-    return load_table(name).rows(subject)
+    return subject.table(name).rows

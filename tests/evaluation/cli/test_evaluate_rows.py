@@ -12,14 +12,12 @@ import torch
 from torch import Generator
 
 from metapp.apps.brdf.app import Brdf
-from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.ablation import InitialisationAlone, RuleAlone, combined, learned, same_initialisation
-from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, path_steps, trace_cell
-from metapp.evaluation.tables.image import image_cell
-from metapp.evaluation.tables.storage import size, stored
+from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, path_steps, trace_records
+from metapp.evaluation.tables.image import notes_of
+from metapp.evaluation.tables.storage import samples, size, stored
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
@@ -46,7 +44,7 @@ def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subje
 
 
 def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
-    places = [cell.fits.path.name for _, _, cell in combined(subject, "meta") if cell.fits]
+    places = [Path(records[0]["folder"]).parent.name for _, _, records in combined(subject, "meta")]
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
     meta, general = (subject.fits[name].phi for name in ("meta", "general"))
     tasks, recipe = stack(subject.app, subject.tasks), subject.plan.recipe
@@ -66,23 +64,24 @@ def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: Subject
     own = Checkpoint(meta.phi._replace(theta={}, encoder=encoder), "", "")
     subject.fits["meta"] = replace(meta, checkpoint=own)
     assert same_initialisation(subject, "meta")
-    assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
-    assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
+    fits = [subject.records("meta"), subject.records("quickft")]
+    assert [records for _, _, records in combined(subject, "meta")] == fits
+    assert any("General's own" in note for note in subject.table("ablation").notes)
 
 
 def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
-    cell = trace_cell(subject)
+    traces = trace_records(subject)
     for name in CURVES:
-        last = {record["name"]: record["curves"][name][-1] for record in cell.records()}
-        errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.cell(name).records()}
+        last = {record["name"]: record["curves"][name][-1] for record in traces}
+        errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.records(name)}
         assert {task: error for task, (_, error) in last.items()} == errors
         assert {step for step, _ in last.values()} == {subject.fits[name].steps}
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
-    states = parts_of(cell, subject.tasks[0])
+    record = traces[0]
+    states = parts_of(record)
     assert list(states) == list(PARTS)
     theta = subject.fits["meta"].phi.theta
     assert all(torch.equal(states[0.0][key], value) for key, value in theta.items())
-    record = cell.records()[0]
     assert len(record["paths"]["overfit"]) == len(path_steps(40))
     assert 0 < record["explained"] <= 1 + 1e-9
 
@@ -115,8 +114,8 @@ def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
     assert found["overfit"]["all_bytes"] == 128 * 6 * 4
     (task,) = [task for task in subject.tasks if task.name == "m0"]
     many = {key: value.repeat(128, 1) if value.ndim == 2 else value for key, value in task.data.items()}
-    subject.__dict__["_data"] = ([Task("m0", many)], "many")
-    found = {row["paradigm"]: row for row in rows(subject, "samples")}
+    subject.tasks = [Task("m0", many)]
+    found = {row["paradigm"]: row for row in samples(subject).rows}
     assert found["meta"]["seen"] == paper()["samples"]["brdf"]["seen"] == 10 * 512
     assert found["meta"]["saved"] == 1 - 5120 / 16384
     assert found["quickft"]["seen"] == 10 * 512 + 1024
@@ -124,7 +123,7 @@ def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
 
 
 def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    subject = subject_of(data, shutil.copytree(done / "runs", tmp_path / "runs"))
+    runs = shutil.copytree(done / "runs", tmp_path / "runs")
 
     def measured(self: Any, fits: Any, task: Task) -> dict[str, dict[str, float]]:
         assert all(fit.seconds > 0 and fit.theta["w2"].shape == (21, 21) for fit in fits.values())
@@ -132,8 +131,9 @@ def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.Monkey
         return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
     monkeypatch.setattr(Brdf, "image_errors", measured)
-    shutil.rmtree(image_cell(subject).fits.path)
-    run_cells(load_table("image").cells(subject), quiet=True)
+    (kept,) = (runs / "brdf").glob("image-*")
+    shutil.rmtree(kept)
+    subject = subject_of(data, runs)
     by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
     assert by["regular", "MAPE"]["error"] == 0.5
     assert by["regular", "SSIM"]["error"] is None
@@ -149,5 +149,5 @@ def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:
         row(name, 0.3) | {"measure": "MAPE, equal time", "measured": count, "paper_share": None}
         for name, count in (("reference", 1), ("general", 8), ("overfit", 0), ("meta", 3))
     ]
-    notes = [note for note in load_table("image").notes(subject, found) if "others have none" in note]
+    notes = [note for note in notes_of(subject, found) if "others have none" in note]
     assert notes == ["meta, MAPE, equal time: mean of 3 of 8 tasks, the others have none"]

@@ -1,82 +1,107 @@
-"""Cells of tables that are run: their order, progress, threads, and what is left out."""
+"""Records that are measured where missing: their order, progress, threads, and what is left out."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
 from metapp.cli.evaluate import Evaluation, subjects_of
-from metapp.evaluation.cell import Cell, run_cells
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.reporter import Bar
 from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.fits import Fits, Record
+from tests.evaluation.cli.subjects import subject_of
 from tests.quick import app_by
 
-Make = Callable[..., Cell]
+
+@pytest.fixture
+def empty(data: Path, tmp_path: Path) -> Subject:
+    """Three materials of which nothing was measured yet."""
+    return subject_of(data, tmp_path / "runs")
 
 
 @pytest.fixture
-def log() -> list[str]:
-    """What was measured, in order."""
-    return []
+def measure(empty: Subject, tmp_path: Path) -> Callable:
+    """Records of the materials under a title; `during` is called for each."""
 
-
-@pytest.fixture
-def cell(tmp_path: Path, log: list[str]) -> Make:
-    """A cell of tasks with one letter, which logs them; `during` is called for each."""
-
-    def make(title: str, names: str, steps: int = 1, during: Callable[[], None] = lambda: None, **more: Any) -> Cell:
-        def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
+    def measured(title: str, during: Callable[[str], object] = len, steps: int = 0, **more: bool) -> list[Record]:
+        def of_tasks(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
             for task in tasks:
-                log.append(f"{title} {task.name}")
-                during()
+                during(task.name)
                 yield {"name": task.name, "error": 1.0}, None
 
-        fits = Fits(tmp_path / title.replace(" ", "-"), {"title": title})
-        return Cell(title, [Task(name, {}) for name in names], fits, measure, steps, **more)
+        fits = Fits(tmp_path / title, {"title": title}, ("error",))
+        return empty.measured(title, fits, of_tasks, empty.tasks, steps, **more)
 
-    return make
-
-
-def test_cells_run_once_by_stage_and_steps(cell: Make, log: list[str]) -> None:
-    late, long, short = cell("brdf late", "a", 0, stage=1), cell("brdf long", "ab", 100), cell("brdf short", "a", 1)
-    assert long.fits
-    long.fits.write({"name": "a", "error": 1.0})
-    run_cells([late, long, short, long, short], quiet=True)
-    assert log == ["brdf short a", "brdf long b", "brdf late a"]
-    run_cells([late, long, short], quiet=True)
-    assert len(log) == 3
+    return measured
 
 
-def test_the_progress_counts_gradient_steps(cell: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_records_are_measured_once(measure: Callable, empty: Subject, tmp_path: Path) -> None:
+    log: list[str] = []
+    Fits(tmp_path / "some", {"title": "some"}).write({"name": "m1", "error": 0.5})
+    assert [record["error"] for record in measure("some", log.append, found=True)] == [0.5]
+    assert (log, empty.asked) == ([], {})
+    for _ in range(2):
+        records = measure("some", log.append)
+        assert [(record["name"], record["error"]) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
+        assert log == ["m0", "m2"]
+    assert all("content" in records[i] for i in (0, 2))
+    empty.run = False
+    assert measure("others", log.append) == []
+    assert empty.asked == {"some": (3, 3), "others": (3, 0)}
+    assert len(log) == 2
+
+
+def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: Callable, empty: Subject) -> None:
+    def stop(name: str) -> None:
+        if name == "m1":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        measure("some", stop)
+    log: list[str] = []
+    empty._records.clear()  # as of another process
+    assert len(measure("some", log.append)) == 3
+    assert log == ["m1", "m2"]
+
+
+def test_fits_of_few_steps_come_first(empty: Subject) -> None:
+    rows = result_rows(empty, ("overfit", "finetune", "general"))
+    assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general"]
+    assert [title for title in empty.asked if title != "quickft"] == ["general", "finetune", "overfit"]
+
+
+def test_the_progress_counts_gradient_steps(measure: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     lines: list[tuple[int, int | None, str]] = []
+    monkeypatch.setattr("metapp.evaluation.subject.progress", lambda *_, **__: contextlib.nullcontext(Bar()))
     monkeypatch.setattr(Bar, "at", lambda _, *line: lines.append(line))
-    run_cells([cell("brdf long", "ab", 99), cell("texture short", "a", 9)], quiet=True)
+    measure("long", steps=99)
     assert lines == [
-        (0, 210, "texture short, cell 1 of 2"),
-        (10, 210, "texture short a, cell 1 of 2"),
-        (10, 210, "brdf long, cell 2 of 2"),
-        (110, 210, "brdf long a, cell 2 of 2"),
-        (210, 210, "brdf long b, cell 2 of 2"),
+        (0, 300, "brdf long"),
+        (100, 300, "brdf long m0"),
+        (200, 300, "brdf long m1"),
+        (300, 300, "brdf long m2"),
     ]
 
 
-def test_fits_have_the_threads_of_their_application_whatever_ran_before(cell: Make) -> None:
+def test_fits_have_the_threads_of_their_application_whatever_ran_before(
+    measure: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     counts: list[int] = []
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        for i, threads in enumerate((1, 3, None)):
-            run_cells(
-                [cell(f"{i}", "a", 1, lambda: counts.append(torch.get_num_threads()), threads=threads)], quiet=True
-            )
+        for threads in (1, 3, None):
+            monkeypatch.setattr("metapp.evaluation.subject.threads_of", lambda app, threads=threads: threads)
+            measure(f"{threads}", lambda _: counts.append(torch.get_num_threads()))
         find_device("cpu", app_by("illumination"))  # looking for a device changes nothing
-        assert [*counts, torch.get_num_threads()] == [1, 3, 2, 2]
+        assert [*counts[::3], torch.get_num_threads()] == [1, 3, 2, 2]
     finally:
         torch.set_num_threads(before)
     assert (threads_of(app_by("illumination")), threads_of(app_by("texture"))) == (1, None)
@@ -89,9 +114,9 @@ def test_an_application_without_what_its_checkpoints_need_is_left_out(
     monkeypatch.setattr("metapp.apps.app_names", lambda: ["texture", "transport"])
     lines: list[str] = []
     monkeypatch.setattr("metapp.cli.evaluate.say", lines.append)
-    assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path))] == ["transport"]
+    assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]
     (line,) = lines
     assert line.startswith("Texture is left out: ")
     assert "metapp data vgg" in line
     with pytest.raises(ValueError, match="metapp data vgg"):
-        subjects_of(Evaluation(["texture"], out=tmp_path))
+        subjects_of(Evaluation(out=tmp_path), ["texture"])

@@ -8,10 +8,8 @@ from pathlib import Path
 import pytest
 
 from metapp.cli.show import rich_table
-from metapp.evaluation.rows import paired_of
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import load_table, table_names
-from metapp.storage.fits import Fits
+from metapp.evaluation.tables import table_names
 from tests.evaluation.cli.subjects import rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
@@ -48,36 +46,33 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path
 
 def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: Subject) -> None:
     found = {row["paradigm"]: row for row in rows(subject, "results")}
-    ours, theirs = ([record["error"] for record in subject.cell(name).records()] for name in ("meta", "quickft"))
-    pair = paired_of(found["meta"], "quickft")
+    ours, theirs = ([record["error"] for record in subject.records(name)] for name in ("meta", "quickft"))
+    pair = found["meta"]["vs_quickft"]
     assert pair
     assert pair.low <= pair.value <= pair.high
     assert pair.value == pytest.approx(sum(ours) / sum(theirs))
     assert pair[3:] == (sum(a < b for a, b in zip(ours, theirs, strict=True)), 3, 3, "ratio")
     assert found["quickft"]["vs_quickft"] is None
-    assert found["quickft"]["vs_general"] < 1
+    assert found["quickft"]["vs_general"].value < 1
     quickft = rows(subject, "quickft")[2]
-    assert quickft["vs_quickft_ahead"] == found["meta"]["vs_quickft_ahead"] == pair.ahead
+    assert quickft["vs_quickft"] == pair
     assert quickft["apart"] is None  # too few tasks
-    assert "too few to call a win" in " ".join(load_table("quickft").notes(subject, rows(subject, "quickft")))
+    assert "too few to call a win" in " ".join(subject.table("quickft").notes)
 
 
-def test_fits_that_carry_a_warning_are_counted(subject: Subject, evaluate: Callable, tmp_path: Path) -> None:
-    fits = Fits(tmp_path / "warned", {})
+def test_fits_that_carry_a_warning_are_counted(subject: Subject) -> None:
     warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
-    for i, record in enumerate(subject.cell("meta").records()):
-        more = {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
-        fits.write({key: value for key, value in record.items() if key != "settings"} | more)
-    subject._cells["meta"] = subject.cell("meta")._replace(fits=fits)
+    for i, record in enumerate(subject.records("meta")):
+        record |= {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
     for name in ("results", "quickft", "ablation"):
         found = rows(subject, name)
         for kind in ("warnings", "doubtful"):
             assert [row[kind] for row in found] == [2 * (row["paradigm"] == "meta") for row in found]
-        notes = load_table(name).notes(subject, found)
+        notes = subject.table(name).notes
         assert "meta: 2 of 3 fits ended above their initialisation's loss" in notes
         assert "meta: 2 of 3 fits look doubtful; their records say why, as `warning`" in notes
         assert not any("quickft: " in note and ("fits ended" in note or "doubtful" in note) for note in notes)
-    assert "threads: 1" in load_table("quickft").notes(subject, rows(subject, "quickft"))
+    assert "threads: 1" in subject.table("quickft").notes
 
 
 @pytest.mark.parametrize("width", [60, 120, 200])
@@ -88,18 +83,18 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 
     monkeypatch.setattr("metapp.cli.show.out", lambda: Console(width=width))
     for name in table_names():
-        table, found = load_table(name), rows(subject, name)
-        if not found:
+        table = subject.table(name)
+        if not table.rows:
             continue
         console = Console(width=width)
         with console.capture() as shown:
-            console.print(rich_table(table, subject, found))
+            console.print(rich_table(table))
         text = shown.get()
         assert max(map(len, text.splitlines())) <= width
         assert "…" not in text
         if width == 200:
-            assert len(rich_table(table, subject, found).columns) == len(table.columns)
-        for row in found:
+            assert len(rich_table(table).columns) == len(table.columns)
+        for row in table.rows:
             assert table.columns[0].text(row) in text, name
 
 
@@ -118,26 +113,27 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, m
     assert [name for name in few if few[name]["few"]] == ["overfit"]  # of 40 steps; the others have 10 at most
     assert [row["tasks"] for row in few.values()] == [3 - (name == "overfit") for name in few]
     assert few["meta"]["error"] == whole["meta"]["error"]
-    names = [task.name for task in short.cell("overfit").tasks]
+    names = [task.name for task in short.tasks_of("overfit")]
     for name, row in few.items():
-        errors = {record["name"]: record["error"] for record in subject.cell(name).records()}
+        errors = {record["name"]: record["error"] for record in subject.records(name)}
         assert row["shared_error"] == pytest.approx(sum(errors[task] for task in names) / 2)
         assert whole[name]["shared_error"] == pytest.approx(whole[name]["error"])
     # the gap closed is of the tasks that all three have
     gap = (few["general"]["shared_error"] - few["meta"]["shared_error"]) / (
         few["general"]["shared_error"] - few["overfit"]["shared_error"]
     )
-    table = load_table("results")
-    notes = table.notes(short, list(few.values()))
+    table = short.table("results")
+    notes = table.notes
     assert notes[0].startswith(f"gap closed {gap:.2f}* (paper")
     assert f"overfit {few['overfit']['error']:.3f}" in next(
         note for note in notes if note.startswith("* overfit: of 2")
     )
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
-    assert not any("*" in note for note in table.notes(subject, list(whole.values())))
+    assert not any("*" in note for note in subject.table("results").notes)
     assert short.command("results").endswith("--seed 0 --data " + str(short.plan.options.data))
     assert "--whole" in subject.command("results")
     # what is measured for one table counts for the other
-    assert not short.cell("overfit").missing()
+    short.run = False
     for name in ("image", "convergence", "baselines"):
-        assert all(not cell.missing() for cell in load_table(name).cells(short))
+        assert short.table(name).rows
+    assert all(tasks == records for tasks, records in short.asked.values())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,15 +13,13 @@ from rich.console import Console
 from torch import Generator, Tensor
 
 from metapp.apps import app_of, class_of, recipes_of
-from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
-from metapp.evaluation.cell import run_cells
 from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import load_table, table_names
+from metapp.evaluation.tables import table_names
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Allowed, Training
-from metapp.extensions.baselines.table import baseline_cell, baseline_rows, picture_cells
+from metapp.extensions.baselines.table import baseline_records, baselines
 from metapp.extensions.examples.commands import lines_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
@@ -84,7 +83,9 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Call
     def make(name: str, protocol: str) -> Subject:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
         planned = Run.of(fit_options(name, "general", **of_app, device="cpu", quiet=True))
-        return Subject(planned, run=True, strict=False)
+        subject = Subject(planned, run=False)  # paradigms may lack what their checkpoints need
+        subject.run = True
+        return subject
 
     return make
 
@@ -106,12 +107,17 @@ def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, pr
             assert kind in ("height", "radiance") or 0 <= float(pixels.min()) <= float(pixels.max()) <= 1
 
 
-def pretend_meta(subject: Subject, error: float) -> None:
-    """Records of Meta that cost nothing."""
-    fits = subject.cell("meta").fits
-    if fits:
-        for task in subject.tasks:
-            fits.write({"name": task.name, "error": error, "seconds": 1.0, "threads": 1})
+def pretend_paradigms(subject: Subject, error: float = 1.0) -> None:
+    """Records of Meta that cost nothing, and none of other paradigms."""
+    records = [{"name": task.name, "error": error, "seconds": 1.0, "threads": 1} for task in subject.tasks]
+    for name in subject.fits:
+        subject._records[name] = records if name == "meta" else []
+        subject.asked[name] = len(records), len(records)
+
+
+def rows_of(subject: Subject) -> dict[str, dict[str, Any]]:
+    """The rows of the baselines in their table, by name."""
+    return {row["paradigm"]: row for row in subject.table("baselines").rows if row["baseline"]}
 
 
 @pytest.mark.parametrize(("name", "protocol"), [long(*each) if each[0] == "brdf" else each for each in PLACED])
@@ -119,15 +125,13 @@ def test_every_application_has_baselines_and_its_table_prints_them(
     name: str, protocol: str, subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("metapp.extensions.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
-    subject, table = subject_of(name, protocol), load_table("baselines")
-    baselines = baselines_of(subject.app)
-    assert bool(baselines) == ((name, protocol) not in WITHOUT)
-    assert len({baseline.name for baseline in baselines}) == len(baselines)
-    assert {row["tasks"] for row in table.rows(subject)} == {0}
-    pretend_meta(subject, 0.2 * subject.app.scale)
-    run_cells([baseline_cell(subject, baseline) for baseline in baselines], quiet=True)
-    rows = {row["paradigm"]: row for row in baseline_rows(subject)}
-    for baseline in baselines:
+    subject = subject_of(name, protocol)
+    offered = baselines_of(subject.app)
+    assert bool(offered) == ((name, protocol) not in WITHOUT)
+    assert len({baseline.name for baseline in offered}) == len(offered)
+    pretend_paradigms(subject, 0.2 * subject.app.scale)
+    table, rows = subject.table("baselines"), rows_of(subject)
+    for baseline in offered:
         assert re.fullmatch(r"[a-z0-9_@]+", baseline.name)
         assert min(len(baseline.title), len(baseline.cannot)) > 10
         row = rows[baseline.name]
@@ -137,12 +141,12 @@ def test_every_application_has_baselines_and_its_table_prints_them(
         assert (row["seconds"] is None) == bool(baseline.stored)
         assert not baseline.learns or row["shared"] > 0
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
-        console.print(rich_table(table, subject, table.rows(subject)))
+        console.print(rich_table(table))
     text = " ".join(shown.get().split())
-    assert not any("no training tasks" in note for note in table.notes(subject, table.rows(subject)))
+    assert not any("no training tasks" in note for note in table.notes)
     drawn = ["nearest", "quilting"] if name in ("texture", "svbrdf_stationary") else []
-    assert list(picture_cells(subject)) == drawn
-    for baseline in baselines:
+    assert list(table.fits)[1:] == drawn or not table.fits
+    for baseline in offered:
         assert baseline.name in text
         assert baseline.cannot in text
 
@@ -151,15 +155,14 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Cal
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
     fits = Fits(subject.plan.options.out / "meta", {"of": "meta"})
-    for task in subject.tasks:
-        fits.write({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
-    subject._cells["meta"] = subject.cell("meta")._replace(fits=fits)
-    made = subject.plan.options.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
-    draw([subject], ["baselines"])
-    assert not made.exists()  # nothing was measured yet
-    run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
-    draw([subject], ["baselines"])
-    assert made.read_bytes().startswith(b"\x89PNG")
+    pretend_paradigms(subject)
+    subject._records["meta"] = [fits.write({"name": task.name, "error": 1.0}, theta) for task in subject.tasks]
+    assert subject.draw("baselines", {}) is None
+    table = subject.table("baselines")
+    assert list(table.fits) == ["meta", "nearest", "quilting"]
+    drawn = subject.draw("baselines", table.fits)
+    assert drawn == subject.plan.options.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
+    assert drawn.read_bytes().startswith(b"\x89PNG")
     kept = subject.plan.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
     assert read_params(kept)["picture"].shape == (64, 64, 3)
 
@@ -172,17 +175,15 @@ def test_notes_say_who_is_ahead(
 ) -> None:
     subject = subject_of("illumination", "photo")
     subject.tasks.extend(task._replace(name=f"more{i}") for i, task in enumerate(subject.tasks * 3))
-    baseline = baselines_of(subject.app)[0]
-    meta, other = subject.cell("meta").fits, baseline_cell(subject, baseline).fits
-    assert meta
-    assert other
+    pretend_paradigms(subject)
+    meta, other = [], []
     for i, task in enumerate(subject.tasks):
-        meta.write({"name": task.name, "error": 1.0 + i, "seconds": 1.0})
+        meta.append({"name": task.name, "error": 1.0 + i, "seconds": 1.0, "folder": str(tmp_path)})
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
-        record = {"name": task.name, "error": error, "seconds": 0.5, "numbers": 1, "size": 4, "shared": 8}
-        other.write(record)
-    table = load_table("baselines")
-    assert any(said in note for note in table.notes(subject, table.rows(subject)))
+        other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "size": 4, "shared": 8})
+    subject._records |= {"meta": meta, baselines_of(subject.app)[0].name: other}
+    subject.run = False
+    assert any(said in note for note in subject.table("baselines").notes)
 
 
 def test_measures_that_are_not_finite_have_no_figure(
@@ -192,17 +193,16 @@ def test_measures_that_are_not_finite_have_no_figure(
     subject = subject_of("illumination", "reference")
     measures = {"error": torch.tensor([2.0]), "map": torch.tensor([torch.inf])}
     monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
-    cell = baseline_cell(subject, baselines_of(subject.app)[0])
-    run_cells([cell], quiet=True)
-    assert {record["error"] for record in cell.records()} == {2.0 * subject.app.scale}
-    assert not any("map" in record for record in cell.records())
+    records = baseline_records(subject, baselines_of(subject.app)[0])
+    assert {record["error"] for record in records} == {2.0 * subject.app.scale}
+    assert not any("map" in record for record in records)
 
 
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("svbrdf_nonstationary", "photo")
-    pretend_meta(subject, 5.0)
-    baseline = baselines_of(subject.app)[0]
-    run_cells([baseline_cell(subject, baseline)], quiet=True)
+    pretend_paradigms(subject, 5.0)
+    baseline_records(subject, baselines_of(subject.app)[0])
+    subject.run = False
     drawn = draw_figure("plane", subject)
     assert drawn
     assert "Meta 5.000 in 1 s" in drawn.caption
@@ -216,10 +216,10 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
     monkeypatch.setattr(Reporter, "say", lambda _, message: messages.append(message))
     for task in subject.tasks:
         task.data["angles"] = task.data["angles"] + 0.01
-    pca = baselines_of(subject.app)[0]
-    run_cells([baseline_cell(subject, pca)], quiet=True)
+    assert baseline_records(subject, baselines_of(subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
-    assert {row["paradigm"]: row["tasks"] for row in baseline_rows(subject)}["pca_20"] == 0
+    subject.run = False
+    assert rows_of(subject)["pca_20"]["tasks"] == 0
 
 
 def test_without_training_tasks_baselines_that_need_them_have_no_cell(
@@ -228,30 +228,26 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject = subject_of("brdf", "")
     manifest = subject.plan.options.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
-    fits = {baseline.name: baseline_cell(subject, baseline).fits for baseline in baselines_of(subject.app)}
-    assert {name for name, of_it in fits.items() if of_it} == {"ggx_2"}
-    table = load_table("baselines")
-    assert [cell.title for cell in table.cells(subject)][3:] == ["brdf ggx_2"]  # nothing is missing
-    notes = table.notes(subject, table.rows(subject))
+    pretend_paradigms(subject)
+    notes = subject.table("baselines").notes
+    assert subject.asked.keys() - subject.fits.keys() == {"ggx_2"}  # nothing is missing
     assert any("no training tasks; metapp data synth brdf" in note for note in notes)
 
 
 def test_stored_answers_are_judged_where_all_tasks_hold_them(
     subject_of: Callable[[str, str], Subject], rng: Generator
 ) -> None:
-    subject, table = subject_of("svbrdf_nonstationary", "photo"), load_table("baselines")
+    subject = subject_of("svbrdf_nonstationary", "photo")
+    pretend_paradigms(subject)
     for task in subject.tasks:  # what is right has no error
         task.data["predicted"] = task.data["maps"].clone()
-    cells = {cell.title: cell for cell in table.cells(subject)}
-    run_cells([cells["svbrdf_nonstationary photo predicted"]], quiet=True)
-    rows = table.rows(subject)
-    (row,) = (row for row in rows if row["paradigm"] == "predicted")
+    row = rows_of(subject)["predicted"]
     assert (row["error"], row["mean_diffuse"], row["shared"]) == (0, 0, None)
-    assert any(note.startswith("roughness: predicted 0.000") for note in table.notes(subject, rows))
+    assert any(re.match(r"roughness: .*\bpredicted 0\.000", note) for note in subject.table("baselines").notes)
     del subject.tasks[-1].data["predicted"]
-    rows = table.rows(subject)
-    assert {row["paradigm"] for row in rows}.isdisjoint({"predicted"})
-    assert any(note.startswith("predicted: left out, as not all tasks hold") for note in table.notes(subject, rows))
+    table = baselines(subject)
+    assert {row["paradigm"] for row in table.rows}.isdisjoint({"predicted"})
+    assert any(note.startswith("predicted: left out, as not all tasks hold") for note in table.notes)
 
 
 def test_no_fit_sees_what_another_method_predicts(rng: Generator) -> None:

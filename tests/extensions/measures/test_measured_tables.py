@@ -10,8 +10,8 @@ import pytest
 from torch import Generator
 
 from metapp.appearance.picture_measures import image_errors
-from metapp.evaluation.notes import text_table
-from metapp.evaluation.tables import image, load_table
+from metapp.evaluation.table import text_of
+from metapp.evaluation.tables import image
 from metapp.learning.app import App
 from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task
@@ -42,20 +42,20 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
     task = sources[0]
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
     measures = image_errors(app, {"meta": Fitted(theta, 0.1)}, task)
-    cell = SimpleNamespace(tasks=[task], records=lambda: [{"name": task.name, "error": None, "measures": measures}])
+    records = [{"name": task.name, "error": None, "measures": measures}]
     subject: Any = SimpleNamespace(
         app=app,
         title=app.title,
         tasks=[task],
+        groups={task.name: task.name},
         fits={},
         is_of_few=lambda name: False,
     )
-    monkeypatch.setattr(image, "fits_of", lambda subject: {"meta": cell})
-    monkeypatch.setattr(image, "image_cell", lambda subject: cell)
-    table = load_table("image")
-    rows = table.rows(subject)
-    assert all(row["error"] is not None for row in rows if row["measure"])
-    return {row["measure"] for row in rows} - {None}, text_table(table, [(subject, rows)], "markdown")
+    monkeypatch.setattr(image, "PARADIGMS", {"meta": None})
+    monkeypatch.setattr(image, "picture_records", lambda subject: records)
+    table = image.image(subject)
+    assert all(row["error"] is not None for row in table.rows if row["measure"])
+    return {row["measure"] for row in table.rows} - {None}, text_of([table], "markdown")
 
 
 @needs_weights
