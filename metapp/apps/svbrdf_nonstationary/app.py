@@ -10,11 +10,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_nonstationary.encoder import PARTS, Encoder, surprise, unknown
+from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
     FLASH,
@@ -23,7 +23,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     decoded,
     differences,
     flash_of,
-    flashes_of,
     inputs_of,
     linear,
     mirroring_pairs,
@@ -31,7 +30,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     photographed,
     pooled,
 )
-from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
 from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
@@ -44,7 +42,6 @@ RADIANCE_FLOOR = 0.1  # of white: the log of radiance is flat below
 LEVEL_SINE = 0.01  # sine of an angle that hardly shows
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 STEEP, HIDDEN = 0.2, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
-SURE = 0.03  # and of the error that General predicts of its maps, which moves nothing but that
 STEEP_CELLS = 8  # a side, in which normals are as steep on average as they should be
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
@@ -79,19 +76,17 @@ class SvbrdfNonstationary(CodedApp):
 
     The field makes maps of what the photograph shows in a place and of the code there. Under the protocol "reference"
     a fit sees the material's maps and pictures under RIG lights; under "photo" the photograph alone, whose flash it
-    looks for, too; or several, from places that it looks for about those given.
+    looks for, too. `others` and `places`, of further photographs, are for the extension `several`.
 
     Attributes:
         encoder_width: channels of the encoder's level of 64 texels.
         encoder_size: side of the photograph that the encoder reads, 0 for the network's.
         encoder_finer: channels of the encoder's levels above that.
-        sure: whether General predicts the error of its maps, too; fits then warn of clipped photographs.
     """
 
     encoder_width: int = 16
     encoder_size: int = 0
     encoder_finer: tuple[int, ...] = ()
-    sure: bool = False
 
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
@@ -114,9 +109,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @property
     def encoder(self) -> Encoder:
-        deviations = len(PARTS) if self.sure else 0
-        widths = self.encoder_width, self.network.code
-        return Encoder(INPUTS, *widths, FLASH, finer=self.encoder_finer, deviations=deviations)
+        return Encoder(INPUTS, self.encoder_width, self.network.code, FLASH, finer=self.encoder_finer)
 
     @property
     def read_size(self) -> int:
@@ -125,13 +118,10 @@ class SvbrdfNonstationary(CodedApp):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
 
-        And `fine`, the maps that augmented ones are made of; `predicted`, another method's maps, which no fit sees;
-        where fits see photographs, `others` and `places`.
+        And `fine`, the maps that augmented ones are made of; `predicted`, another method's maps, which no fit sees.
         """
         size = (self.network.height, self.network.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
-        if self.protocol == "photo":
-            photo |= prepared(task, size)
         if "maps" in task.data:
             maps = task.data["maps"].float()
             described = self.described(pooled(maps, size)[None])
@@ -160,13 +150,7 @@ class SvbrdfNonstationary(CodedApp):
         return {"maps": maps, "rig": rig, "lit": self._logs(unpack(maps), rig)}
 
     def init(self, rng: Generator, count: int) -> Params:
-        theta = super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
-        return theta | unknown(count, rng.device) if self.sure else theta
-
-    def known(self, tasks: Tasks) -> Params:
-        """Where to begin to look for the flashes of several photographs."""
-        places = tasks.data.get("places", torch.zeros(len(tasks.names), 0, 2, 3))[tasks.rows]
-        return {"flash": places.new_zeros(len(places), FLASH, places.shape[1])} if places.shape[1] else {}
+        return super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
 
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
@@ -205,8 +189,7 @@ class SvbrdfNonstationary(CodedApp):
         apart = differences(maps, target)
         hidden = blots(apart[0], batch["photo"])
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
-        loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
-        return loss + SURE * surprise(apart, theta) if self.sure else loss
+        return pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
 
     def _logs(self, maps: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
@@ -220,26 +203,12 @@ class SvbrdfNonstationary(CodedApp):
         return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
 
     def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
-        """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
-        photos, flash = all_photos(batch), self.network.gain * theta["flash"]  # as far to go as the code
-        taken_by = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
-        seen = photographed(maps, taken_by, batch.get("place"))
-        short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
-        short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
-        return norm(short, learned).mean(tuple(range(1, short.ndim)))
+        """Mean difference of the logs of the photograph, [T]; where it clips, only what is darker than it counts."""
+        seen = photographed(maps, flash_of(self.network.gain * theta["flash"]), batch.get("place"))
+        return photo_loss(seen, batch["photo"], learned)
 
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
-
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return {key: tasks.data[key][tasks.rows] for key in ("photo", *KEYS) if key in tasks.data}
-
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Of several photographs the code of the first: General knows none from aside, the mean of codes is worse."""
-        theta = super().encode(encoder, condition)
-        if several(condition):
-            theta["flash"] = first_flashes(self.maps_of(theta, condition["photo"]), condition) / self.network.gain
-        return theta
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         photos = adaptive_avg_pool2d(photos, self.encoder_size or photos.shape[-1])
@@ -250,25 +219,15 @@ class SvbrdfNonstationary(CodedApp):
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
         size = (self.network.height, self.network.width)
         fine = varied(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
-        data = self.described(pooled(fine, size))
-        if not several(tasks.data):
-            return tasks.variants({"photo": adaptive_avg_pool2d(photographs(fine, rng), size)} | data)
-        photos, places = drawn_photos(fine, tasks.data["places"].shape[1], rng)
-        small = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
-        return tasks.variants({"photo": small[:, 0], "others": small[:, 1:], "places": places} | data)
-
-    def remarks(self, task: Task, theta: Params) -> dict[str, dict[str, int]]:
-        """The number of photographs, where fits see them alone."""
-        return {"counts": {"photos": 1 + len(task.data.get("others", ()))}} if self.protocol == "photo" else {}
+        photo = adaptive_avg_pool2d(photographs(fine, rng), size)
+        return tasks.variants({"photo": photo} | self.described(pooled(fine, size)))
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Highlights that clip in all photographs of a fit; only where General knows the error of its maps."""
-        if not self.sure or self.protocol != "photo":
-            return [[] for _ in range(len(tasks))]
-        photos = all_photos(self.condition(tasks, Generator()))
-        photos = (255 * (photos.amin(1) if photos.ndim > 4 else photos)).floor()  # what clips in all of them
-        return [of_highlight(photo) for photo in photos]
+        """A highlight that clips; only of maps of the size that people use."""
+        if not self.read_size or self.protocol != "photo":
+            return super().doubts(theta, tasks)
+        return [of_highlight((255 * photo).floor()) for photo in tasks.data["photo"][tasks.rows]]
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -325,19 +284,8 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, as fine as the photograph up to FINEST_PX, and pictures under three other lights.
-
-        Of several photographs also what the maps look like in each, `photo_1` and so on, from where the fit believes it
-        was taken.
-        """
-        maps = self._whole(theta, task)
-        pictures = map_pictures(maps)
-        if "places" in task.data and self.protocol == "photo":
-            for number, flash in enumerate(self.flashes(theta, task), 1):
-                one = Maps(*(part[None] for part in maps))
-                radiance = photographed(one, Flash(*(part[None] for part in flash)))[0]
-                pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
-        return pictures
+        """The maps, as fine as the photograph up to FINEST_PX, and pictures under three other lights."""
+        return map_pictures(self._whole(theta, task))
 
     def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
         """The same of maps [1, C, H, W], of their size."""
@@ -364,18 +312,14 @@ class SvbrdfNonstationary(CodedApp):
         return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        """The flash of each photograph that a fit saw, both without task axis, as the fit places it."""
-        description = self.network.gain * theta["flash"][None]
-        if "places" not in task.data or self.protocol != "photo":
-            flash = flash_of(description)
-            return [Flash(flash.place[0], flash.gain[0], flash.eye)]
-        flash = flashes_of(description, task.data["places"][None].float())
-        return [Flash(*(part[0, number] for part in flash)) for number in range(flash.place.shape[1])]
+        """The flash of each photograph that a fit saw, without task axis, as the fit places it."""
+        flash = flash_of(self.network.gain * theta["flash"][None])
+        return [Flash(flash.place[0], flash.gain[0], flash.eye)]
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
         if self.protocol == "photo":
-            return Visible(1 + len(task.data.get("others", ())), task.data["photo"].nbytes, 1)
+            return Visible(1, task.data["photo"].nbytes, 1)
         return Visible(1, task.data["maps"].nbytes, 0)
 
 
@@ -392,6 +336,13 @@ def _sheet(maps: Maps) -> Tensor:
     above = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
     below = [flash, *(picture.pixels for picture in pictures.values())]
     return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (above, below)]))
+
+
+def photo_loss(seen: Tensor, photos: Tensor, learned: Params) -> Tensor:
+    """Mean difference of logs, [T], of radiance and photographs [T, ...]; of what clips only what is darker counts."""
+    short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
+    short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
+    return norm(short, learned).mean(tuple(range(1, short.ndim)))
 
 
 def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:

@@ -1,13 +1,8 @@
-"""General's encoder: a U-Net from the flash photograph of a material to the code of its field, and to its flash.
-
-It may predict the error of its maps, too: Laplace's scale of each in each place, by maximum likelihood (Kendall & Gal
-2017). Training weighs it, and the extension `pretrained` weighs normals by it; no output shows it.
-"""
+"""General's encoder: a U-Net from the flash photograph of a material to the code of its field, and to its flash."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -22,8 +17,6 @@ SLOPE = 0.1
 BASE = 64  # texels a side of the level that all others are counted from
 FLASH_CELLS = 4  # cells a side of the coarsest level that the flash is looked for in
 WIDEST_TIMES = 8  # times the finest level's channels, at the coarsest
-PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `differences`
-SMALLEST_SCALE, UNKNOWN_LOG = 0.01, 10.0  # of a predicted error; the log of one that says nothing
 
 
 class Encoder(NamedTuple):
@@ -39,7 +32,6 @@ class Encoder(NamedTuple):
         flash: numbers that describe the flash.
         levels: resolutions from BASE down, each half of the one before.
         finer: channels of the levels above, the coarsest first.
-        deviations: how many maps it says the deviation of, at BASE texels.
     """
 
     inputs: int
@@ -48,7 +40,6 @@ class Encoder(NamedTuple):
     flash: int
     levels: int = 5
     finer: tuple[int, ...] = ()
-    deviations: int = 0
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 that of BASE texels."""
@@ -72,8 +63,6 @@ class Encoder(NamedTuple):
             block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
         layer("code", self.code, self.channels(0), gain=0.3)
         layer("flash", self.flash, self.channels(self.levels - 1) * FLASH_CELLS**2, gain=0.1)
-        if self.deviations:
-            layer("deviation", self.deviations, self.channels(0), gain=0.0)
         below = self.channels(0)
         for level, (width, above) in enumerate(zip(self.finer, (*self.finer, 0)[1:], strict=True)):
             block(f"finer{level}.down", self.inputs + above, width)
@@ -87,8 +76,7 @@ class Encoder(NamedTuple):
     def __call__(self, encoder: Params, photos: Tensor) -> Params:
         """Read linear photographs [T, 3, H, H]: `z`, the code [T, code, H, H], and `flash` [T, flash].
 
-        And `deviation`, the logs of the maps' deviations [T, deviations, BASE, BASE], if it says any. Where there are
-        finer levels, H is at most BASE, or BASE times a power of two.
+        Where there are finer levels, H is at most BASE, or BASE times a power of two.
         """
         added, finer = self._finer_down(encoder, photos)
         base = adaptive_avg_pool2d(photos, min(BASE, photos.shape[-1])) if finer else photos
@@ -101,12 +89,11 @@ class Encoder(NamedTuple):
         for level in reversed(range(self.levels - 1)):
             x = block(encoder, f"up{level}", torch.cat([twice(x), skips[level]], 1))
         code = pointwise(encoder, "code", x)
-        deviation = {"deviation": pointwise(encoder, "deviation", x)} if self.deviations else {}
         for level, skip in enumerate(finer):
             x = block(encoder, f"finer{level}.up", torch.cat([twice(x), skip], 1))
             larger = interpolate(code, scale_factor=2, mode="bilinear")
             code = larger + pointwise(encoder, f"finer{level}.code", x)
-        return deviation | {"z": code, "flash": flash}
+        return {"z": code, "flash": flash}
 
     def _finer_down(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
         """The addition of the levels above BASE to that of BASE, and their features, the coarsest first."""
@@ -139,24 +126,3 @@ def block(encoder: Params, name: str, x: Tensor) -> Tensor:
     first = leaky_relu(convolved(encoder, f"{name}.first", x), SLOPE)
     mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))
     return first + leaky_relu(convolved(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)
-
-
-def unknown(count: int, device: torch.device) -> Params:
-    """`deviation` [count, 4, BASE, BASE] of fits whose maps' errors nothing is known of; no step moves it."""
-    return {"deviation": torch.full((count, len(PARTS), BASE, BASE), UNKNOWN_LOG, device=device)}
-
-
-def scales(theta: Params) -> Tensor:
-    """Laplace's scale of the error of each map, mean over its channels, [T, 4, BASE, BASE]."""
-    return SMALLEST_SCALE + theta["deviation"].exp()
-
-
-def surprise(apart: Sequence[Tensor], theta: Params) -> Tensor:
-    """Negative log likelihood of errors of maps, as of `differences`, but for a constant, [T].
-
-    Only `deviation` has a gradient of it.
-    """
-    scale = scales(theta)
-    size = (scale.shape[-2], scale.shape[-1])  # BASE, or that of a part of the maps
-    off = [adaptive_avg_pool2d(part.detach(), size).abs().mean(1, keepdim=True) for part in apart]
-    return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))

@@ -66,7 +66,7 @@ def _shades(colour: Tensor) -> Tensor:
 
 
 class Flash(NamedTuple):
-    """A flash beside the lens, and what the camera makes of it; with an axis [T, N, ...] those of several photographs.
+    """A flash beside the lens, and what the camera makes of it.
 
     Attributes:
         place: [T, 3].
@@ -90,29 +90,11 @@ def flash_of(flash: Tensor) -> Flash:
     return Flash(place, torch.exp(BRIGHT * flash[:, 3:4]) * higher * higher, eye)
 
 
-def flashes_of(flash: Tensor, places: Tensor) -> Flash:
-    """Of the descriptions of several photographs' flashes [T, FLASH, N] about given places [T, N, 2, 3].
-
-    Zeros say: there, and white right below the flash is 1. People hold camera and flash together, so that both move.
-    """
-    aside, higher, brighter = flash.mT.split((2, 1, 1), -1)
-    higher = torch.exp(UP * higher)
-    eye, place = torch.cat(
-        [places[..., :2] + ACROSS * aside[:, :, None], places[..., 2:] * higher[:, :, None]], -1
-    ).unbind(2)
-    return Flash(place, torch.exp(BRIGHT * brighter) * (place[..., 2:] / camera_distance()) ** 2, eye)
-
-
 def photographed(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
-    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; [T, N, 3, H, W] under those of several photographs.
-
-    Of parts of the patch `place` [T, 2, H, W] says where they are.
-    """
+    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; of parts of the patch `place` [T, 2, H, W] says where."""
     like = maps.diffuse
     if place is None:
-        place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)[None]
-    if flash.place.ndim > 2:
-        maps, place = Maps(*(part[:, None] for part in maps)), place[:, None]
+        place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
     return render(maps, place, flash.place, flash.eye, intensity=flash.gain)
 
 

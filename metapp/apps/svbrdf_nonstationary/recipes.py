@@ -63,7 +63,7 @@ RECIPES["reference"] |= smaller(
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
 RECIPES["photo"]["full"] = replace(
     PHOTO,
-    app=SvbrdfNonstationary(field_of(256, 32), encoder_finer=FINER, sure=True),
+    app=SvbrdfNonstationary(field_of(256, 32), encoder_finer=FINER),
     quickft=SEARCHED,
     general=OuterLoop(steps=12_000, tasks=4, rates={"": 5e-4}, warmup=50, final=0.0, validate_every=1000),
     meta={"meta-encoder": replace(GENTLE, steps=0, tasks=0, rates={"": 0.0}, first=SEARCHED, tuned=True)},

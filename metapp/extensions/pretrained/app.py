@@ -13,17 +13,24 @@ from metapp.apps.svbrdf_nonstationary.app import (
     FINEST_PX,
     HIDDEN,
     SEEN,
-    SURE,
     WANTED,
     SvbrdfNonstationary,
     blots,
     field_of,
 )
-from metapp.apps.svbrdf_nonstationary.encoder import PARTS, scales, surprise
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.extensions.pretrained.augmentation import variants
-from metapp.extensions.pretrained.encoder import FULL_APP, full_encoder, init_decoder, read_photos
+from metapp.extensions.pretrained.encoder import (
+    FULL_APP,
+    PARTS,
+    full_encoder,
+    init_decoder,
+    read_photos,
+    scales,
+    surprise,
+    unknown,
+)
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
@@ -31,6 +38,7 @@ from metapp.networks.field import LocalField
 
 WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
 SHALLOW, STEEPER = 0.1, 1.5  # the slope that is halved, how many times as steep others are: by validation materials
+SURE = 0.03  # weight of the likelihood of the predicted errors, which moves nothing but these
 FLAT = 0.05  # of the slopes of untrained fields
 OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
 DECODER = "decoder."
@@ -75,7 +83,6 @@ class FromFeatures(SvbrdfNonstationary):
     """
 
     network: MeanField = field()
-    sure: bool = True  # always
 
     @property
     def read_size(self) -> int:
@@ -97,7 +104,7 @@ class FromFeatures(SvbrdfNonstationary):
 
     def init(self, rng: Generator, count: int) -> Params:
         """Of maps that are nearly flat: fits hold their normals."""
-        return _flat(super().init(rng, count))
+        return _flat(super().init(rng, count)) | unknown(count, rng.device)
 
     def init_encoder(self, rng: Generator) -> Params:
         """Its own field, of maps that are nearly flat: training begins where nothing is known of relief."""

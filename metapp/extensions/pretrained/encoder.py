@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, grid_sample, interpolate, leaky_relu, pad
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 
 from metapp.appearance.features import in_bfloat16, load_features, weights_path
 from metapp.appearance.flash import positions
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.encoder import PARTS, SLOPE, block, pointwise, twice
+from metapp.apps.svbrdf_nonstationary.encoder import BASE, SLOPE, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
@@ -35,7 +36,9 @@ TONE, GAMMA = 0.35, 2.2  # of the mean of a photograph, as VGG sees it
 PIXEL_INPUTS = 12  # channels of what is known of each pixel beside the features
 LEAST_TINT = 0.2  # of the mean colour, over its brightness: what is darker is not brightened as much
 LEAST = 1e-3  # brightness
-DEVIATION = 0.1  # of all maps at first
+PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `differences`
+DEVIATION, LEAST_SCALE = 0.1, 0.01  # of all maps at first, and at least
+UNKNOWN_LOG = 10.0  # of a predicted error that says nothing
 DEVIATION_LEVEL = 2  # a quarter of the photograph's side
 OVERVIEW = 32  # side in px of the overview: highlights have the same size in it whatever a photograph's resolution
 COARSER = 4  # how many times as coarse its second level is
@@ -187,3 +190,24 @@ def _features(balanced: Tensor) -> list[Tensor]:
         # without a graph that says no more than: in reduced precision
         features: list[Tensor] = load_features(tuple(TAPS), images)(images.requires_grad_(), reduced=True)
     return features
+
+
+def unknown(count: int, device: torch.device) -> Params:
+    """`deviation` [count, 4, BASE, BASE] of fits whose maps' errors nothing is known of; no step moves it."""
+    return {"deviation": torch.full((count, len(PARTS), BASE, BASE), UNKNOWN_LOG, device=device)}
+
+
+def scales(theta: Params) -> Tensor:
+    """Laplace's scale of the error of each map, mean over its channels, as large as `deviation`."""
+    return LEAST_SCALE + theta["deviation"].exp()
+
+
+def surprise(apart: Sequence[Tensor], theta: Params) -> Tensor:
+    """Negative log-likelihood of errors of maps, as of `differences`, but for a constant, [T] (Kendall & Gal 2017).
+
+    Only `deviation` has a gradient of it.
+    """
+    scale = scales(theta)
+    size = (scale.shape[-2], scale.shape[-1])
+    off = [adaptive_avg_pool2d(part.detach(), size).abs().mean(1, keepdim=True) for part in apart]
+    return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))

@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
-from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
+from data_tools.synthetic.svbrdf_nonstationary import held_places, synthetic_tasks
 from metapp.appearance.flash import Maps, camera, camera_distance, unpack
-from metapp.appearance.several import held_places
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, linear, photographed
+from metapp.extensions.several.app import SeveralPhotos, flashes_of, radiance_of
 from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Task, Tasks
@@ -34,41 +34,40 @@ def several(seed: int, count: int = COUNT) -> Task:
 
 
 @pytest.fixture
-def app() -> SvbrdfNonstationary:
-    return SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
+def app() -> SeveralPhotos:
+    return SeveralPhotos(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
 
 
 @pytest.fixture
-def tasks(app: SvbrdfNonstationary) -> Tasks:
+def tasks(app: SeveralPhotos) -> Tasks:
     return stack(app, [several(seed) for seed in range(2)])
 
 
-def started(app: SvbrdfNonstationary, tasks: Tasks) -> Params:
+def started(app: SeveralPhotos, tasks: Tasks) -> Params:
     """Random parameters, as Overfit begins."""
     theta = app.init(Generator().manual_seed(0), len(tasks))
     return theta | app.known(tasks)
 
 
-def test_one_photo_has_the_loss_that_it_had(app: SvbrdfNonstationary) -> None:
-    """With a place, straight above, to rounding; without one, exactly: norm of the difference of logs."""
+def test_one_photo_has_the_loss_of_the_application(app: SeveralPhotos) -> None:
+    """From straight above, to rounding, whether it has a place or none; that is the norm of the difference of logs."""
+    plain = SvbrdfNonstationary(app.network, encoder_width=2, protocol="photo")
     alone = Task("wall", {key: value for key, value in several(0).data.items() if key in ("photo", "maps")})
-    above = camera().expand(1, 2, 3)
-    one, placed = (stack(app, [task]) for task in (alone, alone._replace(data=alone.data | {"places": above})))
-    theta = started(app, one)
+    one, theta = stack(plain, [alone]), plain.init(Generator().manual_seed(0), 1)
     assert theta["flash"].shape == (1, FLASH)
-    theta["flash"] = torch.tensor([[0.01, -0.02, 0.03, 0.01]])
-    loss = app.loss(theta, app.sample(one, Generator(), 1), {})
-    photo, maps = one.data["photo"], app.maps_of(theta, one.data["photo"])
-    short = (photo + 0.1).log() - (photographed(maps, flash_of(60 * theta["flash"])) + 0.1).log()
+    photo, maps = one.data["photo"], plain.maps_of(theta, one.data["photo"])
+    moved = theta | {"flash": torch.tensor([[0.01, -0.02, 0.03, 0.01]])}
+    short = (photo + 0.1).log() - (photographed(maps, flash_of(60 * moved["flash"])) + 0.1).log()
     short = torch.where(photo > 0.95, short.relu(), short)
-    assert torch.equal(loss, short.abs().mean((1, 2, 3)))
-    theta["flash"][:] = 0
-    loss = app.loss(theta, app.sample(one, Generator(), 1), {})
-    again = app.loss(theta | app.known(placed), app.sample(placed, Generator(), 1), {})
-    torch.testing.assert_close(again, loss)
+    assert torch.equal(plain.loss(moved, plain.sample(one, Generator(), 1), {}), short.abs().mean((1, 2, 3)))
+    loss = plain.loss(theta, plain.sample(one, Generator(), 1), {})
+    for task in (alone, alone._replace(data=alone.data | {"places": camera().expand(1, 2, 3)})):
+        placed = stack(app, [task])
+        again = app.loss(theta | app.known(placed), app.sample(placed, Generator(), 1), {})
+        torch.testing.assert_close(again, loss)
 
 
-def test_the_loss_is_the_mean_over_photos_whatever_their_order(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+def test_the_loss_is_the_mean_over_photos_whatever_their_order(app: SeveralPhotos, tasks: Tasks) -> None:
     batch, theta = app.sample(tasks, Generator(), 1), started(app, tasks)
     theta["flash"] = 0.02 * torch.randn(theta["flash"].shape, generator=Generator().manual_seed(1))
     maps = app.maps_of(theta, batch["photo"])
@@ -87,9 +86,9 @@ def test_the_loss_is_the_mean_over_photos_whatever_their_order(app: SvbrdfNonsta
 
 
 def test_true_maps_from_true_places_have_no_loss(
-    app: SvbrdfNonstationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+    app: SeveralPhotos, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: unpack(tasks.data["maps"]))
+    monkeypatch.setattr(SeveralPhotos, "maps_of", lambda app, theta, photo: unpack(tasks.data["maps"]))
     batch, theta = app.sample(tasks, Generator(), 1), started(app, tasks)
     assert app.loss(theta, batch, {}).max() < 0.03  # the maps are the photos' means, and 8 bits
     for axis, off in ((0, 0.02), (2, 0.02), (3, 0.02)):
@@ -98,11 +97,11 @@ def test_true_maps_from_true_places_have_no_loss(
         assert (app.loss(theta | {"flash": moved}, batch, {}) > app.loss(theta, batch, {})).all(), axis
 
 
-def test_general_reads_the_first_and_begins_as_bright_as_each_photo(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+def test_general_reads_the_first_and_begins_as_bright_as_each_photo(app: SeveralPhotos, tasks: Tasks) -> None:
     weights = app.init_encoder(Generator().manual_seed(0))
     batch = app.condition(tasks, Generator())
     theta = app.encode(weights, batch)
-    alone = app.encode(weights, {"photo": batch["photo"]})
+    alone = super(SeveralPhotos, app).encode(weights, {"photo": batch["photo"]})
     assert torch.equal(theta["z"], alone["z"])
     darker = batch | {"others": torch.stack([0.25 * batch["others"][:, 0], batch["others"][:, 1]], 1)}
     change = app.network.gain * (app.encode(weights, darker)["flash"] - theta["flash"])
@@ -110,7 +109,7 @@ def test_general_reads_the_first_and_begins_as_bright_as_each_photo(app: SvbrdfN
     assert change[:, 3, [0, 2]].abs().max() == 0
     assert (change[:, 3, 1] < -2).all()  # log(1/4) = -4.6 times 0.3, less where it clipped
     flash = flashes_of(app.network.gain * theta["flash"], batch["places"])
-    shown = photographed(app.maps_of(theta, batch["photo"]), flash)
+    shown = radiance_of(app.maps_of(theta, batch["photo"]), flash)
     photos = torch.cat([batch["photo"][:, None], batch["others"]], 1)
     whole = photos < 0.95
     torch.testing.assert_close((shown * whole).sum((2, 3, 4)), (photos * whole).sum((2, 3, 4)), rtol=1e-4, atol=0)
@@ -130,11 +129,11 @@ def test_camera_and_flash_move_together() -> None:
     )
     white.normal[:, 2] = 1
     above = flashes_of(flash, torch.tensor([[[[0.0, 0.0, 5.0], [0.0, 0.0, 5.0]]]]))
-    assert float(photographed(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
+    assert float(radiance_of(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("rule", ["meta-encoder", "meta-sgd"])
-def test_learned_rates_of_one_flash_serve_all(app: SvbrdfNonstationary, tasks: Tasks, rule: str) -> None:
+def test_learned_rates_of_one_flash_serve_all(app: SeveralPhotos, tasks: Tasks, rule: str) -> None:
     """A learned rule that is a plain Adam moves flashes of several photos as that Adam does, each by itself."""
     theta = started(app, tasks)
     one = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
@@ -149,7 +148,7 @@ def test_learned_rates_of_one_flash_serve_all(app: SvbrdfNonstationary, tasks: T
     torch.testing.assert_close(change, torch.full_like(change, -1e-3), rtol=1e-3, atol=0)
 
 
-def test_tasks_of_different_numbers_are_not_fitted_together(app: SvbrdfNonstationary) -> None:
+def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
     alone = Task("wall", {"photo": several(0).data["photo"]})
     for other in (several(1, 2), alone):
         with pytest.raises(ValueError, match=r"others \(.*expected \(2, 3, 16, 16\) as of material-0; convert both"):
@@ -169,7 +168,7 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
     assert five.data["others"].shape == (4, 3, 128, 128)
 
     def off(place: Tensor) -> Tensor:
-        seen = photographed(maps, flashes_of(torch.zeros(1, FLASH, 4), place[None]))[0].clamp(0, 1)
+        seen = radiance_of(maps, flashes_of(torch.zeros(1, FLASH, 4), place[None]))[0].clamp(0, 1)
         return (seen - linear(five.data["others"])).abs().mean((1, 2, 3))
 
     mirrored = places[1:] * torch.tensor([-1.0, -1.0, 1.0])
