@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import latlong
-from metapp.rendering.second_scene import relighting
-from metapp.rendering.second_scene.relighting import relight, scene_dict, transfer
+from metapp.rendering.second_scene import geometry, relighting
+from metapp.rendering.second_scene.geometry import scene_dict
+from metapp.rendering.second_scene.relighting import relight, transfer
 from metapp.rendering.variant import load_mitsuba
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
@@ -35,7 +36,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def matrix(built: Path, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """[64, 96, 16, 32]; `relight` finds it too."""
     monkeypatch.setenv("METAPP_CACHE", str(built))
-    return transfer(ROWS, COLUMNS).view(relighting.HEIGHT, relighting.WIDTH, ROWS, COLUMNS)
+    return transfer(ROWS, COLUMNS).view(geometry.HEIGHT, geometry.WIDTH, ROWS, COLUMNS)
 
 
 def sun(row: int, column: int) -> Tensor:
@@ -71,15 +72,15 @@ def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Gener
     maps = torch.rand(1, 3, ROWS, COLUMNS, generator=rng)
     larger = maps.repeat_interleave(2, -2).repeat_interleave(2, -1)
     # a texel's halves above and below differ in solid angle, but not in radiance
-    assert relight(larger, height=ROWS, width=COLUMNS).shape == (1, 3, relighting.HEIGHT, relighting.WIDTH)
+    assert relight(larger, height=ROWS, width=COLUMNS).shape == (1, 3, geometry.HEIGHT, geometry.WIDTH)
     torch.testing.assert_close(*(relight(each, height=ROWS, width=COLUMNS) for each in (maps, larger)))
 
 
 @pytest.mark.long
 def test_in_a_furnace_nothing_shines_and_the_open_floor_shows_its_albedo(matrix: Tensor) -> None:
     picture = matrix.sum((-2, -1))
-    assert picture.max() < relighting.GLOSSY_REFLECTANCE * 1.03  # noise
-    torch.testing.assert_close(picture[0], torch.full_like(picture[0], relighting.FLOOR_ALBEDO), rtol=0.03, atol=0)
+    assert picture.max() < geometry.GLOSSY_REFLECTANCE * 1.03  # noise
+    torch.testing.assert_close(picture[0], torch.full_like(picture[0], geometry.FLOOR_ALBEDO), rtol=0.03, atol=0)
 
 
 @pytest.mark.long

@@ -17,7 +17,7 @@ from torch import Tensor
 from metapp.appearance import latlong
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.second_scene.relighting import ALPHA, GLOSSY_CENTRE, HEIGHT, MATTE_CENTRE, WIDTH, scene_dict
+from metapp.rendering.second_scene.geometry import ALPHA, GLOSSY_CENTRE, HEIGHT, MATTE_CENTRE, WIDTH, scene_dict
 
 PIXELS = HEIGHT * WIDTH
 _FLOOR_CELLS, _SPHERE_CELLS = 64, (24, 48)  # patches: a square grid of the floor, rows and columns of the matte sphere
