@@ -65,15 +65,18 @@ class Commands(Group):
             return None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is named; a usage error names the extension that has it."""
+        """Find the command that is named; a usage error names the extension that has it, or a command alike."""
         name = args[0] if args else ""
-        if extension := left_out_with("commands", f"{self.under}{name}"):
-            raise typer.BadParameter(
-                f"'{name}' is a command of the extension {extension}, which {WITHOUT} leaves out; unset it."
-            )
-        if name and not name.startswith("-") and name not in (names := self.list_commands(ctx)):
+        if name and not name.startswith("-") and f"{self.under}{name}" not in registry().commands:
+            if extension := left_out_with("commands", f"{self.under}{name}"):
+                raise typer.BadParameter(
+                    f"'{name}' is a command of the extension {extension}, which {WITHOUT} leaves out; unset it."
+                )
+            hint = did_you_mean(name, self.list_commands(ctx))
+            if name in app_names():
+                hint = f" {name} is an application: metapp meta {name}."
             usage_error = typer.BadParameter.__mro__[1]  # which typer does not export
-            raise usage_error(f"No such command '{name}'.{did_you_mean(name, names)}", ctx)
+            raise usage_error(f"No such command '{name}'.{hint}", ctx)
         return super().resolve_command(ctx, args)
 
 
@@ -113,10 +116,11 @@ def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> t
         function: name of an application -> function whose parameters typer reads.
         summary: help of the group.
     """
+    names = app_names()
 
     class Apps(Group):
         def list_commands(self, ctx: Any) -> list[str]:
-            return app_names()
+            return names
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args and not args[0].startswith("-"):
@@ -124,7 +128,7 @@ def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> t
             return super().resolve_command(ctx, args)
 
         def get_command(self, ctx: Any, name: str) -> Any:
-            if name not in app_names():
+            if name not in names:
                 return None
             epilog = f"Commands to try: metapp examples {name}" if name in registry().examples else None
             return _typed(function(name), name, help=application_of(name).help, epilog=epilog)

@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from typing import IO, TYPE_CHECKING
 
 from metapp.options import BadOption
+from metapp.registry import did_you_mean
 from metapp.runs.reporter import Bar, Reporter, reporting
 from metapp.storage import Document
 from metapp.storage.files import as_text
@@ -191,8 +192,9 @@ def run(command: Callable[[], object]) -> int:
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
         if hasattr(error, "message"):
             error.message = one_line(str(error.message))
-        if remedy := _remedy(error.format_message()):
-            error = usage_error(f"{error.format_message()}{remedy}", error.ctx)
+        if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message := error.format_message()):
+            hint = did_you_mean(choice[1], choice[2].strip("'").split("', '"))
+            error = usage_error(f"{message}{hint}", error.ctx)
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
     except BadOption as error:
@@ -228,18 +230,6 @@ def what_failed(error: Exception) -> str:
     what = str(error) or type(error).__name__
     cut = what if len(what) < 150 else f"{what[:147]}..."  # libraries say pages
     return what if foreseen else f"{type(error).__name__}: {cut}; {REPORT}"
-
-
-def _remedy(message: str) -> str:
-    """A remedy for an application that was forgotten or is no command, or a word that is no choice; else ""."""
-    from metapp.registry import app_names, did_you_mean
-
-    if message == "Missing argument 'APP'.":
-        return f" It is one of {', '.join(app_names())}."
-    if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message):
-        return did_you_mean(choice[1], choice[2].strip("'").split("', '"))
-    given = re.fullmatch(r"No such command '(\w+)'\.", message)
-    return f" {given[1]} is an application: metapp meta {given[1]}." if given and given[1] in app_names() else ""
 
 
 def _interrupt(*_: object) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 
 from metapp.cli import completion
-from metapp.options import Converter, Option, declared, parse
+from metapp.options import Option, declared, parse
 
 COMPLETIONS = {
     "observe": completion.observations,
@@ -56,29 +56,23 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no s
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]
-SplitOption = Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=Converter.split_help)]
 
 
-def takes(*classes: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a command of a function whose first parameters are instances of dataclasses of options.
+def takes(kind: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a command of a function whose first parameter is an instance of a dataclass of options.
 
     Args:
-        classes: dataclasses of `metapp.options`, or whose fields are annotated by `typer.Argument` and `typer.Option`.
+        kind: a dataclass of `metapp.options`, or whose fields are annotated by `typer.Argument` and `typer.Option`.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
-            parts = [_instance(kind, {one.name: values.pop(one.name) for one in fields(kind)}) for kind in classes]
-            function(*parts, **values)
+            options = {one.name: values.pop(one.name) for one in fields(kind)}
+            function(parse(kind, options) if declared(kind) else kind(**options), **values)
 
-        own = parameters_of(function)[len(classes) :]
-        return signed(command, function, [one for kind in classes for one in parameters_of(kind)] + own)
+        return signed(command, function, [*parameters_of(kind), *parameters_of(function)[1:]])
 
     return decorate
-
-
-def _instance(kind: type, values: dict[str, Any]) -> object:
-    return parse(kind, values) if declared(kind) else kind(**values)
 
 
 def parameters_of(source: Callable[..., object]) -> list[inspect.Parameter]:

@@ -11,8 +11,8 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.data import report
-from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, Split, SplitOption, check_folder, check_new, takes
-from metapp.options import Option
+from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, Split, check_folder, check_new, takes
+from metapp.options import Converter, Option
 from metapp.registry import did_you_mean, registry
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
@@ -149,25 +149,19 @@ synth.__doc__ = "\n\n".join(
 )
 
 
-@dataclass(frozen=True)
-class Cornell:
-    """The options of `cornell`."""
-
-    folder: Out
-    count: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Scenes.")] = 10
-    seed: Seed = 0
-    split: SplitOption = Split.AUTO
+def cornell(
+    folder: Out,
+    count: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Scenes.")] = 10,
+    seed: Seed = 0,
+    split: Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=Converter.split_help)] = Split.AUTO,
     samples: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
-    ] = 32_768
-    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192
-    overwrite: Overwrite = False
-    quiet: Quiet = False
-    as_json: Json = False
-
-
-@takes(Cornell)
-def cornell(options: Cornell) -> None:
+    ] = 32_768,
+    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
     """Draw Cornell boxes and trace their light paths.
 
     In each are one to five spheres of diffuse, glass or metal material, a mirror on a side wall and an area light on
@@ -181,16 +175,12 @@ def cornell(options: Cornell) -> None:
     from data_tools.synthetic import transport
     from metapp.storage.shards import ShardWriter
 
-    count, seed, split = options.count, options.seed, options.split.value
-    tasks = transport.cornell_tasks(count, seed, samples=options.samples, held=options.held)
-    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
-    bars = progress("Cornell boxes", count, quiet=options.quiet)
-    new = ShardWriter(
-        options.folder, "transport", transport.UNITS, notes, transport.BESIDE, overwrite=options.overwrite
-    )
-    with new as writer, bars as bar:
+    tasks = transport.cornell_tasks(count, seed, samples=samples, held=held)
+    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
+    new = ShardWriter(folder, "transport", transport.UNITS, notes, transport.BESIDE, overwrite=overwrite)
+    with new as writer, progress("Cornell boxes", count, quiet=quiet) as bar:
         for task in tasks:
-            writer.add(task, split)
+            writer.add(task, split.value)
             bar.advance(task.name)
-        done = converted("transport", options.folder, writer.entries())
-    report(done, options.quiet, options.as_json)
+        done = converted("transport", folder, writer.entries())
+    report(done, quiet, as_json)

@@ -18,7 +18,6 @@ from metapp.options import BadOption
 from metapp.registry import Format, Recipe, application_of, inputs_of, load, recipe_entries
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
-from metapp.storage.shards import read_manifest
 
 QUICK, FULL = "quick", "full"
 PACKAGE = "metapp.checkpoints"
@@ -101,6 +100,8 @@ def _kind_of_set(options: FitOptions) -> str:
     # of a folder that is not there, whatever reads it says so
     if options.data is None or not options.data.exists():
         return ""
+    from metapp.storage.shards import read_manifest  # here: most fits are of files
+
     return _kind_of_tensors(options.app, read_manifest(options.data).units)
 
 

@@ -22,7 +22,6 @@ from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
 from metapp.storage.fits import marked_name
-from metapp.storage.shards import fingerprint, read_shard
 
 FILES, MEMORY = "files", "memory"  # as records call data that are no data set
 
@@ -60,6 +59,8 @@ def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
 
 def data_label(folder: Path) -> str:
     """A data set's name in run folders: its folder's name and a digest of its content."""
+    from metapp.storage.shards import fingerprint
+
     return f"{safe_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
@@ -69,6 +70,8 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     Raises:
         ValueError: it has none.
     """
+    from metapp.storage.shards import read_shard
+
     folder = data_folder(app, data, quiet)
     tasks = read_shard(folder, "test", app.name, app.tensors)
     if not tasks:
