@@ -1,7 +1,7 @@
-"""Small C sources of ours: compiled once for a source and a CPU, kept in the cache folder, loaded through ctypes.
+"""Small C sources, compiled once for a source and a CPU, kept in the cache folder, loaded through ctypes.
 
-All of them are optional. Where there is no compiler, whoever asks for one computes with torch instead. A library is
-code, so it is loaded only from a folder that the user alone can write to.
+All of them are optional: without a compiler, torch computes instead. A library is code, so it is loaded only from a
+folder that the user alone can write to, in which a whole one alone gets its name.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metapp.storage.cache import cache_folder, code_folder
-from metapp.storage.files import read_bytes, read_text, write_atomically
+from metapp.storage.files import read_text, write_atomically
 
 if TYPE_CHECKING:
     from ctypes import CDLL
@@ -41,7 +41,7 @@ def load(source: Path, *names: str, march: str = "native") -> CDLL | None:
     try:
         folder = code_folder(cache_folder() / "native", "METAPP_CACHE")
         path = folder / f"{source.stem}-{_key(source, march)}.so"
-        if not _is_whole(path):
+        if not path.is_file():
             _compile(source, path, march)
         library = ctypes.CDLL(str(path))
     except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
@@ -73,25 +73,8 @@ def _cpu() -> str:
     return "\n".join([platform.machine(), *lasting])
 
 
-def _is_whole(path: Path) -> bool:
-    """Test whether a library is as it was compiled: a truncated one would end the process at its first use."""
-    try:
-        return read_bytes(_digest_path(path)) == _digest(path, read_bytes(path))
-    except (OSError, ValueError):
-        return False
-
-
-def _digest(path: Path, content: bytes) -> bytes:
-    """A digest of a library under its name: another one that is renamed to it does not match."""
-    return hashlib.sha256(path.name.encode() + content).hexdigest().encode()
-
-
-def _digest_path(path: Path) -> Path:
-    return path.with_suffix(".sha256")
-
-
 def _compile(source: Path, path: Path, march: str) -> None:
-    """Compile a source and keep its digest; of processes that do so at the same time the last one's file stays.
+    """Compile a source; of processes that do so at the same time the last one's file stays.
 
     Raises:
         OSError: there is no compiler, or it fails.
@@ -110,5 +93,3 @@ def _compile(source: Path, path: Path, march: str) -> None:
             raise OSError(f"{command}: does not compile {source.name}") from error
 
     write_atomically(path, write)
-    digest = _digest(path, read_bytes(path))
-    write_atomically(_digest_path(path), lambda partial: partial.write_bytes(digest))

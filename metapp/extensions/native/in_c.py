@@ -1,4 +1,4 @@
-"""Steps in C (`step.c`), for small networks whose loss is in C, and rules whose parts are there.
+"""Steps in C (`step.c`) of the NBRDF network, whose loss is in C (`nbrdf`), and of rules whose parts are there.
 
 Steps by torch are the reference, from which results differ by rounding. The trees that steps in C return are views of
 one tensor [T, P] (`packing.Flat`).
@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from metapp import registry
+from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load
 from metapp.extensions.native.packing import Layout, packed
 from metapp.learning.adjoint import Loss, Steps, UpdateRule, loss_parameters
@@ -42,47 +41,15 @@ class _State(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("m", "v", "products")]
 
 
-class LossInC(NamedTuple):
-    """A loss of flat parameters theta [T, P], float32, and its derivatives.
-
-    Attributes:
-        names: of the parameters, in theta's order.
-        gradient: (theta, batch, learned) -> (gradient [T, P], loss of each task [T]).
-        product: (theta, batch, learned, along [T, P]) -> the derivatives of the sum of gradient * along in theta, and
-            in each learned parameter.
-    """
-
-    names: tuple[str, ...]
-    gradient: Callable[[Tensor, Batch, Params], tuple[Tensor, Tensor]]
-    product: Callable[[Tensor, Batch, Params, Tensor], tuple[Tensor, Params]]
-
-
-# By an application's method, which one that overrides it is not: theta -> the same loss in C for parameters of these
-# shapes, None where there is none or no compiler for it.
-KERNELS = {"metapp.apps.brdf.app:Brdf.loss": "metapp.extensions.native.nbrdf:loss"}
-
-
-def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
-    """The same in C; None where the loss, the device or the numbers' type has no such form."""
-    function = getattr(loss.value, "__func__", loss.value)
-    kernel = KERNELS.get(f"{function.__module__}:{getattr(function, '__qualname__', '')}")
-    plain = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
-    if kernel is None or not plain or type(loss).gradient is not Loss.gradient or compiled() is None:
-        return None
-    found: LossInC | None = registry.load(kernel)(theta)
-    return found
-
-
 def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps | None:
-    """Steps in C; None where the loss or a part of the rule has no such form."""
-    in_c = loss_in_c(loss, theta)
-    if in_c is None:
+    """Steps in C; None where the loss or a part of the rule has no such form, or without a compiler."""
+    if not nbrdf.takes(loss, theta) or compiled() is None:
         return None
-    layout = Layout({name: theta[name] for name in in_c.names})
+    layout = Layout({name: theta[name] for name in nbrdf.SHAPES})
     alpha = packed(rule.step, rule.alpha, layout)
     if alpha is None:
         return None
-    by = _Steps(layout, in_c, order, moments="adam" in alpha)
+    by = _Steps(layout, order, moments="adam" in alpha)
     return Steps(alpha, by.init, by.value, by.step, by.vjp)
 
 
@@ -90,14 +57,14 @@ class _Value(torch.autograd.Function):
     """A loss in C, whose gradient comes with it."""
 
     @staticmethod
-    def forward(ctx: Any, loss: LossInC, theta: Tensor, batch: Batch) -> Tensor:
-        ctx.gradient, losses = loss.gradient(theta.detach(), batch, {})
+    def forward(ctx: Any, theta: Tensor, batch: Batch) -> Tensor:
+        ctx.gradient, losses = nbrdf.gradient(theta.detach(), batch, {})
         return losses
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, pull: Tensor) -> tuple[None, Tensor, None]:
-        return None, pull[:, None] * ctx.gradient, None
+    def backward(ctx: Any, pull: Tensor) -> tuple[Tensor, None]:
+        return pull[:, None] * ctx.gradient, None
 
 
 @functools.cache
@@ -114,10 +81,10 @@ def compiled(march: str = "native") -> ctypes.CDLL | None:
 class _Steps:
     """One step in C, forward and backward."""
 
-    def __init__(self, layout: Layout, loss: LossInC, order: int, *, moments: bool) -> None:
-        self.layout, self.loss, self.order, self.moments = layout, loss, order, moments
+    def __init__(self, layout: Layout, order: int, *, moments: bool) -> None:
+        self.layout, self.order, self.moments = layout, order, moments
         functions = compiled()
-        assert functions is not None, "a loss in C is offered with the library alone"
+        assert functions is not None, "steps in C are offered with the library alone"
         self.functions = functions
         shapes = [
             (*shape, shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, layout.sizes[key], False, False)
@@ -136,13 +103,13 @@ class _Steps:
 
     def value(self, theta: Params, batch: Batch) -> Tensor:
         """As of `Steps`."""
-        result: Tensor = _Value.apply(self.loss, self.layout.flat(theta), batch)  # type: ignore[no-untyped-call]
+        result: Tensor = _Value.apply(self.layout.flat(theta), batch)  # type: ignore[no-untyped-call]
         return result
 
     def step(self, alpha: Params, theta: Params, state: Params, batch: Batch) -> tuple[Params, Params, Tensor, Params]:
         """As of `Steps`."""
         flat = self.layout.flat(theta)
-        grads, losses = self.loss.gradient(flat, batch, loss_parameters(alpha))
+        grads, losses = nbrdf.gradient(flat, batch, loss_parameters(alpha))
         moved, after = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
         tree = _alpha(alpha)
         self.functions.step(
@@ -173,7 +140,7 @@ class _Steps:
         )  # fmt: skip
         if self.order == 2:
             flat = self.layout.flat(theta)
-            product, by_learned = self.loss.product(flat, batch, loss_parameters(alpha), by_grads)
+            product, by_learned = nbrdf.product(flat, batch, loss_parameters(alpha), by_grads)
             pull = pull + product
             pulled |= {f"loss.{key}": value for key, value in by_learned.items()}
         by_alpha = {key: pulled[key].sum_to_size(alpha[key].shape) for key in pulled}

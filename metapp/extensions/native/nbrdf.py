@@ -12,14 +12,22 @@ from torch import Tensor
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import shapes_of
 from metapp.extensions.native.compiler import load
-from metapp.extensions.native.in_c import LossInC
+from metapp.learning.adjoint import Loss
 from metapp.learning.task import Batch, Params
 
+SHAPES = shapes_of(NBRDF)
+LOSS = "metapp.apps.brdf.app", "Brdf.loss"  # by name: steps of other applications need not import this one's
 
-def loss(theta: Params) -> LossInC | None:
-    """The loss for parameters of this network; None for others, or without a compiler."""
-    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == shapes_of(NBRDF)
-    return LossInC(tuple(shapes_of(NBRDF)), gradient, product) if same and compiled() is not None else None
+
+def takes(loss: Loss, theta: Params) -> bool:
+    """True if a loss is `Brdf.loss` of parameters of this network, float32 on the CPU, and there is a compiler."""
+    function = getattr(loss.value, "__func__", loss.value)
+    named = function.__module__, getattr(function, "__qualname__", "")
+    if named != LOSS or type(loss).gradient is not Loss.gradient:
+        return False
+    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == SHAPES
+    plain = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
+    return same and plain and compiled() is not None
 
 
 @functools.cache

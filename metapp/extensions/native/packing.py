@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import math
 from collections import UserDict
-from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import torch
@@ -28,6 +27,8 @@ from metapp.learning.rules.parts import (
     SignedRates,
 )
 from metapp.learning.task import Params
+
+TAKEN = {SignedRates, Rates, SharedRates, Paces, Betas, Eps, Curvature, LossParameters}  # parts of rules in C
 
 
 class Flat(UserDict[str, Tensor]):
@@ -101,10 +102,8 @@ def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
         than a step in C can.
     """
     if isinstance(step, LearnedRule):
-        parts = [PACKED.get(type(part)) for part in step.parts]
-        if None in parts:
-            return None
-        return {key: value for part in parts if part for key, value in part(alpha, layout).items()}
+        parts = {type(part) for part in step.parts}
+        return _packed_parts(parts, alpha, layout) if parts <= TAKEN else None
     if step is sgd_step:
         return _rates(alpha, layout)
     if isinstance(step, AdamStep) and not step.decay:
@@ -126,46 +125,25 @@ def _rates(alpha: Params, layout: Layout) -> Params:
     return {"rate": _by_task(alpha["rate"], 0)[..., None] if one else layout.weights(alpha, "rate.")}
 
 
-def _exp_rates(alpha: Params, layout: Layout) -> Params:
-    """Rates of their logarithms and, where there are any, of those of paces, one for each parameter."""
-    logarithms = layout.weights(alpha, "rate.")
-    if any(key.startswith("pace.") for key in alpha):
-        paces = [_by_task(alpha[f"pace.{key}"], 0)[..., None] for key in layout.shapes]
-        logarithms = logarithms + torch.cat(
-            [pace.expand(-1, -1, size) for pace, size in zip(paces, layout.sizes.values(), strict=True)], -1
-        )
-    return {"rate": torch.exp(logarithms)}
-
-
-def _betas(alpha: Params, layout: Layout) -> Params:
-    betas = [torch.sigmoid(_by_task(alpha[name], 0)) for name in ("beta1", "beta2")]
-    eps = torch.exp(_by_task(alpha["eps"], 0)) if "eps" in alpha else betas[0].new_full((1, 1), META_EPS)
-    return {"adam": torch.stack([*betas, eps.expand_as(betas[0])], -1)}
-
-
-def _matrices(alpha: Params, layout: Layout) -> Params:
-    names = (f"{side}.{key}" for key in layout.shapes for side in ("left", "right"))
-    return {"matrices": torch.cat([_by_task(alpha[name], 2).flatten(2) for name in names if name in alpha], -1)}
-
-
-def _loss_parameters(alpha: Params, layout: Layout) -> Params:
-    """As they are, with a task axis, which they always have in a step."""
-    return {key: _by_task(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}
-
-
-def _with_another(alpha: Params, layout: Layout) -> Params:
-    """Nothing: another part's tensor holds it."""
-    return {}
-
-
-# The parts that a step in C can take; they read each other's hyperparameters as those of torch's steps do.
-PACKED: Mapping[type[Part], Callable[[Params, Layout], Params]] = {
-    SignedRates: _rates,
-    Rates: _exp_rates,
-    SharedRates: _exp_rates,
-    Paces: _with_another,
-    Betas: _betas,
-    Eps: _with_another,
-    Curvature: _matrices,
-    LossParameters: _loss_parameters,
-}
+def _packed_parts(parts: set[type[Part]], alpha: Params, layout: Layout) -> Params:
+    """The hyperparameters of a learned rule's parts; loss parameters have a task axis, as always in a step."""
+    packed = {key: _by_task(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}
+    if SignedRates in parts:
+        packed |= _rates(alpha, layout)
+    if parts & {Rates, SharedRates}:
+        logarithms = layout.weights(alpha, "rate.")
+        if Paces in parts:
+            paces = [_by_task(alpha[f"pace.{key}"], 0)[..., None] for key in layout.shapes]
+            sizes = layout.sizes.values()
+            wide = [pace.expand(-1, -1, size) for pace, size in zip(paces, sizes, strict=True)]
+            logarithms = logarithms + torch.cat(wide, -1)
+        packed["rate"] = torch.exp(logarithms)
+    if Betas in parts:
+        betas = [torch.sigmoid(_by_task(alpha[name], 0)) for name in ("beta1", "beta2")]
+        eps = torch.exp(_by_task(alpha["eps"], 0)) if Eps in parts else betas[0].new_full((1, 1), META_EPS)
+        packed["adam"] = torch.stack([*betas, eps.expand_as(betas[0])], -1)
+    if Curvature in parts:
+        names = (f"{side}.{key}" for key in layout.shapes for side in ("left", "right"))
+        matrices = [_by_task(alpha[name], 2).flatten(2) for name in names if name in alpha]
+        packed["matrices"] = torch.cat(matrices, -1)
+    return packed

@@ -94,10 +94,8 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, f
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
     layout = Layout(theta)
     flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
-    own = nbrdf.loss(theta)
-    assert own is not None
-    gradient, losses = own.gradient(flat, batch, learned)
-    product, pulls = own.product(flat, batch, learned, along)
+    gradient, losses = nbrdf.gradient(flat, batch, learned)
+    product, pulls = nbrdf.product(flat, batch, learned, along)
 
     exact = flat.double().requires_grad_()
     leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
@@ -220,7 +218,7 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
     assert in_c.steps(rule, loss, theta, 1) is not None
-    assert in_c.loss_in_c(task_outer_loss(APP, 8), theta) is not None  # the same loss of other samples
+    assert nbrdf.takes(task_outer_loss(APP, 8), theta)  # the same loss of other samples
     for name, case in cases.items():
         assert in_c.steps(*case, 1) is None, name
 
