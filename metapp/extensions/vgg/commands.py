@@ -45,7 +45,6 @@ def vgg(
     size = file.stat().st_size
     if not quiet:
         state = "there already" if there else "done"
-        say(f"VGG-16: {state}: {file}, {size / 1e6:.1f} MB, from {origin.source}")
+        say(f"VGG-16: {state}: {file}, {size / 1e6:.1f} MB, from {origin['source']}")
     if as_json:
-        document = {"path": str(file), "bytes": size, "there_already": there}
-        print_json({**document, **origin._asdict()})
+        print_json({"path": str(file), "bytes": size, "there_already": there, **origin})

