@@ -30,7 +30,8 @@ SHA256 = {
 }
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
 CHANNELS = (64, 128, 256, 512, 512)  # of the taps
-STORED = (4, 3, 1, 0, 2)  # the order of LPIPS's weights in their file
+STORED = (512, 512, 128, 64, 256)  # numbers of LPIPS's weights, in the order of their file
+OF_TAPS = (3, 2, 4, 1, 0)  # the place of each tap's among them
 TINY = 1e-6  # stabilises both terms of DISTS
 LEAST = 2 ** (len(TAPS) - 1)  # px a side, of which one is left at the deepest tap
 
@@ -43,10 +44,10 @@ def lpips(compared: Compared) -> float:
     """
     if min(compared.pictures.shape[-2:]) < LEAST:
         return math.nan
-    features, distances = load_features(TAPS, compared.pictures), []
-    for made, wanted, weights in zip(*map(features, compared[:2]), lpips_weights(), strict=True):
+    features, distances, stored = load_features(TAPS, compared.pictures), [], _tensors(LPIPS_FILE, STORED)
+    for made, wanted, place in zip(*map(features, compared[:2]), OF_TAPS, strict=True):
         made, wanted = (maps / (maps.square().sum(1, keepdim=True) + 1e-8).sqrt() for maps in (made, wanted))
-        distances.append((made - wanted).square().mean((2, 3)) @ weights.to(made))
+        distances.append((made - wanted).square().mean((2, 3)) @ stored[place].to(made))
     return float(torch.stack(distances).sum(0).mean())
 
 
@@ -58,8 +59,9 @@ def dists(compared: Compared) -> float:
     """
     features = softly_pooled(load_features(TAPS, compared.pictures))
     made, wanted = ([each, *features(each)] for each in compared[:2])
-    similarity, total = torch.zeros(len(compared.pictures)), 0.0
-    for a, b, *weights in zip(made, wanted, *dists_weights(), strict=True):
+    similarity, total, sizes = torch.zeros(len(compared.pictures)), 0.0, (3, *CHANNELS)
+    stored = (part.split(sizes) for part in _tensors(DISTS_FILE, (sum(sizes),) * 2))  # of means and of variations
+    for a, b, *weights in zip(made, wanted, *stored, strict=True):
         alpha, beta = (part.to(a) for part in weights)
         mean_a, mean_b = (maps.mean((2, 3), keepdim=True) for maps in (a, b))
         a, b = a - mean_a, b - mean_b
@@ -91,29 +93,13 @@ def softly_pooled(features: Features) -> Features:
     return Features(features.name, stages).to(features.mean)
 
 
-# Weights
-
-
-def lpips_weights() -> list[Tensor]:
-    """Of each tap, [C].
+@functools.lru_cache(maxsize=2)
+def _tensors(name: str, sizes: tuple[int, ...]) -> list[Tensor]:
+    """The tensors of a file of torch's first format: its end is each one's size and values. Nothing is unpickled.
 
     Raises:
         ValueError: torchmetrics is missing, or holds another file.
     """
-    parts = _tensors(LPIPS_FILE, tuple(CHANNELS[tap] for tap in STORED))
-    return [parts[STORED.index(tap)] for tap in range(len(TAPS))]
-
-
-def dists_weights() -> tuple[list[Tensor], list[Tensor]]:
-    """Of the means and of the variations of the picture and of each tap, [C]; errors as of `lpips_weights`."""
-    sizes = (3, *CHANNELS)
-    alpha, beta = (list(part.split(sizes)) for part in _tensors(DISTS_FILE, (sum(sizes),) * 2))
-    return alpha, beta
-
-
-@functools.lru_cache(maxsize=2)
-def _tensors(name: str, sizes: tuple[int, ...]) -> list[Tensor]:
-    """The tensors of a file of torch's first format: its end is each one's size and values. Nothing is unpickled."""
     content, parts = _content(name), []
     end = len(content) - sum(8 + 4 * size for size in sizes)
     for size in sizes:

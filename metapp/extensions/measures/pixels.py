@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 
 import numpy as np
@@ -25,26 +26,17 @@ def psnr(compared: Compared) -> float:
     return float(-10 * errors.clamp_min(10 ** (-MOST / 10)).log10().mean())
 
 
-def median_difference(compared: Compared) -> float:
-    """Median over pixels of the CIE 2000 colour difference."""
-    return _quantile(compared, 0.5)
-
-
-def high_difference(compared: Compared) -> float:
-    """95th percentile over pixels of the CIE 2000 colour difference."""
-    return _quantile(compared, 0.95)
+def difference_quantile(compared: Compared, share: float) -> float:
+    """The quantile of a share, over pixels, of the CIE 2000 colour difference."""
+    pictures, references = (
+        _counted(each, compared).transpose(1, 2).flatten(0, 1).double().numpy() for each in compared[:2]
+    )
+    return float(np.quantile(colour_difference(pictures, references), share))
 
 
 def by() -> str:
     """The package of colour differences."""
     return f"by colour-science {importlib.metadata.version('colour-science')}"
-
-
-def _quantile(compared: Compared, share: float) -> float:
-    pictures, references = (
-        _counted(each, compared).transpose(1, 2).flatten(0, 1).double().numpy() for each in compared[:2]
-    )
-    return float(np.quantile(colour_difference(pictures, references), share))
 
 
 def _counted(values: Tensor, compared: Compared) -> Tensor:
@@ -53,5 +45,5 @@ def _counted(values: Tensor, compared: Compared) -> Tensor:
 
 
 PSNR = Measure(psnr, more_is_better=True)
-MEDIAN = Measure(median_difference, by)
-HIGH = Measure(high_difference, by)
+MEDIAN = Measure(functools.partial(difference_quantile, share=0.5), by)
+HIGH = Measure(functools.partial(difference_quantile, share=0.95), by)

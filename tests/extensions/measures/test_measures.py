@@ -112,8 +112,8 @@ def test_colour_differences_are_of_the_pixels_that_count() -> None:
     mask = torch.zeros(4, 4, dtype=torch.bool)
     mask[0] = True
     changed = torch.where(mask, gray, 1.0)
-    assert pixels.median_difference(Compared(changed, gray, mask)) == pytest.approx(0, abs=1e-9)
-    assert pixels.high_difference(Compared(changed, gray)) > 20
+    assert pixels.MEDIAN.value(Compared(changed, gray, mask)) == pytest.approx(0, abs=1e-9)
+    assert pixels.HIGH.value(Compared(changed, gray)) > 20
 
 
 def test_sliced_wasserstein(rng: Generator) -> None:
