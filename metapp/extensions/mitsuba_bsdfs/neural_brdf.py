@@ -5,13 +5,14 @@ The network runs in Dr.Jit, in whatever variant is active, and is differentiable
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from metapp.appearance.lobes import fit_lobes
 from metapp.apps.brdf.featured import GRAZING, SMOOTH, TURNS
-from metapp.extensions.mitsuba_bsdfs.material import Material, read_material
+from metapp.apps.brdf.network import Folded, network_of
+from metapp.extensions.mitsuba_bsdfs.material import read_parameters
 from metapp.extensions.mitsuba_bsdfs.mixture import Mixture, turned
 from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering import types as mt
@@ -22,18 +23,20 @@ LARGEST = 14.0  # logarithm that such a network may end at
 
 
 class Network:
-    """The network of a material, in the active variant.
+    """A fit's network in the active variant.
 
     Attributes:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
-        featured, turn, darkest: as of the material.
+        featured: whether hidden layers are x sigmoid(x); else ReLU.
+        turn, darkest: as of `metapp.apps.brdf.network.Folded`.
     """
 
-    def __init__(self, material: Material) -> None:
-        self.weights = [mi.TensorXf(weights) for weights, _ in material.layers]
-        self.biases = [mi.Float(bias) for _, bias in material.layers]
-        self.featured, self.turn, self.darkest = material.featured, material.turn, material.darkest
-        self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in material.layers]
+    def __init__(self, folded: Folded) -> None:
+        layers = [(weights.float().numpy(), bias.float().numpy()) for weights, bias in folded.layers]
+        self.weights = [mi.TensorXf(weights) for weights, _ in layers]
+        self.biases = [mi.Float(bias) for _, bias in layers]
+        self.featured, self.turn, self.darkest = folded.inputs != "nbrdf", folded.turn, folded.darkest
+        self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in layers]
         self._zero = dr.opaque(mi.UInt32, 0)
 
     def changed(self) -> None:
@@ -110,28 +113,15 @@ def expm1(x: Color) -> Color:
 
 def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
     """Half vector, turned to phi_h = 0, and difference vector of `metapp.appearance.geometry.half_difference`."""
-    frame = half_frame(light, viewer)
-    return mi.Vector3f(frame.sine, 0, frame.cosine), frame.difference
+    sine, cosine, _, _, difference = half_frame(light, viewer)
+    return mi.Vector3f(sine, 0, cosine), difference
 
 
-class HalfFrame(NamedTuple):
-    """The half vector and what is seen of its frame.
+def half_frame(light: Vector3, viewer: Vector3) -> tuple[Float, Float, Float, Float, Vector3]:
+    """Sine and cosine of theta_h, cosine and sine of phi_h, difference vector of directions above the surface.
 
-    Attributes:
-        sine, cosine: of theta_h.
-        cos_phi, sin_phi: of phi_h.
-        difference: vector.
+    phi_h is 0 where the half vector is the normal.
     """
-
-    sine: Float
-    cosine: Float
-    cos_phi: Float
-    sin_phi: Float
-    difference: Vector3
-
-
-def half_frame(light: Vector3, viewer: Vector3) -> HalfFrame:
-    """Of directions above the surface; phi_h is 0 where the half vector is the normal."""
     total = light + viewer
     length = dr.norm(total)
     half = total / length
@@ -143,7 +133,7 @@ def half_frame(light: Vector3, viewer: Vector3) -> HalfFrame:
     x, y = cos_phi * light.x + sin_phi * light.y, cos_phi * light.y - sin_phi * light.x
     # of the z axis, not half . light: between directions nearly opposite that differs by what rounding does to lengths
     difference = mi.Vector3f(half.z * x - sine * light.z, y, length / 2)
-    return HalfFrame(sine, half.z, cos_phi, sin_phi, difference)
+    return sine, half.z, cos_phi, sin_phi, difference
 
 
 def features(half: Vector3, difference: Vector3) -> list[Float]:
@@ -179,12 +169,9 @@ def anisotropic_features(light: Vector3, viewer: Vector3) -> list[Float]:
     return [*more, *(0.4 * dr.log(value) + 1 for value in logs)]
 
 
-NAME = "neural_brdf"
-
-
 def register_neural_brdf() -> None:
     """Have Mitsuba know the plugin."""
-    register_plugin("bsdf", NAME, plugin)
+    register_plugin("bsdf", "neural_brdf", plugin)
 
 
 def plugin() -> mt.PluginClass:
@@ -205,8 +192,11 @@ class NetworkReflection(Reflection):
 
     def __init__(self, props: mt.Properties) -> None:
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
-        material = read_material(self.path)
-        self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance, material.turn))
+        theta = read_parameters(self.path)
+        fit = network_of(theta)
+        folded = fit.folded(theta)
+        self.network = Network(folded)
+        self.mixture = Mixture(fit_lobes(functools.partial(fit.evaluate, theta), folded.turn))
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
 

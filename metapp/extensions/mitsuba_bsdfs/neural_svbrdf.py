@@ -13,7 +13,6 @@ from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflecti
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
 
-NAME = "neural_svbrdf"
 DEFAULTS = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
 DIFFUSE, SPECULAR = 0, 1  # components
 LEAST = 0.1  # share of directions that are sampled for either
@@ -21,7 +20,7 @@ LEAST = 0.1  # share of directions that are sampled for either
 
 def register_maps_bsdf() -> None:
     """Have Mitsuba know the plugin."""
-    register_plugin("bsdf", NAME, plugin)
+    register_plugin("bsdf", "neural_svbrdf", plugin)
 
 
 def plugin() -> mt.PluginClass:
