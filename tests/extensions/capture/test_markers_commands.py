@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.extensions.several.places import read_places
+from metapp.extensions.several.photos import read_places
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write
 
@@ -56,8 +56,8 @@ def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: P
     assert places is not None
     for number, name in enumerate("bac"):
         camera = np.array(CAMERAS[name].place)
-        assert np.linalg.norm(places.camera[number].numpy() * 5 - camera) < 0.005 * np.linalg.norm(camera)
-        assert np.linalg.norm((places.light - places.camera)[number] * 5) == pytest.approx(1, abs=1e-3)
+        assert np.linalg.norm(places[:, 0][number].numpy() * 5 - camera) < 0.005 * np.linalg.norm(camera)
+        assert np.linalg.norm((places[:, 1] - places[:, 0])[number] * 5) == pytest.approx(1, abs=1e-3)
     fitted = metapp("general", "svbrdf_nonstationary", LEAF, "--observe", "photo", "--json").done
     made = Path(fitted["out"], "leaf")
     assert {"normal.png", "diffuse.png", "photo_3.png"} <= {file.name for file in made.iterdir()}

@@ -18,7 +18,7 @@ from data_tools.readers.photos import field_of_view
 from metapp.extensions.capture.markers.rectified import Placed, Set, place, rectified, write_set
 from metapp.extensions.capture.markers.sighting import common_focal, find_sheet, pose_of
 from metapp.extensions.several import photos as placed_photos
-from metapp.extensions.several.places import read_places
+from metapp.extensions.several.photos import read_places
 from tests.pictures import STORED, noise, write
 
 LOOK = {"vignette": 0.3, "noise": 0.01}
@@ -175,7 +175,7 @@ def test_a_page_that_was_printed_smaller_is_all_smaller(photos: Path, tmp_path: 
     before = place(paths)
     places = read_places(tmp_path / "leaf", 2)
     assert places is not None
-    np.testing.assert_allclose(places.camera * 5, np.stack([photo.camera_cm for photo in before.photos]), atol=1e-3)
+    np.testing.assert_allclose(places[:, 0] * 5, np.stack([photo.camera_cm for photo in before.photos]), atol=1e-3)
 
 
 def hidden(path: Path, camera: Camera, *boxes: tuple[float, float, float, float]) -> Path:
