@@ -6,9 +6,8 @@ from pathlib import Path
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.extensions.onnx_files.models import OPSET, require
-from metapp.extensions.onnx_files.page import SIDES, write_folder
+from metapp.extensions.onnx_files.page import SIDES, VERSION, runtime, write_folder
 from metapp.extensions.onnx_files.photographs import FEATURES, STEP, photographs_model
-from metapp.extensions.onnx_files.runtime import VERSION, runtime
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, check_new_files, fit_options
 from metapp.runs.recipes import FULL
@@ -38,7 +37,10 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     file = folder / ("index.html" if kind == PAGE else f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx")
     check_new_files([file])
     require()
-    parts = _runtime(quiet) if kind == PAGE else {}
+    parts = {}
+    if kind == PAGE:
+        with progress(f"onnxruntime-web {VERSION}", quiet=quiet) as bar:
+            parts = runtime(lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm"))
     found = with_checkpoint(Run.of(options))
     app, checkpoint = found.app, found.checkpoint
     assert isinstance(app, SvbrdfNonstationary)
@@ -60,22 +62,13 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
 
 def _options(path: Path) -> FitOptions:
     """General of the checkpoint that a file is, or that ships by a name."""
-    if path.is_file():
+    app, recipe = path.parts[:1], "".join(path.parts[1:2]) or FULL
+    if is_file := path.is_file():
         about = load_checkpoint(path)[1]
-        return _general(str(about.get("recipe", FULL)) if about.get("app") == APP else FULL, path)
-    app, *recipe = path.parts
-    if app != APP or len(recipe) > 1:
+        recipe = str(about.get("recipe", FULL)) if about.get("app") == APP else FULL
+    elif app != (APP,) or len(path.parts) > 2:
         raise ValueError(
             f"{path}: no such file, expected a run, a checkpoint of General of photos, or {APP} or {APP}/RECIPE, by "
             "which one ships."
         )
-    return _general(recipe[0] if recipe else FULL)
-
-
-def _general(recipe: str, checkpoint: Path | None = None) -> FitOptions:
-    return fit_options(APP, "general", recipe=recipe, observe="photo", checkpoint=checkpoint, quiet=True)
-
-
-def _runtime(quiet: bool) -> dict[str, bytes]:
-    with progress(f"onnxruntime-web {VERSION}", quiet=quiet) as bar:
-        return runtime(lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm"))
+    return fit_options(APP, "general", recipe=recipe, observe="photo", checkpoint=path if is_file else None, quiet=True)

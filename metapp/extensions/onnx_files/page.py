@@ -1,19 +1,35 @@
-"""A page that runs General of flash photographs in a browser, from disk and offline: a folder of four files."""
+"""A page that runs General of flash photographs in a browser, from disk and offline: a folder of four files.
+
+onnxruntime-web, which runs models there, is fetched once from the npm registry and kept in the cache.
+"""
 
 from __future__ import annotations
 
 import base64
 import gzip
+import hashlib
+import io
 import re
-from collections.abc import Sequence
+import tarfile
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
 
 from metapp.extensions.onnx_files.photographs import FEATURES
 from metapp.extensions.onnx_files.runtime import VERSION
-from metapp.storage.files import write_atomically, write_bytes
+from metapp.storage.cache import cache_folder, download
+from metapp.storage.files import read_bytes, write_atomically, write_bytes
 
+VERSION = "1.30.0"
+ARCHIVE = f"onnxruntime-web-{VERSION}.tgz"
+URL = f"https://registry.npmjs.org/onnxruntime-web/-/{ARCHIVE}"
+SHA512 = "q0y+JrrtukXSzsBWEMccVfqX25LRmosXHF+CaRJmg8pZClzcV7svNc4rKY3jL02Vb7QmRMDs1SigqR4CXAfKYQ=="  # as npm has it
+PARTS = {  # what a page needs, in the archive
+    "script": "package/dist/ort.wasm.min.js",
+    "module": "package/dist/ort-wasm-simd-threaded.mjs",
+    "wasm": "package/dist/ort-wasm-simd-threaded.wasm",
+}
 SIDES = (256, 512, 1024)  # px of photos, of models that take any
 
 
@@ -25,7 +41,7 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
     Args:
         folder: made if missing.
         model: the ONNX file of `photographs.photographs_model`.
-        parts: of `runtime.runtime`.
+        parts: of `runtime`.
         sides: of the photos in px that the model takes and a user chooses from.
         features: whether it reads those of VGG-16.
 
@@ -41,6 +57,37 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
         write_atomically(folder / name, lambda partial, content=content: partial.write_bytes(content))  # type: ignore[misc]
     page = page_of(sides, features)
     write_bytes(folder / "index.html", page.encode())
+
+
+def runtime(report: Callable[[int, int | None], None]) -> dict[str, bytes]:
+    """The files PARTS of onnxruntime-web, of the cache's archive or of one that is fetched into it.
+
+    Args:
+        report: told the bytes that are there and those expected; None where that is unknown.
+
+    Raises:
+        ValueError: neither is to be had; the registry's is another file than expected.
+    """
+    path = cache_folder() / ARCHIVE
+    content = read_bytes(path) if path.is_file() else b""
+    if digest(content) != SHA512:
+        try:
+            content = download(URL, report)
+        except ValueError as error:
+            wanted = f"expected onnxruntime-web {VERSION} (33 MB), once; get it elsewhere and put it at {path}"
+            raise ValueError(f"{error}, {wanted}.") from None
+        found = digest(content)
+        if found != SHA512:
+            raise ValueError(f"{URL}: SHA-512 {found[:16]}..., expected {SHA512[:16]}...; damaged or another file.")
+        write_atomically(path, lambda partial: partial.write_bytes(content))
+    with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
+        members = {name: archive.extractfile(member) for name, member in PARTS.items()}
+        return {name: file.read() for name, file in members.items() if file}
+
+
+def digest(content: bytes) -> str:
+    """SHA-512 as npm writes it."""
+    return base64.b64encode(hashlib.sha512(content).digest()).decode()
 
 
 def packed(name: str, content: bytes) -> bytes:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from data_tools.readers.photos import read_photo
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.onnx_files import runtime
+from metapp.extensions.onnx_files import page as pages
 from metapp.extensions.onnx_files.page import write_folder
 from tests.browser import browsing
 
@@ -148,7 +148,7 @@ def archive(parts: dict[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w:gz") as file:
         for name, content in parts.items():
-            member = tarfile.TarInfo(runtime.PARTS[name])
+            member = tarfile.TarInfo(pages.PARTS[name])
             member.size = len(content)
             file.addfile(member, io.BytesIO(content))
     return buffer.getvalue()
@@ -156,23 +156,23 @@ def archive(parts: dict[str, bytes]) -> bytes:
 
 def test_the_runtime_is_fetched_once_and_compared(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = archive(PARTS)
-    monkeypatch.setattr(runtime, "URL", (tmp_path / "npm.tgz").as_uri())
+    monkeypatch.setattr(pages, "URL", (tmp_path / "npm.tgz").as_uri())
     line = r"expected onnxruntime-web .* \(33 MB\), once; get it elsewhere and put it at .*\.tgz\.$"
     with pytest.raises(ValueError, match=line):
-        runtime.runtime(lambda *_: None)
+        pages.runtime(lambda *_: None)
     (tmp_path / "npm.tgz").write_bytes(content)
     with pytest.raises(ValueError, match=r"SHA-512 .*\.\.\., expected q0y\+Jrrtuk.*; damaged or another file\.$"):
-        runtime.runtime(lambda *_: None)
+        pages.runtime(lambda *_: None)
     assert not list(cache.iterdir())
-    monkeypatch.setattr(runtime, "SHA512", runtime.digest(content))
+    monkeypatch.setattr(pages, "SHA512", pages.digest(content))
     shown: list[tuple[int, int | None]] = []
-    assert runtime.runtime(lambda *state: shown.append(state)) == PARTS
+    assert pages.runtime(lambda *state: shown.append(state)) == PARTS
     assert shown[-1] == (len(content), len(content))
     (tmp_path / "npm.tgz").unlink()
-    assert runtime.runtime(lambda *_: None) == PARTS
-    (cache / runtime.ARCHIVE).write_bytes(content[:-1])  # damaged: asked for anew
+    assert pages.runtime(lambda *_: None) == PARTS
+    (cache / pages.ARCHIVE).write_bytes(content[:-1])  # damaged: asked for anew
     with pytest.raises(ValueError, match=line):
-        runtime.runtime(lambda *_: None)
+        pages.runtime(lambda *_: None)
 
 
 def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +181,7 @@ def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: p
     Path("page/index.html").touch()
     words = ("export", "svbrdf_nonstationary", "onnx-page")
     assert "page/index.html: is there already" in metapp(*words, "--out", "page").misuse
-    monkeypatch.setattr(runtime, "URL", Path("none.tgz").absolute().as_uri())
+    monkeypatch.setattr(pages, "URL", Path("none.tgz").absolute().as_uri())
     assert "expected onnxruntime-web" in metapp(*words).refusal
     assert not Path("onnx-page").exists()
 
@@ -191,8 +191,8 @@ def test_the_page_computes_what_python_does(metapp: Callable, browser: Any, tmp_
     """By the real runtime, of the folder that METAPP_RUNTIME names, with its archive."""
     folder = os.environ.get("METAPP_RUNTIME")
     if not folder:
-        pytest.skip(f"METAPP_RUNTIME names no folder with {runtime.ARCHIVE}")
-    (Path(os.environ["METAPP_CACHE"]) / runtime.ARCHIVE).write_bytes((Path(folder) / runtime.ARCHIVE).read_bytes())
+        pytest.skip(f"METAPP_RUNTIME names no folder with {pages.ARCHIVE}")
+    (Path(os.environ["METAPP_CACHE"]) / pages.ARCHIVE).write_bytes((Path(folder) / pages.ARCHIVE).read_bytes())
     ort = pytest.importorskip("onnxruntime")
     for kind in ("onnx", "onnx-page"):
         assert metapp("export", "svbrdf_nonstationary", kind).code == 0
