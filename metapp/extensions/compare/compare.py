@@ -21,15 +21,7 @@ from metapp.storage import Document
 from metapp.storage.fits import PARAMS, summary
 
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
-TOLD = (
-    "paradigm",
-    "rule",
-    "recipe",
-    "steps",
-    "observe",
-    "seed",
-    "checkpoint",
-)  # what tells runs apart, the clearest first
+TOLD = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "checkpoint")  # tells runs apart, the clearest first
 
 
 class Side(NamedTuple):
@@ -60,11 +52,7 @@ class Side(NamedTuple):
         return summary(self.records)["seconds"]
 
 
-class Measured(NamedTuple):
-    """The means of a further error of both runs, and their ratio."""
-
-    means: tuple[float, float]
-    ratio: Paired | None
+Measured = tuple[tuple[float, float], Paired | None]  # the means of a further error of both runs, and their ratio
 
 
 class Comparison(NamedTuple):
@@ -96,8 +84,8 @@ class Comparison(NamedTuple):
             ],
             "compared": self.ratio and self.ratio._asdict(),
             "measures": {
-                title: {"means": each.means, "compared": each.ratio and each.ratio._asdict()}
-                for title, each in self.measures.items()
+                title: {"means": means, "compared": ratio and ratio._asdict()}
+                for title, (means, ratio) in self.measures.items()
             },
             "tasks": [
                 {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a.get("seconds"), b.get("seconds")]}
@@ -142,10 +130,9 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     ratio_of_errors = paired(one.errors(), other.errors(), groups, logarithmic=one.app.logarithmic)
     measures = {}
     for key, title in one.app.measures.items():
-        means = one.mean(key), other.mean(key)
-        if means[0] is not None and means[1] is not None:
+        if (first_mean := one.mean(key)) is not None and (second_mean := other.mean(key)) is not None:
             ratio = paired(one.errors(key), other.errors(key), groups, logarithmic=False)
-            measures[title] = Measured((means[0], means[1]), ratio)
+            measures[title] = (first_mean, second_mean), ratio
     return Comparison((one, other), tasks, ratio_of_errors, measures, _notes(settings, by_name, names))
 
 
@@ -185,7 +172,7 @@ def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str
                 measure[column.name] = value
     groups = {task.name: task.group or task.name for task in compared.tasks}
     return {
-        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": Measured(
+        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": (
             (statistics.fmean(one.values()), statistics.fmean(other.values())),
             paired(one, other, groups, logarithmic=False),
         )
