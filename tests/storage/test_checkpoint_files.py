@@ -20,7 +20,10 @@ START = MetaParameters(
 
 
 def test_checkpoint_round_trip(tmp_path: Path) -> None:
-    path, info = tmp_path / "new" / "start.safetensors", {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]}
+    path, info = (
+        tmp_path / "\udcff" / "start.safetensors",
+        {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]},
+    )
     save_checkpoint(path, START, info)
     start, said = load_checkpoint(path)
     assert said == {**info, "schema": SCHEMA}
