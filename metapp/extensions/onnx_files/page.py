@@ -17,7 +17,6 @@ from importlib import resources
 from pathlib import Path
 
 from metapp.extensions.onnx_files.photographs import FEATURES
-from metapp.extensions.onnx_files.runtime import VERSION
 from metapp.storage.cache import cache_folder, download
 from metapp.storage.files import read_bytes, write_atomically, write_bytes
 
