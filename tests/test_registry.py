@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
 
+from data_tools.formats import formats
 from metapp import registry as module
-from metapp.registry import WITHOUT, Registry, left_out_with, load, registry
+from metapp.registry import WITHOUT, Export, Registry, left_out_with, load, registry
 
 ROOT = Path(__file__).parent.parent
 RUN = "import sys\nfrom metapp.cli import main\nmain()"
@@ -198,3 +201,29 @@ def test_all_that_ships_can_be_loaded() -> None:
         for name in ("reference", "options", "lacks"):
             if reference := getattr(entry, name, ""):
                 assert load(reference) is not None
+
+
+# Entries of formats, exports and objects
+
+
+@pytest.mark.parametrize("name", formats())
+def test_modules_have_what_entries_say(name: str) -> None:
+    form = registry().formats[name]
+    module = form.load()
+    assert callable(module.find)
+    assert not form.inputs or callable(module.recognises)
+    command = registry().commands.get(f"data {name}")
+    if command and is_dataclass(converter := command.load()):
+        options = list(converter().arguments())
+        if hasattr(module, "conversion"):
+            assert list(inspect.signature(module.conversion).parameters)[2:] == options
+        else:
+            assert module.UNITS
+            assert set(options) <= set(inspect.signature(module.read_task).parameters)
+
+
+@pytest.mark.parametrize("form", registry().exports.values(), ids=map("-".join, registry().exports))
+def test_writers_take_a_surface_or_parameters(form: Export) -> None:
+    parameters = list(inspect.signature(form.load()).parameters)
+    assert parameters[:2] == (["surface", "path"] if form.of_surface else ["app", "theta"])
+    assert len(parameters) == 3

@@ -13,14 +13,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.brdf_task import UNITS, brdf_task, normal_albedo
+from data_tools.readers.brdf_task import UNITS, brdf_task
 from data_tools.readers.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate, task_of_table
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
 from metapp.appearance.geometry import above_horizon
 from metapp.storage.shards import ShardWriter, check_shard
-
-N = 20_000
 
 
 def evaluate(angles: Tensor) -> Tensor:
@@ -153,9 +151,3 @@ def test_good_values_are_not_warned_of(tmp_path: Path, neural_fits: Callable[[in
         warnings.simplefilter("error")
         read_network(constant_network(tmp_path / "plaster", 0.25), samples=64)
         read_network(neural_fits(1) / "m0", samples=64)
-
-
-def test_the_albedo_of_a_diffuse_surface_is_that_of_its_colour() -> None:
-    colour = torch.tensor([0.2, 0.5, 0.8])
-    found = normal_albedo(lambda angles: (colour / math.pi).expand(*angles.shape[:-1], 3))
-    assert found.tolist() == pytest.approx(colour.tolist(), rel=1e-4)
