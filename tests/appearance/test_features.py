@@ -16,6 +16,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
 from metapp.appearance import features
+from metapp.appearance.detail import detail
 from metapp.appearance.features import (
     IMAGENET_DEVIATION,
     IMAGENET_MEAN,
@@ -264,12 +265,6 @@ def test_descended_pictures_alone_are_in_bfloat16_and_where_it_is_fast(
         assert all(torch.equal(one, other) for one, other in zip(maps, long, strict=True))
 
 
-@pytest.mark.parametrize("size", [(64, 64), (33, 35), (1, 1)])
-def test_gram_matrices_of_bfloat16_are_summed_in_float32(size: tuple[int, int], rng: Generator) -> None:
-    maps = torch.rand(2, 5, *size, generator=rng).bfloat16()
-    torch.testing.assert_close(gram(maps).double(), gram(maps.double()), rtol=2**-8, atol=0)
-
-
 def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     digest = hashlib.sha256(torch.ones(3).numpy().tobytes()).hexdigest()
     path = cache / "vgg16.safetensors"
@@ -319,3 +314,43 @@ def test_damaged_weights_are_refused(kept: float, vgg16: Path, cache: Path) -> N
             ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of VGG-16; fetch"
         ):
             read()
+
+
+# The finest detail of pictures
+
+
+COSINES = 15  # of the 18 numbers, the others are of waves of 2 px with equal phase
+
+
+def waves(kind: str, size: int = 64) -> torch.Tensor:
+    """Waves of 2 px, amplitude 1, in pictures [1, 1, size, size]."""
+    sign = 1 - 2 * (torch.arange(size, dtype=torch.float64) % 2)
+    shown = {"rows": sign[:, None].expand(size, size), "columns": sign.expand(size, size)}
+    shown["checkerboard"] = shown["rows"] * shown["columns"]
+    return shown[kind][None, None]
+
+
+@pytest.mark.parametrize(("kind", "place"), [("rows", 0), ("columns", 1), ("checkerboard", 2)])
+def test_waves_of_two_pixels_are_one_number_each(kind: str, place: int) -> None:
+    """Equal phase everywhere: the window of 8 px sums all of it, the others nothing."""
+    found = detail(waves(kind))[0, 0, COSINES:]
+    expected = torch.full((3,), 1e-5, dtype=torch.float64)
+    expected[place] = math.sqrt(8)
+    torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-9)
+
+
+def test_cosine_waves_hold_all_power_but_that_of_means(rng: Generator) -> None:
+    """Parseval: 16 times the variance in squares of 4 px, the mean over squares."""
+    picture = torch.rand(2, 3, 12, 16, generator=rng, dtype=torch.float64)
+    variances = picture.unfold(-2, 4, 3).unfold(-2, 4, 3).var((-1, -2), unbiased=False).mean((-1, -2))
+    power = detail(picture)[..., :COSINES].square().sum(-1)
+    torch.testing.assert_close(power, 16 * variances, atol=1e-6, rtol=1e-6)
+
+
+def test_gradients_are_finite_differences_and_finite_of_nothing(rng: Generator) -> None:
+    picture = torch.rand(1, 2, 16, 16, generator=rng, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(detail, picture)
+    grey = torch.full((1, 1, 16, 16), 0.5, requires_grad=True)
+    detail(grey).sum().backward()
+    assert grey.grad is not None
+    assert bool(grey.grad.isfinite().all())

@@ -23,6 +23,10 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.geometry import rusinkiewicz_to_directions
+from metapp.appearance.highlight import RINGS, gloss, profile, unlit
+from metapp.appearance.relief import height_from_normal
+from tests import surfaces
+from tests.surfaces import normal_of, waves
 
 RandomAngles = Callable[..., Tensor]
 MitsubaBrdf = Callable[[dict[str, Any], Tensor, Tensor], Tensor]
@@ -92,16 +96,6 @@ def test_statistics_of_halves() -> None:
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
 
 
-def test_normals_of_waves_in_any_direction_are_those_of_the_derivative() -> None:
-    x, y = grid(64, 64) * math.pi
-    for right, up in ((3, 0), (0, 3), (2, 2), (-3, 2)):
-        normal = normal_from_height(4 * (right * x + up * y).sin()[None])
-        derivative = 4 * math.tau / 64 * (right * x + up * y).cos()
-        torch.testing.assert_close(-normal[:1] / normal[2:], right * derivative[None], rtol=0, atol=0.03)
-        torch.testing.assert_close(-normal[1:2] / normal[2:], up * derivative[None], rtol=0, atol=0.03)
-        torch.testing.assert_close(normal.norm(dim=0), torch.ones_like(x))
-
-
 # Closed forms
 
 
@@ -130,12 +124,6 @@ def test_intensity_and_falloff_may_differ_by_picture() -> None:
 def channels_first(*vectors: Tensor) -> list[Tensor]:
     """Directions [N, 3] as a picture of one column."""
     return [each.T[..., None] for each in vectors]
-
-
-def test_light_and_viewer_may_be_swapped(rng: torch.Generator, random_angles: RandomAngles) -> None:
-    wi, wo = channels_first(*rusinkiewicz_to_directions(random_angles(500)))
-    maps = rough(rng, size=(wi.shape[-2], 1))
-    torch.testing.assert_close(brdf(maps, wi, wo), brdf(maps, wo, wi))
 
 
 def reflected(maps: Maps, angle_rad: float, count: int = 400) -> float:
@@ -346,3 +334,106 @@ def test_the_flash_is_at_most_half_way_to_the_edge(rng: torch.Generator) -> None
     x, y = positions(64, 64)
     corner = torch.where((x > 0.8) & (y > 0.8), 1.0, 0.2 + 0.1 * torch.rand(64, 64, generator=rng))
     assert flash_position(corner.expand(3, -1, -1)).norm() <= 0.5 + 1e-6  # a sticker, say
+
+
+# Highlights
+
+
+SIZE = 128
+
+
+def above(x: float, y: float) -> Tensor:
+    return (camera() + torch.tensor([x, y, 0.0]))[None]
+
+
+def photo(
+    roughness: float, specular: float, light: Tensor, diffuse: tuple[float, float, float] = (0.3, 0.2, 0.1)
+) -> Tensor:
+    """A flat even material [1, 3, SIZE, SIZE] under a flash."""
+    one = torch.ones(1, 1, SIZE, SIZE)
+    up = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, SIZE, SIZE)
+    maps = Maps(torch.tensor(diffuse)[:, None, None] * one, specular * one, roughness * one, up)
+    return expose(render(maps, positions(SIZE, SIZE), light, light, falloff=1.0))
+
+
+@pytest.mark.parametrize(("roughness", "within"), [(0.16, 0.25), (0.25, 0.12), (0.4, 0.12), (0.6, 0.12)])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.2, -0.3)])
+def test_gloss_of_flat_even_materials_is_found(roughness: float, within: float, place: tuple[float, float]) -> None:
+    light = above(*place)
+    found = gloss(photo(roughness, 0.04, light), light)
+    assert float(found.roughness) == pytest.approx(roughness, rel=within)
+    assert float(found.specular) == pytest.approx(0.04, rel=0.5)
+    torch.testing.assert_close(found.diffuse, torch.tensor([[0.3, 0.2, 0.1]]), rtol=0.08, atol=0)
+
+
+def test_clipped_highlights_still_say_how_wide_they_are() -> None:
+    light = above(0.0, 0.0)
+    picture = photo(0.25, 0.1, light)
+    assert (picture > 0.99).float().mean() > 0.005
+    assert float(gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
+
+
+def test_contrast_tells_varnish_from_cloth_and_the_lobes_share_metal() -> None:
+    light = above(0.0, 0.0)
+    shiny, matte = (float(gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))
+    assert matte < 0.3 < 0.8 < shiny
+    bodies = ((0.2, (0.0, 0.0, 0.0)), (0.02, (0.4, 0.4, 0.4)))
+    metal, cloth = (float(gloss(photo(0.5, f0, light, diffuse=body), light).share) for f0, body in bodies)
+    assert cloth < 0.15 < 0.9 < metal
+
+
+def test_profiles_of_even_pictures_are_even() -> None:
+    means, belongs = profile(torch.full((2, 3, 40, 56), 0.3), above(0.1, 0.2).expand(2, -1))
+    assert means.shape == (2, 3, RINGS)
+    there = belongs.sum(-1) > 0.1
+    torch.testing.assert_close(means.mT[there], torch.full_like(means.mT[there], 0.3))
+    torch.testing.assert_close(belongs.sum(-2), torch.ones(2, 40 * 56))
+
+
+def test_photos_without_their_light_are_as_bright_in_all_rings() -> None:
+    light = above(0.1, 0.0)
+    picture = photo(0.3, 0.05, light)
+    even = unlit(picture, light)
+    assert float(even.std((2, 3)).max()) < 0.1 * float(picture.std((2, 3)).max())
+    torch.testing.assert_close(even.mean((2, 3)), picture.mean((2, 3)), rtol=0.05, atol=0)
+    stains = 1 + 0.2 * (torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0)) < 0.5)
+    stained = unlit(picture * stains, light)
+    assert float((stained / even / stains).std()) < 0.05
+
+
+# Heights from normals
+
+
+def test_waves_that_tile_are_found_exactly() -> None:
+    height, normal = waves(48)
+    assert torch.allclose(height_from_normal(normal, periodic=True), height, atol=1e-10)
+    both = height_from_normal(torch.stack([normal.flip(-1), normal]), periodic=True)
+    assert torch.equal(both[1], height_from_normal(normal, periodic=True))
+
+
+def test_a_hill_in_a_frame_and_a_tilted_plane_are_found_where_nothing_tiles() -> None:
+    size = 64
+    x, y = ((each - size / 2) / (size / 6) for each in surfaces.grid(size))
+    height = 5 * (-(x * x + 2 * y * y) / 2).exp()
+    normal = normal_of(-x * height / (size / 6), -2 * y * height / (size / 6))
+    found = height_from_normal(normal, periodic=False)[0]
+    assert (found - (height - height.mean())).abs().max() < 0.02  # of 5
+    # and a tilted plane
+    x, y = surfaces.grid(32)
+    plane = 0.3 * x - 0.2 * y
+    found = height_from_normal(normal_of(0.3 + 0 * x, -0.2 + 0 * y), periodic=False)[0]
+    assert (found - (plane - plane.mean())).abs().max() < 0.15  # half a texel's step: edges are mirrored
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize("kept", [(48, 24), (24, 48)])
+def test_fields_need_not_be_square(kept: tuple[int, int], periodic: bool) -> None:
+    """Waves along the longer side alone, of which the other is a part."""
+    rows, columns = kept
+    x, y = (4 * math.pi * each / 48 for each in surfaces.grid(48))
+    along, slope = (x, (1, 0)) if columns == 48 else (y, (0, 1))
+    step = 4 * math.pi / 48 * along.cos()
+    normal = normal_of(slope[0] * step, slope[1] * step)[:, :rows, :columns]
+    found = height_from_normal(normal, periodic=periodic)
+    assert found.shape == (1, rows, columns)
+    assert (found[0] - along.sin()[:rows, :columns]).abs().max() < (1e-9 if periodic else 0.2)

@@ -125,16 +125,6 @@ def test_the_sphere_touches_its_picture() -> None:
     assert torch.equal(normals.flip(-1)[1:], normals[1:])
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_furnace(size: tuple[int, int], rng: torch.Generator) -> None:
-    normals = draw_normals(rng, facing=True)
-    constant = torch.tensor([0.2, 1.0, 3.0], dtype=torch.float64)[:, None, None].expand(3, *size)
-    expected = constant[:, 0, 0].expand(len(normals), 3)
-    torch.testing.assert_close(shine(cosine_transfer(normals, *size), constant), expected)
-    for roughness in (0.05, 0.3, 1.0):
-        torch.testing.assert_close(shine(glossy_transfer(normals, roughness, *size), constant), expected)
-
-
 def harmonics(at: Tensor) -> dict[int, Tensor]:
     """Real spherical harmonics of degree 0 to 3, unnormalised, of vectors [..., 3]: some each, [K, ...]."""
     x, y, z = at.unbind(-1)

@@ -66,15 +66,6 @@ def test_pictures_without_order_have_none() -> None:
     assert order.lattice_of(torch.full((3, SIZE, SIZE), 0.4)).score < 0
 
 
-def test_autocorrelation_is_one_at_no_shift_and_the_same_both_ways() -> None:
-    picture = torch.rand(3, 40, 56, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    correlation = order.autocorrelation(picture)
-    assert correlation.shape == (80, 112)
-    assert float(correlation[40, 56]) == pytest.approx(1)
-    assert float(correlation.max()) == pytest.approx(1)
-    torch.testing.assert_close(correlation[1:, 1:], correlation[1:, 1:].flip(0, 1))
-
-
 def test_order_kept_is_one_for_as_much_order_and_none_for_noise() -> None:
     generator = torch.Generator().manual_seed(5)
     vectors = ((16.0, 0.0), (5.0, 21.0))
