@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from torch import Generator
 from typer.testing import CliRunner
 
+from data_tools.synthetic.examples import write_example
 from metapp.apps import app_of, recipes_of
 from metapp.cli.commands import app as cli
 from metapp.cli.fit import SUMMARIES
@@ -18,9 +20,12 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.options import BadOption, declared, options_of
 from metapp.registry import app_names, protocols_of
+from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.inputs.sources import sources_to_fit
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.recipes import ships
+from metapp.runs.recipes import shipped_path, ships
 from metapp.runs.run import Run
+from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -118,3 +123,57 @@ def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) ->
     small = Task("small", {"image": torch.zeros(3, 300, 300, dtype=torch.uint8)})
     with pytest.raises(ValueError, match="small: 300 px a side, --detail 512 expects 512; leave it out"):
         fine.app.prepare(small)
+
+
+# Inputs of a run, and where records say that they are
+
+
+def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
+    """A link that is given is what pages and exports read again, wherever it leads then."""
+    first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
+    first.write_text("")
+    link.symlink_to(first)
+    planned = Run.of(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
+    (source,) = sources_to_fit(planned)[0]
+    assert planned.origin(source.given) == {"inputs": [str(link)]}
+    assert source.place == str(first)
+
+
+def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
+    for app, side in (("illumination", 128), ("texture", 256)):
+        planned = Run.of(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
+        (source,) = sources_to_fit(planned)[0]
+        assert planned.app.read_size in (0, side)
+        assert side in source.task().data["map" if app == "illumination" else "image"].shape
+
+
+# What was learned at the quick size fits at the full one
+
+
+@pytest.mark.parametrize("observe", ["reference", "photo"])
+@pytest.mark.parametrize("name", ["illumination", "svbrdf_nonstationary"])
+def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
+    planned = Run.of(fit_options(name, observe=observe, recipe="full", out=tmp_path))
+    assert planned.app == replace(planned.recipe.app, protocol=observe)
+    prepared = with_checkpoint(planned).phi
+    field = planned.app.network
+    assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
+    file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
+    learned = load_checkpoint(shipped_path(name, file, "full"))[0].alpha
+    assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
+    assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
+
+
+def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
+    start, info = load_checkpoint(shipped_path("illumination", "meta-lgd"))
+    bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
+    save_checkpoint(tmp_path / "bad.safetensors", bad, info)
+    options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
+    with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
+        with_checkpoint(Run.of(options))
+
+
+def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.runs.checkpoints._require_conditions", lambda *_: None)  # VGG may be missing
+    with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
+        with_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))
