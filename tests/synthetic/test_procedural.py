@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from data_tools.draws import stream
 from data_tools.synthetic.draws import Field
-from data_tools.synthetic.patterns.cells import Lattice
 from data_tools.synthetic.patterns.fields import slopes
 from data_tools.synthetic.stationary.families import FAMILIES, Maps
 
@@ -49,22 +46,3 @@ def test_materials_repeat_without_a_border(draws: list[Maps]) -> None:
         for field in (maps.diffuse, maps.height, maps.roughness):
             for axis in (1, 2):
                 assert border_jump(field, axis) < 1.25
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 4, 2.2])
-@pytest.mark.parametrize(("shift", "multiple"), [(0.0, 1), (0.5, 2), (1 / 3, 3)])
-def test_lattices_close_over_the_border(angle: float, shift: float, multiple: int) -> None:
-    """Wherever a cell goes on over the border it is the same cell: as many pieces of cells as there are cells."""
-    lattice = Lattice(96, 6, 9, angle, shift, multiple)
-    assert set(np.unique(lattice.cell)) == set(range(lattice.count))
-    assert 0.5 < lattice.count / 54 < 2
-    assert lattice.width * lattice.height == pytest.approx(1 / lattice.count)
-    assert min(lattice.u.min(), lattice.v.min()) >= 0
-    assert max(lattice.u.max(), lattice.v.max()) <= 1
-    values = stream(3).random(lattice.count, dtype=np.float32)[lattice.cell]
-    for axis in (1, 2):
-        assert border_jump(values[None], axis) < 1.25
-    assert abs(math.remainder(lattice.direction_rad - angle, math.tau)) < 0.25
-    areas = np.bincount(lattice.cell.ravel()) / lattice.cell.size * lattice.count
-    assert areas.min() > 0.5
-    assert areas.max() < 1.5

@@ -5,11 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
-from data_tools.synthetic import brdf
-from data_tools.synthetic.svbrdf_stationary import FLAT
+from data_tools.draws import stream
+from data_tools.synthetic import brdf, svbrdf_nonstationary
+from data_tools.synthetic.examples import EXAMPLES, write_example
+from data_tools.synthetic.illumination import white_balance
+from data_tools.synthetic.stationary import families
+from data_tools.synthetic.svbrdf_stationary import FLAT, flash_photographs
+from data_tools.synthetic.texture import synthetic_tasks
+from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, render, unpack
+from metapp.appearance.latlong import luminance, mean_luminance
+from metapp.apps import app_names
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.storage.shards import read_manifest
 from tests.synthetic.drawn import Drawn, drawn, source_of
@@ -125,3 +135,119 @@ def test_impossible_sets_are_errors(app: str, arguments: tuple[Any, ...]) -> Non
         next(source_of(app).synthetic_tasks(*arguments))
     with pytest.raises(ValueError, match="expected"):
         brdf.synthetic_materials(*arguments)
+
+
+# The example inputs
+
+
+@pytest.mark.parametrize("app", app_names())
+def test_example_inputs_are_small_files_of_the_names_that_are_listed(app: str, tmp_path: Path) -> None:
+    files = write_example(app, tmp_path / "new")
+    assert files == [tmp_path / "new" / name for name in EXAMPLES[app].files]
+    assert sorted((tmp_path / "new").iterdir()) == sorted(files)
+    assert all(file.stat().st_size < 500_000 for file in files)
+
+
+def test_an_application_without_example_inputs_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"smell: no example inputs, expected one of brdf, .*\.$"):
+        write_example("smell", tmp_path)
+
+
+# The synthetic environments
+
+
+@pytest.mark.long
+def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1() -> None:
+    tasks = drawn("illumination").tasks
+    light = torch.stack([task.data["map"] for task in tasks])
+    assert light.isfinite().all()
+    assert light.min() >= 0
+    assert (mean_luminance(light) - 1).abs().max() < 1e-4
+    assert (luminance(light) > 0).float().mean() > 0.98
+    # kcd/m^2: from lamplight to sunlight
+    scales = torch.stack([task.data["scale"] for task in drawn("illumination").train])
+    assert scales.min() > 1e-3
+    assert scales.max() < 50
+    assert scales.max() > 300 * scales.min()
+
+
+def test_cameras_take_away_strong_casts() -> None:
+    red = torch.tensor([8.0, 1.0, 0.25]).expand(64, 128, 3).permute(2, 0, 1).numpy()
+    for seed in range(50):
+        gains = torch.from_numpy(white_balance(red, stream(seed)))
+        seen = gains * torch.tensor([8.0, 1.0, 0.25])
+        assert 0.4 < seen[0] / seen[2] < 2 ** (1.2 + 0.6) * 1.01
+
+
+# The synthetic textures and flash photographs
+
+
+def test_another_size(tmp_path: Path) -> None:
+    large, again = (next(synthetic_tasks("train", 1, size=96)).data["image"] for _ in range(2))
+    assert large.shape == (3, 96, 96)
+    assert torch.equal(large, again)
+    assert not torch.equal(large, next(synthetic_tasks("train", 1, seed=1, size=96)).data["image"])
+    folder = embedded_data("texture", count=2, out=tmp_path / "large", quiet=True, options={"size": 64})
+    assert read_manifest(folder).notes["size"] == 64
+    with pytest.raises(
+        ValueError, match=r"^brdf: size 64, but its embedded set has no such option; leave --size out\.$"
+    ):
+        embedded_data("brdf", count=2, out=tmp_path / "no", quiet=True, options={"size": 64})
+
+
+# Under a flash
+
+
+def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
+    """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
+    size, one = 64, np.ones((1, 64, 64), np.float32)
+    plain = families.Maps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
+    photo, _, truth = flash_photographs(plain, stream(3))
+    means, deviations = truth[:, 0], truth[:, 1]
+    assert truth.shape == (3, 2, 6)
+    assert means[:, :3].std() < 1e-4
+    torch.testing.assert_close(deviations, torch.full((3, 6), 1e-4), rtol=0, atol=2e-3)
+    torch.testing.assert_close(means[:, 4:], torch.tensor([0.5, 0.0]).expand(3, 2), rtol=0, atol=2e-3)
+    albedo, specular = means[0, 0] ** 2.2, means[0, 3] ** 2.2
+    torch.testing.assert_close(specular / albedo, torch.tensor(0.06 / 0.3))
+    square = torch.ones(1, size, size)
+    maps = Maps(albedo * square.expand(3, -1, -1), specular * square, 0.5 * square, normal_from_height(0 * square))
+    again = expose(render(maps, positions(size, size), camera(), camera(), falloff=1.0))
+    assert (again - photo / 255).abs().mean() < 0.02  # but for the flash's exact place and cone
+
+
+# The synthetic non-stationary svBRDFs
+
+
+@pytest.fixture(scope="module")
+def maps() -> Maps:
+    """Each [64, C, 128, 128]."""
+    return unpack(torch.stack([task.data["maps"] for task in drawn("svbrdf_nonstationary").tasks]).float())
+
+
+def metal(maps: Maps) -> Tensor:
+    """Where there is metal, [N, 128, 128]."""
+    return maps.specular.mean(1) > 0.4
+
+
+@pytest.mark.long
+def test_maps_are_physical(maps: Maps) -> None:
+    assert all(each.isfinite().all() for each in maps)
+    assert (maps.normal.norm(dim=1) - 1).abs().max() < 2e-3  # of 16 bits
+    assert maps.normal[:, 2].min() > 0
+    for name, (low, high) in {"roughness": (0.0999, 0.9505), "specular": (0.0199, 1), "diffuse": (0, 0.8505)}.items():
+        assert low <= getattr(maps, name).min() <= getattr(maps, name).max() <= high, name
+    assert (maps.diffuse * (1 - maps.specular) + maps.specular).max() <= 1
+    assert maps.diffuse.movedim(1, 0)[:, metal(maps)].mean() < 0.03
+    dielectric = maps.diffuse.movedim(1, 0)[:, maps.specular.mean(1) < 0.1]
+    assert dielectric.min() > 0.0199
+
+
+def test_sets_of_larger_maps_hold_even_materials_too() -> None:
+    families, side = len(svbrdf_nonstationary.FAMILIES), svbrdf_nonstationary.SIZE + 32
+    large, usual = (
+        list(svbrdf_nonstationary.synthetic_tasks("train", families + 1, size=size)) for size in (side, side - 32)
+    )
+    assert [task.name.startswith("even_") for task in large] == [False] * families + [True]
+    assert not any(task.name.startswith("even_") for task in usual)
+    assert large[-1].data["maps"].shape == (10, side, side)
