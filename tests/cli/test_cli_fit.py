@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.storage.checkpoints import digest, load_checkpoint
-from metapp.storage.fits import RECORD, marked_name, read_fits, read_params
+from metapp.storage.fits import RECORD, read_fits, read_params
 from tests.conftest import Result
 
 STEPS = ("--train", "--train-steps", "3")
@@ -230,17 +229,6 @@ def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> N
     assert general.stat().st_mtime_ns == before
     refuse(fit("meta", *STEPS[:-1], "2"), "a General that was trained by other settings; begin at it with --checkpoint")
     assert general.stat().st_mtime_ns == before
-
-
-def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(fit: Callable, networks: Path) -> None:
-    mixed = Path("mixed")
-    shutil.copytree(networks / "m1", mixed / "net")
-    shutil.copytree(networks / "m2", mixed / "damaged")
-    (mixed / "damaged" / "b1.npy").write_bytes(b"damaged")
-    shutil.copytree(networks / "m3", mixed / "more" / "net")
-    result, other = fit("overfit", mixed, networks / "m1", "--json"), marked_name("net", str((mixed / "net").resolve()))
-    assert [task["name"] for task in result.document["tasks"]] == ["net", other, "m1"]
-    assert "skipped" in result.err
 
 
 # What is refused, each with its exit code and one line

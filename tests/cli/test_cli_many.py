@@ -143,11 +143,3 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     assert list(first) == names
     assert "5 of 5 fits replace earlier ones" in (again := fit()).err
     assert list(errors(again.document)) == names
-
-
-def test_without_resuming_a_finished_run_is_run_anew(fit: Callable, fitted: list[list[str]]) -> None:
-    alone = fit().document
-    del fitted[:]
-    again = fit("--batch", "1").document
-    assert fitted == [[name] for name in NAMES]
-    assert (again["out"], errors(again)) == (alone["out"], errors(alone))
