@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -9,9 +10,10 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.synthetic.cornell import random_scene
+from data_tools.synthetic.cornell import random_scene, rgb
 from metapp.rendering.paths import path_space
-from metapp.rendering.paths.path_space import IMAGE_PX, Guide, Tracer, path_samples, reference, render
+from metapp.rendering.paths.path_space import IMAGE_PX, FewPaths, Guide, Tracer, path_samples, reference, render
+from metapp.rendering.paths.resampling import draw_samples, resampled
 from metapp.rendering.scenes.loading import brightness, load_scene
 from metapp.rendering.scenes.rules import box_film, scene_bytes, scene_of
 from tests.marked import long
@@ -93,23 +95,6 @@ def test_directions_are_for_surfaces_that_scatter() -> None:
     assert not torch.equal(carried[:, 0] > 0, tracer.contributions(points[:, :2], seeded(2))[:, 0] > 0)
     in_mirror = (points[:, 1] > 0.72) & (points[:, 1] < 0.79)  # the floor itself ends at 0.796, its image at 0.71
     assert (carried[in_mirror] > 0).sum() > 20
-
-
-@needs_mitsuba
-def test_streams_are_even_and_not_alike() -> None:
-    tracer = Tracer(random_scene(0))
-
-    def draws(seed: int, count: int = 2**16, steps: int = 8) -> Tensor:
-        streams = tracer.streams(count, seeded(seed))
-        return torch.stack([torch.from_numpy(streams.next_float32().numpy()) for _ in range(steps)]).double() - 0.5
-
-    first = draws(0)
-    assert torch.equal(first, draws(0))
-    spread = 1 / 12 / math.sqrt(first.numel())  # of the mean of products of two independent draws
-    for other in (first.roll(1, 1), first.roll(8, 1), first.roll(1, 0), draws(1)):
-        assert float((first * other).mean().abs()) < 4 * spread
-    assert float(first.mean().abs()) < 4 * math.sqrt(1 / 12 / first.numel())
-    assert float(first.mean(0).square().mean() * 8 * 12) == pytest.approx(1, abs=0.03)  # variance of streams' means
 
 
 class _Sloped:
@@ -269,3 +254,82 @@ def test_few_paths_without_a_number_count_as_dark_and_many_are_refused() -> None
     carried[10:20] = float("nan")
     with pytest.raises(ValueError, match="12 of 1,000 paths carry NaN or infinite values"):
         path_space._finite(carried)
+
+
+# Next-event estimation
+
+
+Scene = dict[str, Any]
+
+
+def small_lamp(seed: int, times: float) -> Scene:
+    """A Cornell box whose lamp has sides so many times shorter, and the same power."""
+    scene: Scene = copy.deepcopy(random_scene(seed))
+    lamp = scene["light"]
+    lamp["to_world"] = [[*(value / times for value in row[:2]), *row[2:]] for row in lamp["to_world"]]
+    radiance = lamp["emitter"]["radiance"]["value"]
+    lamp["emitter"]["radiance"] = rgb([times**2 * value for value in radiance])
+    return scene
+
+
+def bulb(seed: int, **more: Any) -> Scene:
+    """A Cornell box with a point light instead of its lamp."""
+    scene = {key: value for key, value in random_scene(seed).items() if key != "light"}
+    return {**scene, "bulb": {"type": "point", "position": [0.1, 0.7, 0.0], "intensity": rgb([1.0] * 3)}, **more}
+
+
+class _Steep:
+    """Stands for a tracer: paths that carry 3 u^2 along one number, by a noise whose mean is 1."""
+
+    next_event = True
+
+    def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+        noise = 4.0 * (torch.rand(len(points), 1, generator=rng) < 0.25)
+        return (3 * points[:, 2:3] ** 2 * noise).expand(-1, 3)
+
+
+def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
+    points, image = resampled(_Steep(), 20_000, Generator().manual_seed(0))  # type: ignore[arg-type]
+    # of a density 3 x^2 the cumulative distribution is x^3; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
+    place = points[:, 2].sort().values.double()
+    assert float((place**3 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
+    assert float(image.mean()) == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.long
+@needs_mitsuba
+def test_samples_are_resampled_where_and_only_where_few_paths_meet_a_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
+    plain, small = Tracer(random_scene(0)), Tracer(small_lamp(0, 12))
+    expected = path_samples(plain, 500, Generator().manual_seed(3))
+    found = draw_samples(plain, 500, Generator().manual_seed(3))
+    assert not plain.next_event
+    assert all(map(torch.equal, expected, found))  # bit for bit
+    with pytest.raises(FewPaths, match="meet a light"):
+        path_samples(small, 500, Generator())
+    points, _ = draw_samples(small, 500, Generator())
+    assert small.next_event
+    assert points.shape == (500, 4)
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("scene", [bulb(1), long(small_lamp(3, 2))], ids=["bulb", "small"])
+def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
+    tracer = Tracer(scene, next_event=True)
+    guide = corner(16.0)
+    wanted = float(reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
+    for each in (None, guide):
+        shots = torch.stack([render(tracer, 512, 8, seed, each)[:, 4:].mean() for seed in range(8)]).double()
+        error = float(shots.std() / len(shots) ** 0.5)
+        assert abs(float(shots.mean()) - wanted) < 3.5 * error + 0.003 * wanted
+        assert error < 0.1 * wanted
+
+
+@needs_mitsuba
+def test_weights_are_of_the_power_heuristic() -> None:
+    from metapp.rendering.jit import mi
+    from metapp.rendering.paths.next_event import mis_weight
+
+    weight = mis_weight(mi.Float([1, 2, 0, 5]), mi.Float([3, 0, 1, 5]))
+    assert weight.numpy() == pytest.approx([0.1, 1, 0, 0.5])
