@@ -19,6 +19,7 @@ from torch import Tensor
 
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, rusinkiewicz_to_directions
+from metapp.appearance.lobes import ALPHAS, NODES, Lobes
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.network import network_of
 from metapp.storage.files import read_tensors
@@ -141,22 +142,6 @@ def test_weights_of_samples(mi: Any, bsdf: Any, degrees: float, request: pytest.
         diffuse, specular, _ = (np.array(part) for part in MATERIALS[name])
         assert (weight.mean(1) < 1.005).all()
         assert (weight.mean(1) > 0.8 * (diffuse * (1 - specular) + specular)).all()
-
-
-def test_lobes_follow_the_material() -> None:
-    """The roughness of a GGX lobe is found, and sampling by it has less noise than by the cosine."""
-    from metapp.appearance.geometry import cosines
-    from metapp.appearance.lobes import ALPHAS, LEAST_COSINE, fit_lobes
-    from metapp.appearance.reflection import microfacet_lobe
-
-    alpha = ALPHAS[4]
-    lobes = fit_lobes(lambda angles: microfacet_lobe(cosines(angles), alpha, lambda cos: cos * 0 + torch.ones(3)))
-    np.testing.assert_allclose(lobes.shares.sum(1), 1)
-    assert lobes.shares[:, 0].min() >= LEAST_COSINE
-    assert lobes.shares[:-2, 1 + lobes.alphas.index((alpha, alpha))].min() > 0.6
-    flat = fit_lobes(lambda angles: angles * 0 + 0.2)
-    assert flat.shares[:-4, 0].min() > 0.9
-    assert np.isfinite(fit_lobes(lambda angles: angles * 0).shares).all()  # of a black material
 
 
 def test_it_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, neural: Neural) -> None:
@@ -372,3 +357,54 @@ def test_an_anisotropic_fit_is_sampled_as_densely_as_it_says(
     weight = np.array(weight)
     assert weight.std() < 1.5 * weight.mean()
     assert weight.mean() <= 1
+
+
+# Sampling by lobes
+
+
+SHARES = np.tile([0.1, 0.5, 0.4], (NODES, 1))
+MIXTURES = {
+    "narrow": Lobes(((ALPHAS[0], ALPHAS[0]), (ALPHAS[3], ALPHAS[3])), SHARES),
+    "wide": Lobes(((ALPHAS[-1], ALPHAS[-1]), (ALPHAS[6], ALPHAS[6])), SHARES),
+    "anisotropic": Lobes(((ALPHAS[-2], ALPHAS[2]), (ALPHAS[4], ALPHAS[8])), SHARES, 0.4),
+}
+FINE, COARSE = 1920, 24  # rings of the quadrature and of the histogram; a ring has as many cells
+AZIMUTH = 0.9  # of viewers, in rad
+# azimuths are AZIMUTH + pi s^3, s from -1 to 1: dense where lobes are narrow at grazing angles
+
+
+def hemisphere(mi: Any, mixture: Any, viewer: Any) -> NDArray[np.float64]:
+    """The density's integral over each cell [COARSE, COARSE] of polar angle and s, by the midpoint rule."""
+    import drjit as dr
+
+    index = dr.arange(mi.UInt32, FINE * FINE)
+    theta = (mi.Float(index // FINE) + 0.5) * (math.pi / 2 / FINE)
+    s = (mi.Float(index % FINE) + 0.5) * (2 / FINE) - 1
+    (sine, cosine), (sin_phi, cos_phi) = dr.sincos(theta), dr.sincos(AZIMUTH + math.pi * s * s * s)
+    light = mi.Vector3f(-sine * cos_phi, -sine * sin_phi, cosine)
+    values = np.array(mixture.density(viewer, light) * sine * (3 * math.pi * s * s), dtype=np.float64)
+    side = FINE // COARSE
+    cells: NDArray[np.float64] = values.reshape(COARSE, side, COARSE, side).sum((1, 3))
+    return cells * (math.pi / 2 / FINE) * (2 / FINE)
+
+
+@pytest.mark.parametrize("name", MIXTURES)
+@pytest.mark.parametrize("degrees", [0, 30, 69, 85])
+def test_the_density_integrates_to_1_and_is_that_of_samples(mi: Any, name: str, degrees: float) -> None:
+    from metapp.extensions.mitsuba_bsdfs.mixture import Mixture
+
+    mixture, angle, count = Mixture(MIXTURES[name]), math.radians(degrees), 200_000
+    sine = math.sin(angle)
+    viewer = mi.Vector3f(sine * math.cos(AZIMUTH), sine * math.sin(AZIMUTH), math.cos(angle))
+    expected = hemisphere(mi, mixture, viewer)
+    assert expected.sum() == pytest.approx(1, abs=1e-3)
+    numbers = np.random.default_rng(3).random((3, count)).astype(np.float32)
+    light = np.array(mixture.sample(viewer, mi.Float(numbers[0]), mi.Point2f(numbers[1:])), dtype=np.float64)
+    assert (light[2] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(light, axis=0), 1, atol=1e-5)
+    theta = np.arctan2(np.hypot(light[0], light[1]), light[2])
+    s = np.cbrt(((np.arctan2(-light[1], -light[0]) - AZIMUTH) / math.pi + 1) % 2 - 1)
+    found, _, _ = np.histogram2d(theta, s, COARSE, [[0, math.pi / 2], [-1, 1]])
+    assert found.sum() == count
+    # of each cell the count is binomial: five standard deviations, and one sample for cells of few
+    assert (abs(found - count * expected) <= 5 * np.sqrt(count * expected * (1 - expected)) + 1).all()

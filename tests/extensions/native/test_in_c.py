@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import os
 import platform
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -15,6 +19,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native import in_c, nbrdf
 from metapp.extensions.native.compiler import compiler
+from metapp.extensions.native.fastest import COMPILED, can_compile, compiled_steps
 from metapp.extensions.native.fastest import steps as fastest
 from metapp.extensions.native.packing import Layout
 from metapp.learning.adjoint import Draw, Loss, StepsOf, UpdateRule, torch_steps
@@ -24,7 +29,9 @@ from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
+from metapp.paradigms import paradigm
 from metapp.rules import rule_of
+from tests.learning.test_adjoint import assert_alike, brdf_case, value_and_grads
 
 APP = Brdf()
 
@@ -234,3 +241,37 @@ def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     for key, value in there.items():
         assert away(here[key], value.double()) < 100 * EPS
+
+
+# The steps of the extension, torch's without it, and those that torch compiles
+
+
+def test_steps_are_those_of_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered = paradigm.fastest(compiles=True)
+    assert isinstance(offered, functools.partial)
+    assert (offered.func, offered.keywords) == (fastest, {"compiles": True})
+    monkeypatch.setenv("METAPP_WITHOUT", "native")
+    assert paradigm.fastest(compiles=True) is torch_steps
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
+def test_steps_that_torch_compiles_are_those_of_torch(randn: Callable[..., Tensor]) -> None:
+    phi, mean = brdf_case("meta-curvature", randn)
+    assert_alike(*(value_and_grads(mean(2, steps_of), phi) for steps_of in (compiled_steps, torch_steps)))
+
+
+def test_torch_compiles_where_nobody_else_can_write(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "compile", lambda function: function)
+    monkeypatch.setattr(shutil, "which", lambda name: name)
+    monkeypatch.setenv(COMPILED, "")
+    assert can_compile.__wrapped__()
+    assert os.environ[COMPILED] == str(cache / "torch")
+    shared = cache / "shared"
+    shared.mkdir()
+    (shared / "code.py").touch()
+    shared.chmod(0o777)
+    monkeypatch.setenv(COMPILED, str(shared))
+    with pytest.warns(UserWarning, match=f"{shared}: .* open to others, .* {COMPILED} name another place"):
+        assert can_compile.__wrapped__()
+    assert os.environ[COMPILED] != str(shared)

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
+from torch import Generator, Tensor
 
+from metapp.appearance.flash import Maps, unpack
 from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.extensions.pretrained.app import FromFeatures
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, inputs_of
+from metapp.extensions.pretrained.app import SHALLOW, SHARE, STEEPER, FromFeatures
+from metapp.extensions.pretrained.encoder import FULL_APP, full_encoder, patch_of
+from metapp.learning.learn import descend, final_item, task_loss
+from metapp.learning.rules import fixed_adam, outer_adam
+from metapp.learning.task import Batch, Tasks
+from metapp.networks.field import LocalField
+from metapp.paradigms.general import General
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
-from tests.extensions.pretrained.conftest import APP
+from tests.extensions.pretrained.conftest import APP, RECIPE, SIDE
 
 
 def test_only_its_recipe_is_of_the_subclass() -> None:
@@ -52,3 +63,153 @@ def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
     said = " ".join(done.err.split())
     assert ("the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them" in said) != has
     assert done.code == has  # these weights are not those that the checkpoint was trained with
+
+
+# The outer loss, and a few outer steps
+
+
+def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """The outer losses of such predicted maps, of which General is equally sure."""
+    count, side = maps.diffuse.shape[0], maps.diffuse.shape[-1]
+    theta = {"deviation": torch.full((count, 4, side // 4, side // 4), -2.0), "flash": torch.zeros(count, FLASH)}
+    monkeypatch.setattr(FromFeatures, "_made_of", lambda app, theta, inputs: maps)
+    return app.outer_loss(theta, batch, {})
+
+
+def test_what_is_made_up_counts_nothing(
+    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = app.sample(app.augment(tasks, rng), rng, 1)
+    batch["known"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
+    parts = [part.clone().requires_grad_() for part in unpack(0.9 * batch["maps"] + 0.01)]
+    value = losses(app, Maps(*parts), batch, monkeypatch)
+    value.sum().backward()
+    moved = [part.grad.abs().amax((1, 2, 3)) > 0 for part in parts]  # type: ignore[union-attr]
+    diffuse, specular, roughness, normal = (each.tolist() for each in moved)
+    assert diffuse == normal == [True, True, True, False]
+    assert specular == roughness == [True, False, False, False]
+
+
+def test_relief_that_a_photo_does_not_tell_is_best_left_out(
+    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where slopes may as well go the other way, flat maps are better than either; where they are known, the truth."""
+    batch = app.sample(app.augment(tasks, rng), rng, 1)
+    truth = unpack(batch["maps"])
+    turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
+    flat = truth._replace(normal=torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(truth.normal))
+    right, wrong, none = (losses(app, maps, batch, monkeypatch).mean() for maps in (truth, turned, flat))
+    assert right < none < (right + wrong) / 2
+
+
+@pytest.mark.usefixtures("weights")
+def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
+    general = General(app, replace(RECIPE, general=training))
+    phi = general.first_phi(None, tasks, rng)
+    loss = general.outer_loss(phi)
+    drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch
+    flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
+    assert float(flat.normal[:, 2].mean()) > 0.99
+    same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
+    end = final_item(descend(phi.flat(), outer_adam(training, phi.flat()), tasks, same, steps=12, rng=rng)).theta
+    before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flat(), end))
+    assert after < 0.9 * before
+    encoder = {key.removeprefix("encoder."): value for key, value in end.items()}
+    assert set(app.errors(app.encode(encoder, app.condition(tasks, rng)), tasks)) >= {"error", "normal"}
+
+
+# Both networks in one field, and steps by the photograph, which move one of them
+
+
+@pytest.mark.usefixtures("weights")
+def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, rng: Generator) -> None:
+    """Before their ranges are imposed, and at resolutions that the smaller one does not read."""
+    encoder = app.init_encoder(rng)
+    photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
+    inputs = inputs_of(photo)
+    theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **patch_of(photo)})
+    size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
+    own = LocalField(*app.network)._replace(**size)
+    alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
+    first = own(alone | {"z": theta["z"][:, : own.code]}, inputs)
+    full = full_encoder(torch.device("cpu"))
+    beside = {key.removeprefix("decoder."): value[None] for key, value in full.items() if "decoder." in key}
+    second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
+    joined = app.network._replace(**size)(theta, inputs)
+    torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
+
+
+def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures) -> None:
+    """In the same direction, each pixel by itself; a slope of SHALLOW is halved, but for STEEPER; other maps stay."""
+    raw = torch.randn(2, sum(RAW), 16, 16, generator=Generator().manual_seed(0))
+    size = torch.logspace(-3, 1, 256).reshape(16, 16)
+    size[0, 0] = SHALLOW
+    raw[:, :2] *= size / raw[:, :2].norm(dim=1, keepdim=True)
+    maps, as_read = app.maps_from(raw), decoded(raw)
+    for found, wanted in zip(maps[:3], as_read[:3], strict=True):
+        assert torch.equal(found, wanted)
+    slopes, read = (each.normal[:, :2] / each.normal[:, 2:] for each in (maps, as_read))
+    torch.testing.assert_close(slopes[:, :, 0, 0].norm(dim=1), torch.full((2,), STEEPER * SHALLOW / 2))
+    ratio = slopes / read
+    torch.testing.assert_close(ratio[:, 0], ratio[:, 1], rtol=1e-2, atol=1e-3)
+    assert (ratio[..., size < SHALLOW / 3] < 0.1 * STEEPER + 1e-3).all()
+    assert (ratio[..., size > 10 * SHALLOW] > 0.99 * STEEPER - 1e-2).all()
+    flat = torch.zeros(1, sum(RAW), 4, 4, requires_grad=True)
+    app.maps_from(flat).normal.sum().backward()
+    assert flat.grad is not None
+    assert flat.grad.isfinite().all()
+
+
+@pytest.mark.usefixtures("weights")
+def test_training_sees_what_the_network_makes_and_fits_what_is_made_of_it(
+    app: FromFeatures, tasks: Tasks, rng: Generator
+) -> None:
+    """Else training would undo it."""
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    photo = tasks.data["photo"]
+    raw = app.network(theta, inputs_of(photo))
+    for maps, wanted in (
+        (app._made_of(theta, inputs_of(photo)), decoded(raw)),
+        (app.maps_of(theta, photo), app.maps_from(raw)),
+    ):
+        for found, other in zip(maps, wanted, strict=True):
+            torch.testing.assert_close(found, other)
+    assert not torch.equal(decoded(raw).normal, app.maps_from(raw).normal)
+
+
+@pytest.mark.usefixtures("weights")
+def test_a_step_by_a_photo_is_that_of_the_whole_field_but_for_what_is_held(
+    app: FromFeatures, tasks: Tasks, rng: Generator
+) -> None:
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
+    batch, own = app.sample(tasks, rng, 1), app.network.code
+    loss = app.loss(theta, batch, {})
+    whole = SvbrdfNonstationary.loss(app, theta, batch, {})
+    torch.testing.assert_close(loss, whole)
+    by_loss, by_whole = (
+        dict(zip(theta, torch.autograd.grad(each.sum(), [*theta.values()], allow_unused=True), strict=True))
+        for each in (loss, whole)
+    )
+    torch.testing.assert_close(by_loss["z"][:, own:], by_whole["z"][:, own:])
+    torch.testing.assert_close(by_loss["flash"], by_whole["flash"])
+    assert by_loss["z"][:, own:].abs().amax() > 0
+    assert (by_loss["z"][:, :own] == 0).all()
+    assert all(by_loss[key] is None for key in theta if "." in key)
+
+
+@pytest.mark.usefixtures("weights")
+def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    batch = app.sample(tasks, rng, 1)
+    before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.batch)
+    end = final_item(
+        descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
+    ).theta
+    after = app.maps_of(end, batch["photo"])
+    assert torch.equal(after.normal, before.normal)
+    assert (app.loss(end, batch, {}) < app.loss(theta, batch, {})).all()
+    for was, now in zip(before[:3], after[:3], strict=True):
+        assert (was - now).abs().amax() > 1e-5
