@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import doctest
 import importlib.metadata
 import re
 import shlex
@@ -10,6 +11,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 import typer
 from packaging.specifiers import SpecifierSet
 
@@ -161,3 +163,21 @@ def test_what_is_pinned_takes_the_python_of_debian_12() -> None:
         wanted = each.metadata["Requires-Python"]
         if each.name.lower() in pinned and wanted:
             assert SpecifierSet(wanted).contains("3.11.2"), each.name
+
+
+# Examples in docstrings are run
+
+
+MODULES = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    for package in ("metapp", "data_tools")
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if ">>> " in path.read_text(encoding="utf-8")
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_in_docstrings(name: str) -> None:
+    result = doctest.testmod(importlib.import_module(name))
+    assert result.attempted
+    assert not result.failed
