@@ -162,8 +162,6 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callabl
 # What is there stays, unless --overwrite is given
 
 
-
-
 @pytest.fixture(scope="module")
 def runs(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run, and the network that it is a fit of."""

@@ -254,8 +254,8 @@ def test_the_option_reaches_those_that_have_the_protocol() -> None:
     """The first protocol is the default, where fits see what the paper's do; the whole evaluation has all."""
     both = [(SVBRDF, "reference"), (SVBRDF, "photo")]
     for more, expected in (({"observe": "photo"}, both[1:]), ({}, both[:1]), ({"whole": True}, both)):
-        options = Evaluation(["texture", SVBRDF], recipe="quick", no_run=True, **more)
-        found = [(subject.app.name, subject.app.protocol) for subject in subjects_of(options)]
+        subjects = subjects_of(Evaluation(recipe="quick", no_run=True, **more), ["texture", SVBRDF])
+        found = [(subject.app.name, subject.app.protocol) for subject in subjects]
         assert found == [("texture", ""), *expected]
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from metapp.apps import app_names, app_of, protocols_of, recipes_of
+from metapp.apps import app_of, recipes_of
 from metapp.learning import learn as learning
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters, check_finite, descend, final_item, task_loss
@@ -22,6 +22,7 @@ from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import PARADIGMS, Paradigm
 from metapp.paradigms.meta import Meta
+from metapp.registry import app_names, protocols_of
 from metapp.rules import rule_of
 from tests.marked import long
 from tests.paradigms.small import (
