@@ -18,7 +18,7 @@ from pathlib import Path
 
 from metapp.extensions.onnx_files.photographs import FEATURES
 from metapp.storage.cache import cache_folder, download
-from metapp.storage.files import read_bytes, write_atomically, write_bytes
+from metapp.storage.files import read_bytes, write_bytes
 
 VERSION = "1.30.0"
 ARCHIVE = f"onnxruntime-web-{VERSION}.tgz"
@@ -53,7 +53,7 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
         "model.js": packed("model", model),
     }
     for name, content in files.items():
-        write_atomically(folder / name, lambda partial, content=content: partial.write_bytes(content))  # type: ignore[misc]
+        write_bytes(folder / name, content)
     page = page_of(sides, features)
     write_bytes(folder / "index.html", page.encode())
 
@@ -78,7 +78,7 @@ def runtime(report: Callable[[int, int | None], None]) -> dict[str, bytes]:
         found = digest(content)
         if found != SHA512:
             raise ValueError(f"{URL}: SHA-512 {found[:16]}..., expected {SHA512[:16]}...; damaged or another file.")
-        write_atomically(path, lambda partial: partial.write_bytes(content))
+        write_bytes(path, content)
     with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
         members = {name: archive.extractfile(member) for name, member in PARTS.items()}
         return {name: file.read() for name, file in members.items() if file}
