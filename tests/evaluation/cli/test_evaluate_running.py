@@ -111,7 +111,7 @@ def test_an_application_without_what_its_checkpoints_need_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
-    monkeypatch.setattr("metapp.apps.app_names", lambda: ["texture", "transport"])
+    monkeypatch.setattr("metapp.registry.app_names", lambda: ["texture", "transport"])
     lines: list[str] = []
     monkeypatch.setattr("metapp.cli.evaluate.say", lines.append)
     assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]
