@@ -11,7 +11,7 @@ In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensor
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of any of its networks, or a folder with an
 NBRDF network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
 
-Import it before mitsuba where an old libLLVM is installed beside one that works: mitsuba keeps what it finds first.
+Import it before mitsuba if an old libLLVM is installed beside one that works: mitsuba keeps the one it finds first.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ class Option:
         metavar: placeholder of the value.
         low, high: least and greatest value of a number.
         choices: values of a word; () for any.
-        panel: of --help. Of an application's own options it also says what they change: INPUT how files are read, FIT
-            the recipe, OUTPUT what is written of a fit.
+        panel: of --help. Of an application's own options it also says their effect: INPUT on reading files, FIT on
+            the recipe, OUTPUT on the files of a fit.
         protocol: the value of --observe that the option needs; "" for any.
         unused_by: paradigms that ignore it; scripts give all paradigms the same options.
         parse: value -> value of the field; ValueError states the expected form.
@@ -144,7 +144,7 @@ class AppOptions:
     """The options of an application beside those of all; each application extends it by its own."""
 
     def given(self, *panels: str) -> dict[str, Any]:
-        """The options of these panels, of all where none is named, that are not at their default."""
+        """The options of these panels (of all if none is named) that are not at their default."""
         return {
             name: getattr(self, name)
             for name, option in declared(type(self)).items()
@@ -185,7 +185,7 @@ class Converter:
     """The command `metapp data NAME` that converts files of the format NAME: its options are fields, its help the text.
 
     Attributes:
-        split_help: of --split, where files or names tell more than the general rule.
+        split_help: of --split, if files or names tell more than the general rule.
     """
 
     split_help: ClassVar[str] = (

@@ -1,6 +1,6 @@
-"""Tables by name of what there is: applications, recipes, formats, exports, commands and more.
+"""Tables by name: applications, recipes, formats, exports, commands and more.
 
-What fills the tables are entries, "module:attribute" of what does the work, imported at first use. An extension is a
+Their entries are references "module:attribute", imported at first use. An extension is a
 module that is cheap to import and has `register(registry) -> None`, or such a function; an entry point of the group
 "metapp.extensions" names it. `metapp.contents` has the core's entries, `metapp.extensions.contents` those of extensions
 that ship.
@@ -49,7 +49,7 @@ def load(reference: str) -> Any:
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """A question after an error about a word that is no name, where some names begin so or one is like it; else "".
+    """A question after an error about a word that is no name, if some names begin so or one is like it; else "".
 
     >>> did_you_mean("mreta", ["general", "meta"])
     " Did you mean 'meta'?"
@@ -66,12 +66,12 @@ def reason_of(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class Entry:
-    """The reference to an object, and what is known of it before it is imported.
+    """The reference to an object, with its help and conditions, which are known before it is imported.
 
     Attributes:
         reference: "module:attribute", or "module:TABLE.key".
         help: a few words.
-        apps: the applications that it is for, where its key names none.
+        apps: the applications that it is for, if its key names none.
 
     >>> Entry("math:gcd").load()(12, 18)
     6
@@ -91,7 +91,7 @@ class Application(Entry):
     """An application: a subclass of `metapp.learning.app.App`.
 
     Attributes:
-        protocols: the values of --observe, the default first; () where there is no choice.
+        protocols: the values of --observe, the default first; () if there is no choice.
         options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
         kinds: tensors that only some of its tasks hold; the first that a task holds is its kind, and a recipe may be
             for one kind.
@@ -104,12 +104,12 @@ class Application(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe(Entry):
-    """A `metapp.learning.recipe.Recipe`; `help` says what inputs of its kind have.
+    """A `metapp.learning.recipe.Recipe`; `help` says in words that by which inputs are of its kind.
 
     Attributes:
-        kind: the kind of inputs that take it where none is named; "" where it must be named.
+        kind: the kind of inputs that take it if none is named; "" if it must be named.
         paradigms: those that take it so; () for all.
-        lacks: a function `lacks() -> str` of what it needs on a machine and does not find, in a line; "" for none.
+        lacks: a function `lacks() -> str`, a line that names a file it needs and does not find; "" for none.
         checkpoints: the package whose folder <name> holds its checkpoints; "" for those that ship.
     """
 
@@ -124,18 +124,18 @@ class Format(Entry):
     """A format of files that tasks come from: a module that finds and reads them.
 
     The module has `find(paths)`, sources and a line for each file of a folder that is none, ValueError for a bad path;
-    `read_task(source, ...)`, ValueError where it is damaged; of inputs of fits `recognises(path)`, True of a file of
-    the format and of a folder with such files. Where the command "data NAME" converts files, a
-    `metapp.options.Converter`, it has UNITS, of the tasks' tensors by name, and, where places or names of sources
+    `read_task(source, ...)`, ValueError if it is damaged; of inputs of fits `recognises(path)`, True of a file of
+    the format and of a folder with such files. If the command "data NAME" converts files, a
+    `metapp.options.Converter`, it has UNITS, of the tasks' tensors by name, and, if places or names of sources
     tell more than the general rule, `entries(sources, folders, split)`: names, groups and splits as
     `metapp.storage.shards.Entry`, of all sources that are not left out.
 
     Attributes:
         help: of the command, paragraphs and examples; "" for no command.
         app: the application whose tasks its files hold.
-        inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
+        inputs: the files in words, for help and errors; "" if fits do not take them as INPUT.
         kinds: the kinds of its files, and the module's function `tells(path) -> bool` that says which are of the kind,
-            the first that does; "" where all are.
+            the first that does; "" for all.
     """
 
     app: str
@@ -147,7 +147,7 @@ class Format(Entry):
 class Export(Entry):
     """A form that fits are written in for other programs.
 
-    A function `write(app, theta, path)` for the parameters of one fit without a task axis, or, where `of_surface`,
+    A function `write(app, theta, path)` for the parameters of one fit without a task axis, or, if `of_surface`,
     `write(surface, path, provenance)`; `path` has no suffix, its last part is the fit's name.
 
     Attributes:
@@ -205,7 +205,7 @@ class Registry:
     Attributes:
         owners: packages by table and name.
         extensions: packages by name of the extension.
-        left_out: extensions that METAPP_WITHOUT names, with what they would have registered.
+        left_out: extensions that METAPP_WITHOUT names, with the entries that they would have registered.
         problems: why extensions cannot be used, by "NAME of PACKAGE".
     """
 
@@ -269,7 +269,7 @@ class Registry:
 
     @staticmethod
     def name(table: str, key: Any) -> str:
-        """The name that one package alone may have: of rules and what they are composed of it is "rules NAME"."""
+        """The name that one package alone may have: of rules and their compositions it is "rules NAME"."""
         return _line("rules" if table in ("parts", "compositions") else table, *_words(key))
 
     def check(self) -> None:
@@ -290,7 +290,7 @@ class Registry:
     def loaded(self, table: str, *first: str) -> dict[str, Any]:
         """The objects of a table, or of those whose keys begin with these words; ImportError as of `load`.
 
-        What another package has and what cannot be loaded is left out with a warning.
+        Entries that another package has, or that cannot be loaded, are left out with a warning.
         """
         objects = {}
         for name, entry in getattr(self, table).of(*first).items():
@@ -343,12 +343,12 @@ def application_of(name: str) -> Application:
 
 
 def protocols_of(app: str) -> tuple[str, ...]:
-    """The protocols of an application, the values of --observe, the default first; () where there is no choice."""
+    """The protocols of an application, the values of --observe, the default first; () if there is no choice."""
     return application_of(app).protocols
 
 
 def protocol_of(app: str, protocol: str = "") -> str:
-    """The protocol, the default one where none is named; "" where there is no choice.
+    """The protocol, the default one if none is named; "" if there is no choice.
 
     >>> protocol_of("illumination")
     'reference'
@@ -366,7 +366,7 @@ def recipe_names(app: str) -> list[str]:
 
 
 def recipe_entries(app: str, protocol: str = "") -> dict[str, Recipe]:
-    """The recipes of an application under a protocol, its default one where none is named."""
+    """The recipes of an application under a protocol, its default one if none is named."""
     return registry().recipes.of(app, protocol_of(app, protocol))
 
 

@@ -1,1 +1,1 @@
-"""Runs: options of fits, what they name, the loop over inputs, checkpoints, outputs; nothing here prints."""
+"""Runs: options of fits, recipes, the loop over inputs, checkpoints, outputs; nothing here prints."""

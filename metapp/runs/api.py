@@ -32,7 +32,7 @@ COMMAND_LINE = ("train", "train_steps", "resume", "export")  # options of folder
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
     """Fit one file, a material, a texture, a map, a scene; or one in memory.
 
-    What is in memory is read as files are, at the same sizes and with the same checks. A picture is one of PIL, or an
+    Objects in memory are read as files are, at the same sizes and with the same checks. A picture is one of PIL, or an
     array or tensor [H, W, 3] or gray [H, W], rows from the top: integers of 8 or 16 bits are sRGB, floating-point
     values display values in [0, 1]. Maps of a material are a dictionary of pictures `diffuse`, `normal`, `roughness`,
     `specular`: integers as files hold them, colours sRGB, normals 0..255 for -1..1; floating-point values linear,
@@ -41,7 +41,7 @@ def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) 
 
     Args:
         app: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.
-        source: what `metapp meta APP INPUT` takes, holding one task; or, in memory,
+        source: an INPUT of `metapp meta APP INPUT`, holding one task; or, in memory,
             of brdf f(wi, wo) -> reflectance, arrays (wi, wo, reflectance) or a BSDF of Mitsuba, as of
             `data_tools.readers.brdf_objects.from_object`;
             of texture a picture;
@@ -108,7 +108,7 @@ def fit_all(
 def load(folder: str | PathLike[str]) -> Fit:
     """Read a fit back from its folder, such as runs/brdf/meta/gold of `metapp meta brdf gold.binary`.
 
-    Its task has data where the input is where it was, and as it was.
+    Its task has data if the input is in its place, unchanged.
 
     Raises:
         ValueError: no fit, or several; damaged files.

@@ -1,4 +1,4 @@
-"""Checkpoints: the one that is named, else the one that ships, and checks of what it holds."""
+"""Checkpoints: the one that is named, else the one that ships, and checks of its tensors."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def with_checkpoint(run: Run) -> Run:
 
 
 def trained_path(run: Run, name: str) -> Path:
-    """Where a checkpoint that is trained on this data is kept."""
+    """The path of a checkpoint that is trained on this data."""
     label = data_label(data_folder(run.app, run.options.data, run.options.quiet))
     training = f"{label}-{run.options.recipe}-seed{run.options.seed}"
     return _of_app(run) / FOLDER / training / f"{checkpoint_name(run.app, name)}.safetensors"
@@ -73,7 +73,7 @@ def trained_path(run: Run, name: str) -> Path:
 def checkpoint_name(app: App, name: str) -> str:
     """A checkpoint's file name without its suffix: with the protocol, unless it is the first.
 
-    General's is without it, too, where the network is one of the first protocol's: it learns nothing of what fits see.
+    General's is without it, too, if the network is one of the first protocol's: it learns nothing of the protocol.
     """
     plain = replace(app, protocol="", size=None)
     shared = name == "general" and any(plain == recipe.app for recipe in recipes_of(app.name).values())
@@ -94,7 +94,7 @@ def _of_app(run: Run) -> Path:
 
 
 def _require_protocol(path: Path, app: App, info: Document) -> None:
-    """Refuse a checkpoint that learned from what fits may not see now; General's, which all share, says none."""
+    """Refuse a checkpoint that was trained under another protocol; General's, which all share, names none."""
     then = info.get("observe", app.protocol)
     if then != app.protocol:
         raise ValueError(
@@ -216,7 +216,7 @@ def require_fit(path: Path, run: Run, prepared: MetaParameters) -> None:
 
 
 def require_tuned(path: Path, prepared: MetaParameters) -> None:
-    """Refuse what are not the settings of one Adam.
+    """Refuse other hyperparameters than the settings of one Adam.
 
     Raises:
         ValueError: one is missing, or no number.

@@ -57,7 +57,7 @@ class Execution:
         failures: inputs that were not fitted, and exports that were not written.
         remarks: of outputs.
         tasks_per_second: of the fits of now, all that takes time counted: reading, fitting, keeping, pictures; None
-            where there was nothing left to fit.
+            if there was nothing left to fit.
     """
 
     def __init__(self, run: Run, sources: list[Source], fits: Fits) -> None:

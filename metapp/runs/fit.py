@@ -1,4 +1,4 @@
-"""A fit: parameters of a network, their errors and seconds, and what may be made of them."""
+"""A fit: parameters of a network, their errors and seconds, maps, pictures and files."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Fit:
 
     @property
     def error(self) -> float | None:
-        """The error as tables print it; None where the task holds no reference."""
+        """The error as tables print it; None if the task holds no reference."""
         error: float | None = self.record["error"]
         return error
 
@@ -134,8 +134,8 @@ class Fit:
             wi, wo: unit vectors [N, 3] to light and viewer in the surface's frame, z its normal, arrays or tensors.
 
         Returns:
-            Reflectance in 1/sr without the cosine, linear RGB [N, 3], float32: a tensor where `wi` is one, else an
-            array; 0 where a direction is not above the surface.
+            Reflectance in 1/sr without the cosine, linear RGB [N, 3], float32: a tensor if `wi` is one, else an
+            array; 0 if a direction is not above the surface.
 
         Raises:
             ValueError: a fit of another application; no unit vectors, another shape.
@@ -185,7 +185,7 @@ class Fit:
         return {name: image_of(linear) for name, linear in self.pictures().items()}
 
     def picture(self) -> Image:
-        """Return a picture of PIL, 8 bits of sRGB: the reference left, where there is one, and the fit right."""
+        """Return a picture of PIL, 8 bits of sRGB: the reference, if there is one, left and the fit right."""
         return beside([image for name, image in self._images.items() if name in ("reference", "fit")])
 
     def save(self, path: str | bytes | PathLike[str]) -> Path:

@@ -78,7 +78,7 @@ def _readable(
 def _fit_group(
     run: Run, pairs: Sequence[tuple[Source, Task]], settings: Document
 ) -> Iterator[tuple[Source, Fit | Exception]]:
-    """Fits side by side; where that fails, one by one."""
+    """Fits side by side; if that fails, one by one."""
     failure: Exception | None = None
     try:
         fits = fit_side_by_side(run, [task for _, task in pairs], settings, warns=True)
@@ -107,7 +107,7 @@ def fit_tasks(
 ) -> Iterator[Fit]:
     """Fits of tasks, each alone, so that its time is its own.
 
-    The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
+    The time is from the task's samples to the final parameters, warm. The error is None if a task holds no
     reference.
 
     Args:
@@ -196,7 +196,7 @@ def _tell(fit: Fit, clauses: Sequence[str]) -> None:
 
 
 def _now(device: torch.device) -> float:
-    """Seconds on a clock, once the device has done what it was asked for."""
+    """Seconds on a clock, once the device is idle."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
@@ -227,7 +227,7 @@ def warnings_of(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[s
         first, fit: their fits at their beginning and end.
 
     Returns:
-        Clauses for each task, [] where there is nothing to say.
+        Clauses for each task, [] for none.
     """
     app = run.app
     doubts = app.doubts(fit.theta, stacked)
@@ -237,7 +237,7 @@ def warnings_of(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[s
 
 
 def _rises(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
-    """Warnings of fits that are worse on what they see than their initialisation: learned rules can fail."""
+    """Warnings of fits whose visible loss is above their initialisation's: learned rules can fail."""
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = draw_per_task(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)

@@ -12,7 +12,7 @@ def is_first_protocol(app: App) -> bool:
 
 
 def observe_of(app: App) -> dict[str, str]:
-    """The protocol as records, rows and headers of checkpoints say it: nothing where there is none."""
+    """The protocol as records, rows and headers of checkpoints say it: nothing if there is none."""
     return {"observe": app.protocol} if app.protocol else {}
 
 
@@ -35,5 +35,5 @@ def caption_of(app: App, measured: bool = True) -> str:
 
 
 def factor_of(app: App) -> str:
-    """The factor that errors are printed with: " x100"; "" where it is 1."""
+    """The factor that errors are printed with: " x100"; "" if it is 1."""
     return f" x{app.scale:g}" if app.scale != 1 else ""

@@ -1,4 +1,4 @@
-"""The options of a fit: of the command line, keywords of `metapp.fit`, and what a record keeps."""
+"""The options of a fit: of the command line, keywords of `metapp.fit`, and entries of records."""
 
 from __future__ import annotations
 
@@ -137,14 +137,14 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
 
 
 def check_name(app: str) -> None:
-    """A usage error that lists the applications where there is none of that name."""
+    """A usage error that lists the applications if there is none of that name."""
     if app not in app_names():
         names = app_names()
         raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{did_you_mean(app, names)}")
 
 
 def check_protocol(protocol: str, app: str) -> None:
-    """A usage error where the application of a name has no such protocol."""
+    """A usage error if the application of a name has no such protocol."""
     protocols = protocols_of(app)
     if protocol and protocol not in protocols:
         expected = f"expects one of {', '.join(protocols)}" if protocols else "has one protocol; leave it out"
@@ -152,7 +152,7 @@ def check_protocol(protocol: str, app: str) -> None:
 
 
 def check_new_files(paths: Iterable[Path]) -> None:
-    """A usage error where a file that is to be written is there already: it may be what was measured."""
+    """A usage error if a file that is to be written is there already: it may be a measurement."""
     for path in paths:
         if os.path.lexists(path):
             raise BadOption(f"{path}: is there already, expected a new file; choose another --out, or remove it.")

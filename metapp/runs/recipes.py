@@ -68,7 +68,7 @@ def _lacking(recipe: Recipe) -> str:
 
 
 def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]]) -> str:
-    """The kind of all inputs, "" for none; BadOption where they are of several and a recipe is for one of them."""
+    """The kind of all inputs, "" for none; BadOption if they are of several and a recipe is for one of them."""
     # of what is neither a file nor a folder, whatever reads it says so
     paths = [path for path in options.paths if path.is_file() or path.is_dir()]
     kinds = [
@@ -121,9 +121,9 @@ def _kind_of_tensors(app: str, tensors: Collection[str]) -> str:
 
 
 def shipped_path(app: str, name: str, recipe: str = QUICK, protocol: str = "") -> Path:
-    """Where a checkpoint that ships is, by its file name without suffix.
+    """The path of a checkpoint that ships, by its file name without suffix.
 
-    A recipe has a folder, for what it does not share with "full" and "quick"; that of "full" has nothing for "quick".
+    Checkpoints that a recipe does not share with "full" and "quick" are in a folder of its own.
     """
     folders = [_recipe_folder(app, recipe, protocol), _folder(app) / FULL] if recipe != QUICK else []
     files = [folder / f"{name}.safetensors" for folder in (*folders, _folder(app))]
@@ -138,7 +138,7 @@ def shipped_names(app: str) -> dict[str, list[str]]:
 
 
 def ships(app: str, recipe: str, protocol: str = "") -> bool:
-    """True if checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
+    """True if checkpoints of a recipe ship: its own, or those of "quick" if it fits the same network."""
     own = recipe == QUICK or _recipe_folder(app, recipe, protocol).is_dir()
     return own or (recipe == FULL and full_fits_as_quick(app))
 
@@ -149,12 +149,12 @@ def full_fits_as_quick(app: str) -> bool:
 
 
 def usual_recipe(app: str) -> str:
-    """The recipe where none is named: "full", the best rule and size, where it ships, else "quick"."""
+    """The recipe if none is named: "full", the best rule and size, if it ships, else "quick"."""
     return FULL if FULL in recipe_entries(app) and ships(app, FULL) else QUICK
 
 
 def _recipe_folder(app: str, recipe: str, protocol: str) -> Path:
-    """The folder of a recipe's own checkpoints: that of the extension which has it, else of what ships for all."""
+    """The folder of a recipe's own checkpoints: that of the extension which has it, else that of all."""
     entry = recipe_entries(app, protocol).get(recipe)
     package = entry.checkpoints if entry else ""
     return Path(str(resources.files(package))) / recipe if package else _folder(app) / recipe

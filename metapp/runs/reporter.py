@@ -16,13 +16,13 @@ class Bar:
     """The progress of one job; this one shows nothing."""
 
     def advance(self, note: str = "") -> None:
-        """Count one more as done; `note` names what comes next or came last."""
+        """Count one more as done; `note` names the next or the last one."""
 
     def name(self, note: str) -> None:
-        """Show what is worked on."""
+        """Show the name of the current one."""
 
     def at(self, done: int, total: int | None, note: str = "") -> None:
-        """Show that so many are done, of so many where that is known."""
+        """Show that so many are done, of so many if that is known."""
 
 
 class Reporter:
@@ -36,7 +36,7 @@ class Reporter:
     def bar(self, title: str, total: int | None, done: int, long: bool) -> AbstractContextManager[Bar]:
         """Show the progress of a job of `total` parts (None: not known yet), `done` of which are done.
 
-        A `long` one is also said in lines now and then where there is nothing to draw a bar on.
+        A `long` one is also said in lines now and then if there is nothing to draw a bar on.
         """
         return contextlib.nullcontext(Bar())
 
@@ -62,12 +62,12 @@ def say(message: str) -> None:
 def progress(
     title: str, total: int | None = None, *, done: int = 0, long: bool = False, quiet: bool = False
 ) -> AbstractContextManager[Bar]:
-    """Show the progress of a job; see `Reporter.bar`. Nothing where quiet."""
+    """Show the progress of a job; see `Reporter.bar`. Nothing if quiet."""
     return contextlib.nullcontext(Bar()) if quiet else _in_force.get().bar(title, total, done, long)
 
 
 def number(value: float | None, form: str) -> str:
-    """Write a number as tables print it, a dash where there is none.
+    """Write a number as tables print it, a dash if there is none.
 
     >>> number(0.12345, ".3f"), number(None, ".3f")
     ('0.123', '-')

@@ -27,7 +27,7 @@ from metapp.storage.checkpoints import digest
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint: phi, the place it was read from, and a digest of its file ("" where a paradigm needs none)."""
+    """A checkpoint: phi, the place it was read from, and a digest of its file ("" if a paradigm needs none)."""
 
     phi: MetaParameters
     source: str
@@ -39,7 +39,7 @@ class Run:
     """Options with all that they name looked up.
 
     Attributes:
-        options: as given, with recipe and rule by their names; steps None where they are the recipe's.
+        options: as given, with recipe and rule by their names; steps None if they are the recipe's.
         paradigm: of the application under its protocol, with the network of the recipe and of the rule.
         device: of all tensors.
         checkpoint: initialisation and rule of the fits; None until `checkpoints.with_checkpoint` has read it.
@@ -52,7 +52,7 @@ class Run:
 
     @classmethod
     def of(cls, options: FitOptions) -> Run:
-        """Look up what options name; no task is read and nothing is written.
+        """Look up the names in options; no task is read and nothing is written.
 
         Raises:
             BadOption: a rule that the application cannot have, or options that the recipe does not have.
@@ -162,7 +162,7 @@ class Run:
         }
 
     def path(self, label: str, kind: str = "", rule: str = "") -> Path:
-        """runs/<app>/<paradigm>, with what is not the default, as meta-materials-1a2b3c-quick-seed3.
+        """runs/<app>/<paradigm>, with the options that are not at their default, as meta-materials-1a2b3c-quick-seed3.
 
         Args:
             label: of the data.
@@ -207,7 +207,7 @@ def _adapted(options: FitOptions, name: str, recipe: Recipe) -> Recipe:
 
 
 def _rule_name(options: FitOptions, recipe: Recipe) -> str:
-    """The one name of a rule or composition, the recipe's default where none is asked for, or a usage error."""
+    """The one name of a rule or composition, the recipe's default if none is asked for, or a usage error."""
     if not options.rule:
         return recipe.rule
     try:

@@ -20,12 +20,12 @@ _PRODUCTS = (_MKLDNN.matmul, _MKLDNN.conv, torch.backends.cuda.matmul)
 
 
 def threads_of(app: App) -> int | None:
-    """The threads of an application's fits: 1 where threads only wait for each other, else None, all there are."""
+    """The threads of an application's fits: 1 if threads only wait for each other, else None, all there are."""
     return 1 if app.single_threaded else None
 
 
 def find_device(name: str, app: App) -> torch.device:
-    """The device; auto is CUDA where there is one, but the CPU where the application is single-threaded."""
+    """The device; auto is CUDA if there is one, but the CPU if the application is single-threaded."""
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
     automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
@@ -69,7 +69,7 @@ def threads(count: int | None) -> Iterator[None]:
 
     Threads, dtype and precision are torch's for the whole process. Python threads that fit at the same time therefore
     share them: a fit may work with the count of another, by which figures of several threads differ by rounding, and
-    the last that ends decides what is left. A process that was forked after work by several threads waits without end
+    the last one sets those that stay. A process that was forked after work by several threads waits without end
     in torch: start processes by `spawn` or `forkserver`, or set one thread before.
 
     Args:

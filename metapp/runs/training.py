@@ -31,7 +31,7 @@ SECONDS = 60.0  # between two training checkpoints; METAPP_CHECKPOINT_SECONDS is
 
 
 def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | None]:
-    """Train what the paradigm of a run needs, together with the other ranks if there are any.
+    """Train the checkpoint that the paradigm of a run needs, together with the other ranks if there are any.
 
     Args:
         run: of the fits.
@@ -94,7 +94,7 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
 
 
 def _since(path: Path, settings: Document, run: Run) -> TrainState | None:
-    """The state of the training that was cut off, read by all ranks, rank 0 first: it puts what is damaged aside."""
+    """The state of the training that was cut off, read by all ranks, rank 0 first: it puts a damaged file aside."""
     if ranks.number() > 0:
         ranks.wait()
     else:
@@ -149,7 +149,7 @@ def _first(run: Run, name: str) -> Checkpoint | None:
 
 
 def _previous(path: Path) -> Path:
-    """Where the checkpoint that is replaced is kept."""
+    """The path of the checkpoint that is replaced."""
     return path.with_suffix(".previous.safetensors")
 
 
@@ -215,7 +215,7 @@ def _about(run: Run, name: str, folder: Path, encoder: MetaParameters | None) ->
 
 
 def _settings(run: Run, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
-    """All that the result of a training depends on but for rounding, beside what its checkpoint says about itself."""
+    """All that the result of a training depends on but for rounding, beside the description in its checkpoint."""
     return {
         "app": run.app.name,
         "checkpoint": name,

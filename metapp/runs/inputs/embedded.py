@@ -30,7 +30,7 @@ def embedded_module(app: str) -> Any:
     """The module that draws an application's embedded set.
 
     It has COUNTS, tasks by split; UNITS, of their tensors; `synthetic_tasks(split, count, seed, **options)`, an
-    iterator; and may have VERSION, raised when its draw changes; BESIDE, what lies beside a shard; and FILES, other
+    iterator; and may have VERSION, raised when its draw changes; BESIDE, a file beside a shard; and FILES, other
     forms by name: `write(folder, split, count, seed)`, an iterator of names of files, and a file's bytes.
 
     Raises:
@@ -77,7 +77,7 @@ def embedded_data(
         app: the application.
         seed: of all draws, >= 0.
         count: how many tasks; None is the default set.
-        out: where to write the set; None is the cache, where a finished set of the same application, seed and count
+        out: the folder of the set; None is the cache, from which a finished set of the same application, seed and count
             is taken as it is.
         quiet: no progress.
         options: of the set, by name.
@@ -129,7 +129,7 @@ def embedded_exists(app: str) -> bool:
 
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
-    """The manifest's notes of how a set is drawn; ValueError where it has not such an option."""
+    """The manifest's notes of how a set is drawn; ValueError if it has not such an option."""
     module, offered = embedded_module(app), _options(app)
     notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", VERSION), "seed": seed}
     for name, value in options.items():

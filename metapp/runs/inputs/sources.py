@@ -30,9 +30,9 @@ class Source(NamedTuple):
     """Something to fit, read when its turn comes.
 
     Attributes:
-        place: its path as text, or its name in a data set: what records know it by.
-        read: -> the task; ValueError or OSError where it is damaged.
-        named: whether the user named it, so that it must be good; False of what was found in a folder.
+        place: its path as text, or its name in a data set: its key in records.
+        read: -> the task; ValueError or OSError if it is damaged.
+        named: whether the user named it, so that it must be good; False of a file that was found in a folder.
         given: the inputs, as the user gave them, that it was found in.
     """
 
@@ -98,7 +98,7 @@ def sources_to_fit(run: Run) -> tuple[list[Source], str]:
 
 
 def _sources_of_files(run: Run) -> list[Source]:
-    """Files and what folders hold, each once, in the order of inputs."""
+    """Files, also those of folders, each once, in the order of inputs."""
     sources: dict[str, Source] = {}
     for path in run.options.paths:
         for places, read in _found(run, path):

@@ -38,10 +38,10 @@ def write_outputs(
     task: Task,
     theta: Params,
 ) -> list[str]:
-    """Write what outputs make of a fit into its folder.
+    """Write the pictures that outputs make of a fit into its folder.
 
     Returns:
-        what to say of them.
+        Remarks on them.
     """
     lines = []
     for output, value in outputs:
@@ -75,21 +75,21 @@ def _write_picture(file: Path, picture: Picture) -> None:
 
 
 def export_path(record: Document, form: str, out: Path | None = None) -> Path:
-    """Where a fit is written in a form, without suffix: in its own folder, else in another."""
+    """The path of a fit in a form, without suffix: in its own folder, else in another."""
     name = Path(record["folder"]).name
     return out / name if out else Path(record["folder"], form, name)
 
 
 def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
-    """Write one fit in a form; where that holds another network, the fit is distilled into it first.
+    """Write one fit in a form; if that holds another network, the fit is distilled into it first.
 
     Args:
         app: the fit's application, at the size of surfaces.
-        task: what was fitted.
+        task: of the fit.
         theta: parameters, without a task axis.
-        path: where to, without suffix; its last part names an asset.
+        path: of the file, without suffix; its last part names an asset.
         name: of the form.
-        settings: what the fit was made by, as records have it: an asset's provenance.
+        settings: of the fit, as records have them: an asset's provenance.
     """
     form = exports_of(app.name)[name]
     write = form.load()
@@ -104,13 +104,13 @@ def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, setti
 
 
 def distilled(app: App, task: Task, theta: Params) -> Params:
-    """The application's usual network, fitted by Finetune to what another one evaluates to.
+    """The application's usual network, fitted by Finetune to values of another one.
 
-    It sees as many values of the fit as the task has samples, and none of the task's own; what it lost is said.
+    It sees as many values of the fit as the task has samples, and none of the task's own; the loss is printed.
 
     Args:
         app: with the network that the fit is of.
-        task: what was fitted.
+        task: of the fit.
         theta: parameters of one task, without a task axis.
     """
     by = with_checkpoint(Run.of(fit_options(app.name, "finetune", recipe=QUICK, quiet=True)))

@@ -36,7 +36,7 @@ class Column(NamedTuple):
     Attributes:
         pictures: display values [H, W, 3] in [0, 1] by the row's name, which may go on with an error after a space.
         name: of the task.
-        error: below the last picture, where the row's name does not say it.
+        error: below the last picture, if the row's name does not say it.
     """
 
     pictures: dict[str, np.ndarray]
@@ -45,7 +45,7 @@ class Column(NamedTuple):
 
 
 def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
-    """Draw columns of pictures, COLUMNS beside each other; what a task does not have stays blank.
+    """Draw columns of pictures, COLUMNS beside each other; pictures that a task does not have stay blank.
 
     Returns:
         The file, a PNG.
@@ -83,7 +83,7 @@ def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
 
 
 def _rows(tasks: list[Column]) -> list[str]:
-    """The names of all rows in order, the reference on top, also where the first task has none."""
+    """The names of all rows in order, the reference on top, also if the first task has none."""
     names = dict.fromkeys(name.partition(" ")[0] for task in tasks for name in task.pictures)
     return sorted(names, key=lambda name: name != "reference")
 

@@ -80,7 +80,7 @@ def _check_settings(record: Document) -> None:
 
 
 def holds_runs(path: Path) -> bool:
-    """True of what `read_run` may take for the folder of a task, of a run or of runs."""
+    """True if `read_run` may take a folder for one of a task, of a run or of runs."""
     return (path / RECORD).exists() or bool(_records_below(path, "*/", "*/*/", "*/*/*/"))
 
 
@@ -101,7 +101,7 @@ def _newest_run(folder: Path) -> Path:
 
 
 def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
-    """The tasks that were fitted in a run, by name: of what is given, else from where its records say, else embedded.
+    """The tasks that were fitted in a run, by name: of given inputs, else from places in its records, else embedded.
 
     Returns:
         Without those that are not there, or not as they were fitted.
@@ -164,7 +164,7 @@ def export_run(
     Args:
         run: its folder, or that of one of its tasks.
         form: as of --export.
-        inputs: what was fitted, for forms that are made of that, too.
+        inputs: the fitted files, for forms that are made of these, too.
         data: the data set whose test tasks were fitted, for the same.
         out: folder to write to; None: a folder of the form's name in each task's.
         options: that are fields of the application, by name.

@@ -59,7 +59,7 @@ class Paired(NamedTuple):
     """Two methods compared on the same tasks.
 
     Attributes:
-        value: the ratio of their mean errors, or the difference of these where errors are logarithms.
+        value: the ratio of their mean errors, or the difference of these if errors are logarithms.
         low: end of its 95 % interval, by resampling tasks: both errors of a task are drawn together.
         high: the other end.
         ahead: tasks on which the first has the lower error.
@@ -90,7 +90,7 @@ class Paired(NamedTuple):
 def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic: bool) -> Paired | None:
     """Compare two methods by their errors of the same tasks.
 
-    What makes tasks easy or hard is common to both, so that this tells methods apart whose own intervals overlap.
+    The difficulty of tasks is common to both, so that methods differ significantly whose own intervals overlap.
 
     Args:
         one: errors of the first method.
@@ -99,7 +99,7 @@ def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic
         logarithmic: compare by the difference: a ratio of logarithms means nothing.
 
     Returns:
-        None where they have no task in common, or where there is no ratio, as the other's errors are 0.
+        None if they have no task in common, or if there is no ratio, as the other's errors are 0.
     """
     names = [name for name in one if name in other]
     if not names:
@@ -118,7 +118,7 @@ def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic
 
 
 def apart(pair: Paired | None) -> bool | None:
-    """True if two methods differ by more than chance; None where that is not known, or on too few tasks to tell."""
+    """True if two methods differ by more than chance; None if that is not known, or on too few tasks to tell."""
     if pair is None or pair.groups < FEWEST:
         return None
     return not pair.low <= pair.level <= pair.high
