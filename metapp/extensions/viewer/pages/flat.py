@@ -18,7 +18,6 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
 from metapp.apps.texture.app import Texture
-from metapp.extensions.assets.planes import fitted_planes
 from metapp.extensions.viewer.view import THUMBNAIL, View, light_map, thumbnail
 from metapp.learning.task import Params, Task
 
@@ -98,7 +97,7 @@ def surface_view(
     small = _reduced(surface)
     if small.maps is None:
         raise ValueError("a surface of one colour, expected one with maps")
-    heights = fitted_planes(small)["height"].values
+    heights = small.heights()
     height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
     pictures = {f"fit_{name}": pixels for name, pixels in _encoded(small.maps).items()} | {"height": _last(height)}
     if reference is not None:
