@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 Picture = NDArray[np.floating]
 Mask = NDArray[np.bool_]
-Origins = NDArray[np.intp]
 TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
 
 
@@ -28,22 +27,7 @@ def quilted(
     overlap: int,
     tiles: bool = False,
 ) -> Picture:
-    """A picture [h, w, C] of blocks of an exemplar [H, W, C]; see `origins`."""
-    return _pixels(exemplar)[origins(exemplar, size, rng, block=block, overlap=overlap, tiles=tiles)]
-
-
-def origins(
-    exemplar: Picture,
-    size: tuple[int, int],
-    rng: np.random.Generator,
-    *,
-    block: int,
-    overlap: int,
-    tiles: bool = False,
-) -> Origins:
-    """Which px of an exemplar [H, W, C], row by row, each px [h, w] of a picture of its blocks is.
-
-    Each block is cut from its neighbours where both agree most.
+    """A picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
 
     Args:
         exemplar: at least as high and wide as a block.
@@ -57,9 +41,9 @@ def origins(
     places = [_places(length, block - overlap, tiles=tiles) for length in size]
     over = [block - max(np.diff([*of, of[-1] + block - overlap])) for of in places]
     beyond = 0 if tiles else block  # cut off at the end
-    result = np.zeros((height + beyond, width + beyond), np.intp)
-    pixels, numbers = _pixels(exemplar).astype(float), np.arange(exemplar.shape[0] * exemplar.shape[1])
-    numbers = numbers.reshape(exemplar.shape[:2])
+    result = np.zeros((height + beyond, width + beyond), np.intp)  # numbers of px of the exemplar, row by row
+    colours = exemplar.reshape(-1, exemplar.shape[2])
+    pixels, numbers = colours.astype(float), np.arange(len(colours)).reshape(exemplar.shape[:2])
     find = _finder(exemplar, block)
     for i, top in enumerate(places[0]):
         for j, left in enumerate(places[1]):
@@ -71,12 +55,7 @@ def origins(
             y, x = find(part, _shared(block, over, sides), rng)
             patch = numbers[y : y + block, x : x + block]
             result[np.ix_(rows, columns)] = np.where(_taken(part, pixels[patch], over, sides), patch, there)
-    return result[:height, :width]
-
-
-def _pixels(exemplar: Picture) -> Picture:
-    """All px of an exemplar [H, W, C] in a row, [H W, C]."""
-    return exemplar.reshape(-1, exemplar.shape[2])
+    return colours[result[:height, :width]]
 
 
 Sides = tuple[bool, bool, bool, bool]

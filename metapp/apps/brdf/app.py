@@ -25,6 +25,7 @@ from metapp.apps.brdf.network import BrdfNetwork, network_of, samples_at
 from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted, Visible
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
+from metapp.networks.coded import norm
 
 CONDITION_SAMPLES = 1024  # samples that General's encoder reads
 DOTS = 1024  # samples that are drawn in pictures, at most
@@ -96,9 +97,8 @@ class Brdf(App):
         d = torch.log1p(self.network.reflectance(theta, where) * where[:, 6:7]) - batch["target"]
         if not learned:
             return d.abs().mean((1, 2))
-        s = torch.exp(learned["smoothing"])[:, None, None]
-        norm = ((d * d + s * s).sqrt() - s).mean(1)
-        return (norm * sample_weights(where, learned) if "weights" in learned else norm).mean(1)
+        off = norm(d, learned).mean(1)
+        return (off * sample_weights(where, learned) if "weights" in learned else off).mean(1)
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""

@@ -135,7 +135,8 @@ class SvbrdfStationary(ExemplarApp):
         """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
         coarsest = self.octaves - 1
         noise = self.fixed_noise(theta["z"], 1, octave=coarsest)
-        return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.generate(theta, noise, coarsest))], -1)
+        maps = self.generate(theta, noise, coarsest)
+        return torch.stack([part.mean((1, 2, 3, 4)) for part in _raw_gloss(maps.specular, maps.roughness)], -1)
 
     def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
@@ -190,9 +191,9 @@ class SvbrdfStationary(ExemplarApp):
         level = sum(self.width >> octave < size for size in STATISTICS_AT[:-1])
         truth = batch["truth"][:, level]
         specular, roughness = (truth[:, 0, 3] ** GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
-        gloss_of_truth = _raw_specular(specular), _raw_roughness(roughness)
-        made = (part.mean((1, 2, 3, 4)) for part in _gloss(maps))  # where no gradient vanishes
-        unlike = torch.stack([(part - wanted).abs() for part, wanted in zip(made, gloss_of_truth, strict=True)]).sum(0)
+        pairs = zip(_raw_gloss(maps.specular, maps.roughness), _raw_gloss(specular, roughness), strict=True)
+        # where no gradient vanishes
+        unlike = torch.stack([(part.mean((1, 2, 3, 4)) - wanted).abs() for part, wanted in pairs]).sum(0)
         return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS * unlike
 
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
@@ -333,22 +334,12 @@ class SvbrdfStationary(ExemplarApp):
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
 
-def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
-    """The network's output for specular and roughness, before any range was imposed, [T, B, 1, H, W] each."""
-    return _raw_specular(maps.specular), _raw_roughness(maps.roughness)
-
-
-def _raw_specular(specular: Tensor) -> Tensor:
-    return _logit(specular, 1e-9) + 3
-
-
-def _raw_roughness(roughness: Tensor) -> Tensor:
-    return _logit((roughness - 0.1) / 0.9, 1e-6)
-
-
-def _logit(share: Tensor, eps: float) -> Tensor:
-    """The logit of shares from eps to 1 - 1e-6; torch's own has one eps for both ends, and no float32 is 1 - 1e-9."""
-    return share.clamp_min(eps).log() - torch.log1p(-share.clamp_max(1 - 1e-6))
+def _raw_gloss(specular: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
+    """The network's output for specular and roughness of any shape, before any range was imposed."""
+    ends = ((specular, 1e-9), ((roughness - 0.1) / 0.9, 1e-6))  # torch's logit has one eps for both ends
+    # no float32 is 1 - 1e-9
+    raw = [part.clamp_min(eps).log() - torch.log1p(-part.clamp_max(1 - 1e-6)) for part, eps in ends]
+    return raw[0] + 3, raw[1]
 
 
 def _chroma(photos: Tensor) -> Tensor:
@@ -363,7 +354,7 @@ def _shine(photos: Tensor, light: Tensor) -> Tensor:
     highlight = gloss(avg_pool2d(photos, 2), light)
     low, high = EVIDENT
     sure = ((highlight.contrast - low) / (high - low)).clamp(0, 1) * (highlight.roughness < NARROW)
-    made = _raw_specular(highlight.specular.clamp(0.01, 0.5)), _raw_roughness(highlight.roughness.clamp(0.12, 0.98))
+    made = _raw_gloss(highlight.specular.clamp(0.01, 0.5), highlight.roughness.clamp(0.12, 0.98))
     return torch.stack([sure, *made], 1)
 
 
@@ -372,7 +363,7 @@ def _unusual(maps: Maps, expected: Tensor) -> Tensor:
     expected = expected.detach() + 0 * expected  # a parameter that no step moves
     specular, roughness = (
         (part - mean[:, None, None, None, None]).square().mean((1, 2, 3, 4))
-        for part, mean in zip(_gloss(maps), expected.unbind(1), strict=True)
+        for part, mean in zip(_raw_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)
     )
     return specular + OF_ROUGHNESS * roughness
 

@@ -18,8 +18,7 @@ from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
 from metapp.extensions.scene_files.xml import of_version
 from metapp.learning.task import Task
-from metapp.rendering.scenes.instances import Json
-from metapp.rendering.scenes.rules import MOST_NESTED, SceneDict
+from metapp.rendering.scenes.rules import MOST_NESTED, Json, SceneDict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.shards import MANIFEST
 

@@ -16,7 +16,7 @@ import sys
 
 import numpy as np
 
-from metapp.rendering.scenes.instances import Json, instantiate, one_line
+from metapp.rendering.scenes.rules import Json, instantiate, one_line
 from metapp.rendering.types import Mitsuba, Scene
 from metapp.rendering.variant import LEAST_THREADS, choose_llvm, own_plugins_only
 

@@ -18,8 +18,7 @@ from torch import Tensor
 
 from metapp.appearance.latlong import luminance
 from metapp.registry import registry
-from metapp.rendering.scenes.instances import instantiate, one_line
-from metapp.rendering.scenes.rules import READER, CheckedDict, Files, SceneDict
+from metapp.rendering.scenes.rules import READER, CheckedDict, Files, SceneDict, instantiate, one_line
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
 

@@ -1,4 +1,7 @@
-"""Checks of scene dictionaries: plugins that Mitsuba ships, names without paths, and files that were let in alone."""
+"""Scene dictionaries: their text, their checks, and what Mitsuba makes of a checked one; imports no torch.
+
+A scene may name plugins that Mitsuba ships, names without paths, and files that were let in alone.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,19 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import Tensor
-
-from metapp.rendering.scenes.instances import Json
+from metapp.rendering.types import Mitsuba, Scene
 from metapp.storage import Document
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Json = Any  # a value of a scene
 
 SceneDict = Document  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
 READER = "the extension scene_files"
+_LONGEST = 200  # characters of Mitsuba's messages
 TEXT_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 
 
@@ -28,6 +35,8 @@ def box_film(width: int, height: int) -> SceneDict:
 
 def scene_bytes(scene: SceneDict) -> Tensor:
     """A scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
+    import torch
+
     text = json.dumps(scene, allow_nan=False).encode()
     padded = text.ljust(math.ceil(len(text) / TEXT_BYTES) * TEXT_BYTES)
     return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
@@ -291,3 +300,26 @@ def _is_list(value: Json, kind: str) -> bool:
         return len(value) == 3
     square = len(value) in (3, 4) and all(isinstance(row, list) and len(row) == len(value) for row in value)
     return square and kind != "rgb" and all(_is_number(number) for row in value for number in row)
+
+
+def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
+    """A checked scene in Mitsuba, in this thread: others would write what they have to say to the screen."""
+    if "xml" in scene:
+        return mi.load_string(scene["xml"], parallel=False)
+    return mi.load_dict(_matrices(mi, scene), parallel=False)
+
+
+def _matrices(mi: Mitsuba, value: Json) -> Json:
+    """The same with its matrices as Mitsuba wants them."""
+    if isinstance(value, dict):
+        plain = value.get("type") in ("rgb", "spectrum")
+        return {key: part if plain else _matrices(mi, part) for key, part in value.items()}
+    if isinstance(value, list) and isinstance(value[0], list):
+        return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
+    return value
+
+
+def one_line(reason: str) -> str:
+    """Mitsuba's message of an error, in one line."""
+    reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", reason).strip()
+    return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"

@@ -40,7 +40,7 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
 
 
 def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
-    from metapp.rendering.scenes.instances import instantiate
+    from metapp.rendering.scenes.rules import instantiate
 
     scene["sensor"]["film"] |= {"width": size, "height": size}
     return instantiate(mi, scene)
