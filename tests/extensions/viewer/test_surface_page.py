@@ -18,6 +18,7 @@ from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.extensions.several.app import SeveralPhotos
 from metapp.extensions.viewer.pages.flat import Lit, surface_view
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
@@ -46,7 +47,7 @@ def stationary() -> tuple[SvbrdfStationary, Params, Task]:
 @functools.cache
 def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
     """A random field's maps of several photographs, which the fit places elsewhere than they say."""
-    app = SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
+    app = SeveralPhotos(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     theta["flash"] = 0.02 * torch.randn(4, PHOTOS, generator=seeded(1))
     maps = rock(64, tiles=False).maps
