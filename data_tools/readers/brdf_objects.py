@@ -12,7 +12,6 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.measured_pairs import LARGEST, Pairs, task_of_pairs
-from data_tools.readers.picture_objects import array_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
 from metapp.rendering.types import Bsdf
@@ -88,6 +87,8 @@ def _called(name: str, function: Function, angles: Tensor) -> Tensor:
 
 def _doubles(name: str, values: object) -> Tensor:
     """Numbers of any kind as a tensor; a copy, since arrays may be read-only or run backwards."""
+    from data_tools.readers.picture_objects import array_of  # here: files of BRDFs need no readers of pictures
+
     return torch.from_numpy(np.array(array_of(name, values), np.float64, order="C"))
 
 

@@ -80,12 +80,12 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     By least squares of differences of log reflectance on differences of the first two harmonics of phi_h, which noise
     does not follow. Measurements at one azimuth count as isotropic.
     """
-    from scipy.spatial import KDTree  # here: every BRDF file is first shown to readers of such, whatever it is
-
     tilted = angles[:, 0] > STEEPEST_RAD
     angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
     if len(angles) < TOLD:
         return False
+    from scipy.spatial import KDTree  # here: its import takes a seventh of torch's
+
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:COMPARED]
     points = _points(angles[:, :3])
     near = KDTree(points).query(points[order.numpy()], k=1 + PAIRED)[1][:, 1:]

@@ -140,7 +140,7 @@ class Fit:
         Raises:
             ValueError: a fit of another application; no unit vectors, another shape.
         """
-        from data_tools.readers.brdf_objects import unit_vectors  # which needs readers of pictures, too
+        from data_tools.readers.brdf_objects import unit_vectors  # here: only fits of BRDFs need it
 
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
