@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Callable, Iterable
 
-from metapp.evaluation.tables import ALL, table_names
 from metapp.registry import app_names, exports_of, protocols_of, recipe_names, registry, rule_words
 
 LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
@@ -42,5 +41,5 @@ observations = _words(_of_apps(protocols_of))
 exports = _words(_of_apps(exports_of), ",")
 kinds = _words(lambda: (*_of_apps(exports_of)(), *registry().file_exports))
 methods = _words(_of_apps(lambda app: registry().baselines.of(app)))
-tables = _words(lambda: (*table_names(), ALL))
+tables = _words(lambda: (*registry().tables, "all"))
 devices = _words(lambda: ("auto", "cpu", "cuda"))

@@ -10,9 +10,8 @@ import typer
 
 from metapp.cli import completion
 from metapp.cli.options import Json, Overwrite, check_new, takes
-from metapp.evaluation.tables import ALL, table_names
 from metapp.options import Option
-from metapp.registry import WITHOUT, did_you_mean, left_out_with
+from metapp.registry import WITHOUT, app_names, did_you_mean, left_out_with, protocols_of, recipe_entries, registry
 from metapp.runs.options import MOST_SEEDS, check_name, check_protocol, fit_options
 from metapp.runs.reporter import say
 
@@ -20,8 +19,10 @@ if TYPE_CHECKING:
     from metapp.evaluation.subject import Subject
     from metapp.evaluation.table import Table
 
-NAMES = table_names()
+NAMES, ALL = tuple(registry().tables), "all"
 WHICH = (*NAMES, ALL)
+FORMATS = ("rich", "markdown", "latex", "csv", "json")
+SHARED = ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")  # options of fits
 Apps = Annotated[
     list[str] | None,
     typer.Argument(
@@ -35,11 +36,9 @@ class Evaluation:
     """The options of `metapp evaluate`."""
 
     which: Annotated[str, Option(f"Which table: {', '.join(WHICH)}; default: results, in a report all.", "NAME")] = ""
-    format: Annotated[
-        str, Option("One of rich, markdown, latex, csv.", choices=("rich", "markdown", "latex", "csv"))
-    ] = "rich"
-    no_run: Annotated[bool, Option("Print what there is, and the commands that make the rest.")] = False
-    table: Annotated[bool, Option("Name of the default: tables are printed, with it or without.")] = True
+    format: Annotated[str, Option(f"One of {', '.join(FORMATS)}.", choices=FORMATS)] = "rich"
+    no_run: Annotated[bool, Option("Print what there is; measure nothing, say how much is missing.")] = False
+    table: Annotated[bool, Option("Name of the default: tables are printed, with it or without.")] = False
     whole: Annotated[bool, Option("Overfit and Finetune on all test tasks, not on three; both protocols.")] = False
     rule: Annotated[str, Option("Meta's learned rule; default: the recipe's.")] = ""
     observe: Annotated[
@@ -59,7 +58,7 @@ class Evaluation:
     device: Annotated[str, Option("auto, cpu or cuda.", choices=("auto", "cpu", "cuda"))] = "auto"
     figures: Annotated[Path | None, Option("Draw the figures there, as PNG and PDF.", "DIR")] = None
     report: Annotated[Path | None, Option("Write tables there, as Markdown, and the figures.", "DIR")] = None
-    quiet: Annotated[bool, Option("No progress bar.", short="q")] = False
+    quiet: Annotated[bool, Option("No progress and no pictures.", short="q")] = False
 
 
 @takes(Evaluation)
@@ -97,11 +96,11 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
             if form == "rich" and tables[-1].rows:
                 out().print(rich_table(tables[-1]))
     if form != "rich":
-        show({name: made[name] for name in shown}, form)
+        show({name: made[name] for name in shown}, form, which)
     if options.no_run:
-        say_missing(subjects, which)
+        say_missing(subjects)
     for subject in subjects:
-        subject.run = False  # figures show what has been measured
+        subject.measuring = False  # figures show what has been measured
     if options.figures:
         from metapp.evaluation.figures import write_figures
 
@@ -114,9 +113,8 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
 
 
 def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
-    """Each application under each protocol; one that was not named is left out where nothing of it can be compared."""
+    """Each application under each protocol; one that was not named is left out where a checkpoint of it is missing."""
     from metapp.evaluation.subject import Subject
-    from metapp.registry import app_names, protocols_of, recipe_entries
     from metapp.runs.naming import title_of
     from metapp.runs.run import Run
 
@@ -131,39 +129,34 @@ def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
         check_name(name)
     for name in [name for name in names if protocols_of(name)] or names:
         check_protocol(options.observe, name)
-    plans = []
+    given, runs = {name: getattr(options, name) for name in SHARED}, []
     for name in names:
+        recipe = options.recipe if apps or options.recipe in recipe_entries(name) else "quick"
         protocols = protocols_of(name)[: None if options.whole else 1] or ("",)
-        for protocol in [options.observe] if options.observe and protocols_of(name) else protocols:
-            given = {
-                key: getattr(options, key) for key in ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")
-            }
-            recipe = options.recipe if apps or options.recipe in recipe_entries(name) else "quick"
-            plans.append(Run.of(fit_options(name, "general", observe=protocol, recipe=recipe, **given)))
+        for protocol in [options.observe] if options.observe and any(protocols) else protocols:
+            runs.append(Run.of(fit_options(name, "general", observe=protocol, recipe=recipe, **given)))
     subjects = []
-    for one in plans:  # all checkpoints before the first fit
+    for run in runs:  # all checkpoints before the first fit
         try:
-            subjects.append(
-                Subject(one, run=not options.no_run, strict=bool(apps) and not options.no_run, whole=options.whole)
-            )
+            subjects.append(Subject(run, measuring=not options.no_run, whole=options.whole))
         except ValueError as error:
             if apps:
                 raise
-            say(f"{title_of(one.app)} is left out: {error}")
+            say(f"{title_of(run.app)} is left out: {error}")
     return subjects
 
 
-def say_missing(subjects: list[Subject], which: str) -> None:
-    """Say how much has no record yet of each application, and which command measures it."""
+def say_missing(subjects: list[Subject]) -> None:
+    """Say how much has no record yet of each application."""
     from metapp.runs.naming import name_of
 
-    commands = []
+    remedy = ""
     for subject in subjects:
-        empty = [title for title, (tasks, records) in subject.asked.items() if not 0 < tasks == records]
-        if empty:
-            total, there = (sum(counts) for counts in zip(*subject.asked.values(), strict=True))
+        asked = subject.asked.items()
+        if empty := [title for title, (tasks, records) in asked if not tasks or len(records) < len(tasks)]:
+            total, there = (sum(len(pair[i]) for pair in subject.asked.values()) for i in (0, 1))
             missing = f"{total - there:,} of {total:,}" if total else "all"
             say(f"{name_of(subject.app)}: {missing} records missing: {', '.join(empty)}")
-            commands.append(subject.command(which))
-    if commands:
-        say(f"made by{' the same command without --no-run, or of one alone' * (len(commands) > 1)}: {commands[0]}")
+            remedy = "the same command without --no-run measures them"
+    if remedy:
+        say(remedy)

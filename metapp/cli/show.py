@@ -9,13 +9,12 @@ from rich.text import Text
 
 from metapp.cli.console import escaped, out, print_json
 from metapp.evaluation.table import Column, Row, Table, csv_of, flat, text_of
-from metapp.evaluation.tables import ALL
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 
 
-def show(tables: Mapping[str, Sequence[Table]], form: str) -> None:
-    """Print tables of several applications, by the table's name, in a format other than rich."""
+def show(tables: Mapping[str, Sequence[Table]], form: str, which: str) -> None:
+    """Print tables of several applications, by name, in a format other than rich; `which` was asked for."""
     if form in ("json", "csv"):
         several = len(tables) > 1
         pairs = [(name, row) for name, some in tables.items() for table in some for row in table.rows]
@@ -23,7 +22,7 @@ def show(tables: Mapping[str, Sequence[Table]], form: str) -> None:
         if form == "csv":
             out().print(csv_of(rows), soft_wrap=True)
         else:
-            print_json({"which": ALL if several else next(iter(tables)), "rows": rows})
+            print_json({"which": which, "rows": rows})
         return
     for some in tables.values():
         if some:
@@ -32,7 +31,7 @@ def show(tables: Mapping[str, Sequence[Table]], form: str) -> None:
 
 def rich_table(table: Table) -> RichTable:
     """The table of one application for a terminal."""
-    grid = RichTable(title=table.whole_title, caption=Text("\n".join(table.notes)))
+    grid = RichTable(title=table.whole_title, caption=Text("\n".join(table.notes)), caption_justify="left")
     columns = fitting(table.columns, table.rows, out().width)
     for column in columns:
         right = bool(column.form)

@@ -20,9 +20,9 @@ from metapp.evaluation.rows import errors_of
 from metapp.evaluation.style import COLOURS, INK, MUTED, STYLE, Drawn, new, save
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Table, text_of
-from metapp.evaluation.tables import table_names
 from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_records
 from metapp.learning.task import Params
+from metapp.registry import registry
 from metapp.rules import rule_of
 from metapp.runs.naming import factor_of, name_of
 from metapp.storage.files import write_atomically
@@ -76,7 +76,7 @@ def plane(subject: Subject) -> Drawn | None:
         size, place = 12 if name == "meta" else 7, (row["seconds"], row["error"])
         axis.errorbar(*place, yerr=reach, capsize=2, fmt=MARKERS[name], color=COLOURS[name], markersize=size)
         axis.annotate(TITLES[name], place, OFFSETS.get(name, (6, 6)), textcoords="offset points", fontsize=8)
-    baselines = [row for name in table_names() for row in subject.table(name).rows if row.get("baseline")]
+    baselines = [row for name in registry().tables for row in subject.table(name).rows if row.get("baseline")]
     others = [row for row in baselines if None not in (row["error"], row["seconds"])]
     turned: Any = {"rotation": 40, "rotation_mode": "anchor"}  # so that names of neighbours part
     for row in others:
@@ -162,7 +162,7 @@ def step_sizes(rule: str, alpha: Params) -> dict[str, np.ndarray]:
 
 def rates(subject: Subject) -> Drawn | None:
     """Magnitudes of learned step sizes, layer above layer."""
-    fit = subject.fits["meta"]
+    fit = subject.runs["meta"]
     alpha, rule = fit.phi.alpha if fit.checkpoint else {}, fit.paradigm.rule_name
     sizes = step_sizes(rule, alpha)
     logs = {key: np.log10(np.abs(values[values != 0])) for key, values in sizes.items() if values.any()}

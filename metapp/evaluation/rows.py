@@ -10,10 +10,10 @@ from importlib import resources
 
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Row
+from metapp.learning.app import App
 from metapp.runs.fitting import ROSE
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.outputs.statistics import FEWEST, Errors, Paired, apart, paired, statistics_of
-from metapp.runs.reporter import number
 from metapp.storage import Document
 from metapp.storage.fits import Record, guarded
 
@@ -30,9 +30,7 @@ def row_of(
     name: str,
     records: Sequence[Record],
     entries: Row,
-    *,
     against: Sequence[str] = (),
-    beside_paper: bool = True,
 ) -> Row:
     """A row of what records have measured, with the statistics of their errors.
 
@@ -42,10 +40,8 @@ def row_of(
         records: of tasks; another measure may stand in them as `error`.
         entries: further or other entries.
         against: rows of the results whose errors of the same tasks it is compared with, as `vs_<row>`.
-        beside_paper: whether the paper has a figure for it, where fits see what the paper's do.
     """
     app, groups = subject.app, subject.groups
-    figures = paper() if beside_paper and is_first_protocol(app) and ":" not in name else {"error": {}, "seconds": {}}
     clauses = [record["warning"].split("; ") for record in records if record.get("warning")]
     of_measures = {key: [record[key] for record in records if key in record] for key in app.measures}
     seconds = [record["seconds"] for record in records if "seconds" in record]
@@ -60,16 +56,22 @@ def row_of(
         "doubtful": sum(not some[-1].startswith(ROSE) for some in clauses),
         "guarded": guarded(records),
         "threads": ", ".join(map(str, sorted({one["threads"] for one in records if one.get("threads")}))) or None,
-        "paper_error": figures["error"].get(app.name, {}).get(name),
-        "paper_seconds": figures["seconds"].get(app.name, {}).get(name),
+        "paper_error": None,
+        "paper_seconds": None,
         **{f"mean_{key}": statistics.fmean(values) if values else None for key, values in of_measures.items()},
         **entries,
         **app.conditions(),
     }
     for other in against:
-        theirs = errors_of(subject.records(other, found=True)) if other != name else {}
+        theirs = errors_of(subject.records(other)) if other != name else {}
         row[f"vs_{other}"] = paired(errors_of(records), theirs, groups, logarithmic=app.logarithmic)
     return row
+
+
+def of_paper(app: App, name: str) -> Row:
+    """The paper's figures of a paradigm, where fits see what the paper's do."""
+    figures = paper() if is_first_protocol(app) else {}
+    return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
 
 def errors_of(records: Sequence[Record]) -> Errors:
@@ -144,10 +146,11 @@ def threads_note(rows: Sequence[Row]) -> list[str]:
 
 def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:
     """A note on the rows that are of some of the tasks, with the errors of all rows on these."""
-    names = [name for name in subject.fits if subject.is_of_few(name)]
+    names = [name for name in subject.runs if subject.is_of_few(name)]
     if not names:
         return []
-    errors = ", ".join(f"{row['paradigm']} {number(row['shared_error'], '.3f')}" for row in rows)
+    known = [row for row in rows if row["shared_error"] is not None]
+    errors = ", ".join(f"{row['paradigm']} {row['shared_error']:.3f}" for row in known)
     where = f", where mean errors are {errors}" if errors else ""
     few = f"{len(subject.tasks_of(names[0]))} of the {len(subject.tasks)} tasks, evenly spaced"
     return [f"* {', '.join(names)}: of {few}{where}; --whole measures all tasks"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -32,51 +31,50 @@ class Subject:
     """An application under a protocol, on a data set, with what has been measured of it.
 
     Attributes:
-        plan: of General; rows differ in paradigm, rule or steps.
+        run: by General; rows differ in paradigm, rule or steps.
         app: the application under the protocol.
         title: of the application, in tables and pictures.
-        run: whether missing records are measured when a table asks for them.
+        measuring: whether missing records are measured when a table asks for them.
         whole: whether all rows are of all test tasks; else those of more than LONG steps are of FEW of them.
-        fits: the plan of each row of the results: the paradigms, then meta:<rule> for further rules with a checkpoint.
-        tasks: the test tasks; none where nothing is to be run and the embedded set was never made.
+        runs: by the name of a row of the results: the paradigms, then meta:<rule> for further rules with a checkpoint.
+        tasks: the test tasks; none where nothing is to be measured and the embedded set was never made.
         label: name of the data set in run folders.
         asked: (tasks, records of these) of all that tables asked for, by its title.
     """
 
-    def __init__(self, plan: Run, *, run: bool, strict: bool = False, whole: bool = True) -> None:
-        """Find all checkpoints, since a missing one should not be found after an hour, then read the tasks.
+    def __init__(self, run: Run, *, measuring: bool, whole: bool = True) -> None:
+        """Read all checkpoints, then the tasks: a missing one should not be found after an hour of fits.
 
         Args:
-            plan, run, whole: as the attributes.
-            strict: whether a missing checkpoint is an error; else it is said, and rows that need it stay empty.
+            run, measuring, whole: as the attributes.
 
         Raises:
-            ValueError: a checkpoint is missing, and that is an error; without General's nothing can be measured.
+            ValueError: a checkpoint is missing that fits need; where nothing is measured it is said, and rows stay
+                empty.
         """
-        self.plan, self.app, self.title = plan, plan.app, title_of(plan.app)
-        self.run, self.whole = run, whole
-        self.asked: dict[str, tuple[int, int]] = {}
-        self._records: dict[str, list[Record]] = {}
+        self.run, self.app, self.title = run, run.app, title_of(run.app)
+        self.measuring, self.whole = measuring, whole
+        self.asked: dict[str, tuple[list[Task], list[Record]]] = {}
         self._tables: dict[str, Table] = {}
-        self.fits: dict[str, Run] = {}
+        self.runs: dict[str, Run] = {}
         for name in PARADIGMS:
-            self.fits[name] = plan.by(name)
+            self.runs[name] = run.by(name)
             try:
-                self.fits[name] = with_checkpoint(self.fits[name])
+                self.runs[name] = with_checkpoint(self.runs[name])
             except ValueError as error:
-                if strict or (run and name == "general"):
+                if measuring:
                     raise
                 say(f"{error}")
         # on data of one's own the others that ship would say little
-        others = plan.recipe.meta if plan.options.checkpoint or not plan.options.data else ()
-        for rule in (rule for rule in others if rule != plan.paradigm.rule_name):
+        others = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
+        for rule in (rule for rule in others if rule != run.paradigm.rule_name):
             with suppress(ValueError):  # there is no checkpoint of this rule
-                self.fits[f"meta:{rule}"] = with_checkpoint(plan.by("meta", rule))
-        make_folder(plan.options.out)
+                self.runs[f"meta:{rule}"] = with_checkpoint(run.by("meta", rule))
+        make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"
-        if run or plan.options.data or embedded_exists(plan.app.name):
-            self.tasks, self.label = tasks_of_data(plan.app, plan.options.data, plan.options.quiet)
+        if measuring or run.options.data or embedded_exists(run.app.name):
+            self.tasks, self.label = tasks_of_data(run.app, run.options.data, run.options.quiet)
 
     @property
     def groups(self) -> dict[str, str]:
@@ -85,7 +83,7 @@ class Subject:
 
     def tasks_of(self, name: str) -> list[Task]:
         """The tasks of a row of the results."""
-        return self.tasks if self.whole or self.fits[name].steps <= LONG else evenly(self.tasks, FEW)
+        return self.tasks if self.whole or self.runs[name].steps <= LONG else evenly(self.tasks, FEW)
 
     def is_of_few(self, name: str) -> bool:
         """True if a row of the results is of some of the tasks alone."""
@@ -98,35 +96,39 @@ class Subject:
             self._tables[name] = make(self)
         return self._tables[name]
 
-    def records(self, name: str, *, found: bool = False) -> list[Record]:
-        """The fits of a row of the results, kept as the paradigm's command does; `found` as of `measured`."""
-        return self.fitted(name, self.fits[name], self.tasks_of(name), found=found)
+    def records(self, name: str) -> list[Record]:
+        """The fits of a row of the results, kept as the paradigm's command does."""
+        return self.fitted(name, self.runs[name], self.tasks_of(name))
 
-    def fitted(
-        self, title: str, plan: Run, tasks: list[Task], settings: Record | None = None, *, found: bool = False
-    ) -> list[Record]:
-        """Fits of tasks by a plan.
+    def found(self, name: str) -> list[Record]:
+        """The fits of a row of the results that there are; nothing is measured."""
+        _, records = self.asked.get(name) or ((), _read(self._fits(self.runs[name]), self.tasks_of(name)))
+        return records
+
+    def fitted(self, title: str, run: Run, tasks: list[Task], settings: Record | None = None) -> list[Record]:
+        """Fits of tasks by a run, which has none without a checkpoint.
 
         Args:
             title: for the progress.
-            plan: how tasks are fitted; without a checkpoint there are no fits.
+            run: by which tasks are fitted.
             tasks: to be fitted.
             settings: what else the figures depend on, where they are no paradigm's own; `rule` names the folder.
-            found: as of `measured`.
         """
-        fits = None
-        if plan.checkpoint is not None:
-            path, more = plan.path(self.label), settings or {}
-            path = path.with_name(f"{path.name}-{more['rule']}") if more else path
-            fits = Fits(path, plan.settings(self.label) | more, FIT, plan.origin(()))
 
         def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
-            return ((fit.record, fit.parameters) for fit in fit_tasks(plan, tasks))
+            return ((fit.record, fit.parameters) for fit in fit_tasks(run, tasks))
 
-        return self.measured(title, fits, measure, tasks, plan.steps, found=found)
+        return self.measured(title, self._fits(run, settings), measure, tasks, run.steps)
+
+    def _fits(self, run: Run, settings: Record | None = None) -> Fits | None:
+        if run.checkpoint is None:
+            return None
+        path = run.path(self.label)
+        path = path.with_name(f"{path.name}-{settings['rule']}") if settings else path
+        return Fits(path, run.settings(self.label) | (settings or {}), FIT, run.origin(()))
 
     def measured(
-        self, title: str, fits: Fits | None, measure: Measure, tasks: list[Task], steps: int = 0, *, found: bool = False
+        self, title: str, fits: Fits | None, measure: Measure, tasks: list[Task], steps: int = 0
     ) -> list[Record]:
         """Records of tasks, in their order; missing ones are measured now, each kept as soon as its task is done.
 
@@ -135,46 +137,34 @@ class Subject:
             fits: where records are kept; None where they cannot be measured, as a checkpoint is missing.
             measure: tasks -> the record of each, and parameters that are kept beside it, if any; it may end early.
             tasks: to be measured.
-            steps: gradient steps of a task, about.
-            found: whether only records that there are count; nothing is measured.
+            steps: gradient steps of a task, about, which the progress counts.
         """
-
-        def read() -> list[Record]:
-            finished = fits.records() if fits else {}
-            return [finished[task.name] for task in tasks if task.name in finished]
-
-        records = self._records[title] if title in self._records else read()
-        if not found and title not in self.asked:
-            names = {record["name"] for record in records}
-            missing = [task for task in tasks if task.name not in names]
-            if fits and missing and self.run:
-                self._measure(title, fits, measure, missing, steps)
-                records = read()
-            self.asked[title] = len(tasks), len(records)
-        self._records[title] = records
+        if title in self.asked:
+            return self.asked[title][1]
+        records = _read(fits, tasks)
+        names = {record["name"] for record in records}
+        missing = [task for task in tasks if task.name not in names]
+        if fits and missing and self.measuring:
+            name, each, total = f"{name_of(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
+            bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
+            with bars as bar, threads(threads_of(self.app)):
+                bar.at(0, total, name)
+                for i, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
+                    fits.write({**record, "content": content_of(task)}, tensors)
+                    bar.at(each * i, total, f"{name} {task.name}")
+            records = _read(fits, tasks)
+        self.asked[title] = tasks, records
         return records
 
-    def _measure(self, title: str, fits: Fits, measure: Measure, tasks: list[Task], steps: int) -> None:
-        """Measure tasks; the progress counts gradient steps."""
-        name, each = f"{name_of(self.app)} {title}", steps + 1
-        quiet = self.plan.options.quiet
-        with progress("evaluate", each * len(tasks), long=True, quiet=quiet) as bar, threads(threads_of(self.app)):
-            bar.at(0, each * len(tasks), name)
-            for i, (task, (record, tensors)) in enumerate(zip(tasks, measure(tasks), strict=False), 1):
-                fits.write({**record, "content": content_of(task)}, tensors)
-                bar.at(each * i, each * len(tasks), f"{name} {task.name}")
-
-    def kept(self, kind: str, settings: Record, entries: Collection[str], *, of_fits: bool = False) -> Fits:
+    def kept(self, kind: str, settings: Record, entries: Collection[str]) -> Fits:
         """Where records are kept that are no fits: <out>/<app>/<kind>, with what is not the default.
 
         Args:
             kind: of records.
             settings: everything that their figures depend on.
             entries: of records, beside the name.
-            of_fits: whether they are of fits of several paradigms: with the rule.
         """
-        path = self.plan.path(self.label, kind, self.plan.paradigm.rule_name if of_fits else "")
-        return Fits(path, settings, entries, self.plan.origin(()))
+        return Fits(self.run.path(self.label, kind), settings, entries, self.run.origin(()))
 
     def draw(self, kind: str, fits: Mapping[str, list[Record]]) -> Path | None:
         """Draw fits of several methods side by side, of the tasks that all have; None where there are none."""
@@ -182,30 +172,18 @@ class Subject:
         common = [task for task in self.tasks if all(task.name in records for records in by_method.values())]
         if not by_method or not common:
             return None
-        options, columns = self.plan.options, []
-        with progress(f"pictures of {self.title}", len(common[:COMPARED]), quiet=options.quiet) as bar:
+        columns, path = [], self.run.path(self.label, kind)
+        with progress(f"pictures of {self.title}", len(common[:COMPARED]), quiet=self.run.options.quiet) as bar:
             for task in common[:COMPARED]:
                 shown = [(name, self.app, records[task.name]) for name, records in by_method.items()]
                 columns.append(column_of(task, shown))
                 bar.advance()
-        words = [kind, self.label, options.recipe, f"seed{options.seed}", *filter(None, [self.app.protocol])]
-        return write_compared(self.app, columns, options.out / self.app.name / f"{'-'.join(words)}.png")
+        return write_compared(self.app, columns, path.with_name(f"{path.name}.png"))
 
-    def command(self, which: str) -> str:
-        """The command that fills a table for this application."""
-        options, plan = self.plan.options, self.plan
-        given = {
-            "which": which,
-            "out": options.out,
-            "recipe": options.recipe,
-            "observe": plan.app.protocol,
-            "checkpoint": options.checkpoint,
-            "seed": str(options.seed),
-            "data": options.data,
-            "rule": plan.paradigm.rule_name if plan.paradigm.rule_name != plan.recipe.rule else "",
-        }
-        words = [word for name, value in given.items() if value for word in (f"--{name}", str(value))]
-        return shlex.join(["metapp", "evaluate", self.app.name, *words, *["--whole"] * self.whole])
+
+def _read(fits: Fits | None, tasks: list[Task]) -> list[Record]:
+    finished = fits.records() if fits else {}
+    return [finished[task.name] for task in tasks if task.name in finished]
 
 
 def evenly(tasks: list[Task], count: int) -> list[Task]:

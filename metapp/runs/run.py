@@ -161,16 +161,15 @@ class Run:
             **precision_of(app, self.device, self.steps),
         }
 
-    def path(self, label: str, kind: str = "", rule: str = "") -> Path:
+    def path(self, label: str, kind: str = "") -> Path:
         """runs/<app>/<paradigm>, with the options that are not at their default, as meta-materials-1a2b3c-quick-seed3.
 
         Args:
             label: of the data.
             kind: of records that are no paradigm's fits, in place of its name.
-            rule: that these depend on; "" for none.
         """
         options, app = self.options, self.app
-        rule = rule or (self.paradigm.rule_name if self.paradigm.name == "meta" and not kind else "")
+        rule = self.paradigm.rule_name if kind or self.paradigm.name == "meta" else ""
         given = str(options.checkpoint.resolve()) if options.checkpoint else ""
         origin = self.checkpoint.digest if self.checkpoint else digest(given)
         words = [

@@ -58,14 +58,14 @@ def ablation(subject: Subject) -> Table:
     for name, row in zip(names, both, strict=True):
         for start, by, records in combined(subject, name):
             entries = {"start": start, "rule": by, "steps": row["steps"]}
-            rows.append(row_of(subject, f"{start}+{by}", records, entries, against=COMPARED))
+            rows.append(row_of(subject, f"{start}+{by}", records, entries, COMPARED))
         rows.append(row | {"start": f"meta ({row['rule']})"})
     rows = [row | {"apart": apart(row["vs_quickft"])} for row in rows]
     notes = [
         "adam: QuickFT's, searched on validation tasks for General's initialisation",
         caption_of(subject.app),
         *(
-            f"{subject.fits[name].paradigm.rule_name} begins at General's own prediction: rows that differ in the "
+            f"{subject.runs[name].paradigm.rule_name} begins at General's own prediction: rows that differ in the "
             "initialisation alone are of the same fits"
             for name in names
             if same_initialisation(subject, name)
@@ -79,7 +79,7 @@ def ablation(subject: Subject) -> Table:
 
 def learned(subject: Subject) -> list[str]:
     """The rows of the results by a learned rule, with the network that General predicts."""
-    return [name for name, fit in subject.fits.items() if fit.paradigm.name == "meta" and fit.app == subject.app]
+    return [name for name, fit in subject.runs.items() if fit.paradigm.name == "meta" and fit.app == subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]:
@@ -92,7 +92,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
     Returns:
         Nothing where a checkpoint is missing.
     """
-    plans = [subject.fits[row] for row in (name, "general", "quickft")]
+    plans = [subject.runs[row] for row in (name, "general", "quickft")]
     found = [plan.checkpoint for plan in plans if plan.checkpoint]
     if len(found) < len(plans):
         return []
@@ -117,7 +117,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
 
 def same_initialisation(subject: Subject, name: str) -> bool:
     """True if a learned rule begins at General's own prediction."""
-    meta, general = (subject.fits[row].checkpoint for row in (name, "general"))
+    meta, general = (subject.runs[row].checkpoint for row in (name, "general"))
     if meta is None or general is None or not meta.phi.encoder:
         return False
     return tensor_digest(meta.phi.encoder) == tensor_digest(general.phi.encoder)

@@ -43,10 +43,10 @@ def convergence(subject: Subject) -> Table:
     def row(paradigm: str, part: str, step: object, errors: Sequence[float | None]) -> Row:
         traced = [record | {"error": error} for record, error in zip(records, errors, strict=True)]
         entries = {"part": part, "step": step, "further": None, "near": None, "paper_further": None}
-        return row_of(subject, paradigm, traced, entries, beside_paper=False)
+        return row_of(subject, paradigm, traced, entries)
 
     def after(paradigm: str, part: float) -> Row:
-        step = step_at(part, subject.fits[paradigm].steps)
+        step = step_at(part, subject.runs[paradigm].steps)
         return row(paradigm, f"{part:.0%}", step, [dict(one["curves"][paradigm]).get(step) for one in records])
 
     last = row("meta", "further", None, [record["further"][-1][1] for record in records])
@@ -92,12 +92,12 @@ def trace_records(subject: Subject) -> list[Record]:
 
     Beside each record are Meta's parameters at PARTS of its steps, as `<part>/<name>`.
     """
-    kept, fits = None, [subject.fits[name] for name in CURVES]
+    kept, fits = None, [subject.runs[name] for name in CURVES]
     if all(fit.checkpoint for fit in fits):
         keys = [digest(fit.settings(subject.label)) for fit in fits]
         settings: Record = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
         settings |= {"further": FURTHER, "walked": WALKED}
-        kept = subject.kept("trace", settings, ENTRIES, of_fits=True)
+        kept = subject.kept("trace", settings, ENTRIES)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
         return (_trace(subject, task) for task in tasks)
@@ -131,11 +131,11 @@ def path_steps(steps: int) -> set[int]:
 
 def _trace(subject: Subject, task: Task) -> tuple[Record, Params]:
     """The record of one task, and Meta's parameters at PARTS of its steps."""
-    stacked = stack(subject.app, [task], subject.plan.device)
+    stacked = stack(subject.app, [task], subject.run.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     paths: dict[str, list[Params]] = {}
     for name in CURVES:
-        fit = subject.fits[name]
+        fit = subject.runs[name]
         measured, walked = curve_steps(fit.steps), path_steps(fit.steps) if name in ("overfit", "meta") else set()
         descent = fit.paradigm.descend(fit.phi, stacked, rng_of(fit, task))  # the fit of the row
         states = {now.step: now.theta for now in descent if now.step in measured | walked}  # [1, ...] each
@@ -176,12 +176,12 @@ def _further(
     Returns:
         (steps, error); each is a descent of its own, whose rate decays to the end.
     """
-    recipe = subject.plan.recipe
+    recipe = subject.run.recipe
     errors = [(0, _error_of(subject, theta, stacked))]
     for steps in FURTHER:
         if wanted is None or near(errors[-1][1], wanted):
             break
-        rng = rng_of(subject.plan, task)
+        rng = rng_of(subject.run, task)
         rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(subject.app, recipe.batch)
         errors.append((steps, _error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors

@@ -36,13 +36,13 @@ def image(subject: Subject) -> Table:
 
 def picture_records(subject: Subject) -> list[Record]:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    app, fits = subject.app, {name: subject.fits[name] for name in PARADIGMS}
+    app, fits = subject.app, {name: subject.runs[name] for name in PARADIGMS}
     by_paradigm = {name: {record["name"]: record for record in subject.records(name)} for name in fits}
     kept = None
     if all(fit.checkpoint for fit in fits.values()):
         keys = {name: digest(fit.settings(subject.label)) for name, fit in fits.items()}
         settings = {"app": app.name, "measure": [app.image_measure, picture_measures(app.name)[0]], "fits": keys}
-        kept = subject.kept("image", settings, ("measures",), of_fits=True)
+        kept = subject.kept("image", settings, ("measures",))
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
@@ -73,7 +73,7 @@ def _row(subject: Subject, name: str, records: list[Record], key: str) -> Row:
 
     measured = [record | {"error": record["measures"].get(name, {}).get(key)} for record in records]
     values = list(errors_of(measured).values())
-    return row_of(subject, name, measured, {}, beside_paper=False) | {
+    return row_of(subject, name, measured, {}) | {
         "measure": key or None,
         "paper_error": figures["image"].get(app, {}).get(key, {}).get(name),
         "worst": (min(values) if more_is_better else max(values)) if values else None,

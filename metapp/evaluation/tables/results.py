@@ -10,6 +10,7 @@ from metapp.evaluation.rows import (
     errors_of,
     few_note,
     measures_note,
+    of_paper,
     paired_note,
     row_of,
     threads_note,
@@ -37,7 +38,12 @@ EQUAL_COLUMNS = columns(
 
 def results(subject: Subject) -> Table:
     """Error and time of every paradigm, and of Meta by every rule that has a checkpoint."""
-    rows = result_rows(subject, subject.fits)
+    rows = result_rows(subject, subject.runs)
+    floor = errors_of(subject.records("overfit"))
+    for row in rows:  # of the tasks that Overfit was fitted to
+        errors = errors_of(subject.records(row["paradigm"]))
+        is_known = floor and floor.keys() <= errors.keys()
+        row["shared_error"] = statistics.fmean(errors[task] for task in floor) if is_known else None
     meta = next(row for row in rows if row["paradigm"] == "meta")
     notes = [
         closing(subject.app, rows),
@@ -57,23 +63,15 @@ def results(subject: Subject) -> Table:
 
 def result_rows(subject: Subject, names: Collection[str]) -> list[Row]:
     """Rows of paradigms and of Meta's rules; fits of few steps are measured first: most of a table is soon there."""
-    for name in sorted(names, key=lambda name: subject.fits[name].steps):
+    for name in sorted(names, key=lambda name: subject.runs[name].steps):
         subject.records(name)
-    return [_result_row(subject, name) for name in names]
-
-
-def _result_row(subject: Subject, name: str) -> Row:
-    """Error and time of one paradigm, or of one of Meta's rules, also beside QuickFT's and General's."""
-    fit, records = subject.fits[name], subject.records(name)
-    errors, floor = errors_of(records), errors_of(subject.records("overfit", found=True))
-    shared = floor and floor.keys() <= errors.keys()  # all tasks that Overfit was fitted to
-    entries = {
-        "rule": fit.paradigm.rule_name if fit.paradigm.name == "meta" else None,
-        "steps": fit.steps,
-        "shared_error": statistics.fmean(errors[task] for task in floor) if shared else None,
-        "few": subject.is_of_few(name),
-    }
-    return row_of(subject, name, records, entries, against=COMPARED)
+    rows = []
+    for name in names:
+        run = subject.runs[name]
+        rule = run.paradigm.rule_name if run.paradigm.name == "meta" else None
+        entries = {"rule": rule, "steps": run.steps, "few": subject.is_of_few(name), **of_paper(subject.app, name)}
+        rows.append(row_of(subject, name, subject.records(name), entries, COMPARED))
+    return rows
 
 
 def closing(app: App, rows: list[Row]) -> str:
@@ -90,7 +88,7 @@ def closing(app: App, rows: list[Row]) -> str:
         floor = f"Overfit sees the {app.protocol} alone and is no floor"
         return f"{text}{floor}, speed-up of Meta over it {number(speed, '.0f')}"
     paper_gap, paper_speed = carried(rows, "paper_error", "paper_seconds")
-    mark = "*" * any(row["few"] for row in rows)
+    mark = "*" * (gap is not None and any(row["few"] for row in rows))
     return (
         f"gap closed {number(gap, '.2f')}{mark} (paper {number(paper_gap, '.2f')}), "
         f"speed-up of Meta over Overfit {number(speed, '.0f')} (paper {number(paper_speed, '.0f')})"

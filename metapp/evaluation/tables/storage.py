@@ -45,11 +45,11 @@ def storage(subject: Subject) -> Table:
     """The bytes that each paradigm must keep: networks of all exemplars, or a checkpoint that makes any of them."""
     network, figures = size(subject.app.init(Generator().manual_seed(0), 1)), paper()["storage"]
     exemplars, rows = figures["exemplars"], []
-    for name, fit in subject.fits.items():
+    for name, fit in subject.runs.items():
         # fits that take long are kept; those that take no time are made again from their checkpoint
         once, apiece = (0, network) if name in ("overfit", "finetune") else (stored(fit.checkpoint), 0)
         entries = {"network_bytes": network, "once_bytes": once, "each_bytes": apiece}
-        row = row_of(subject, name, [], entries, beside_paper=False)
+        row = row_of(subject, name, [], entries)
         row["networks"] = None if once is None or apiece else once / network
         for count in dict.fromkeys((*COUNTS, exemplars)):
             row[f"bytes_{count}"] = None if once is None else once + count * apiece
@@ -70,7 +70,7 @@ def storage(subject: Subject) -> Table:
 def samples(subject: Subject) -> Table:
     """The samples of a task that each paradigm's encoder and steps see, at most all there are."""
     figures = paper()["samples"].get(subject.app.name)
-    rows = [_sample_row(subject, name) for name in subject.fits]
+    rows = [_sample_row(subject, name) for name in subject.runs]
     meta = next(row for row in rows if row["paradigm"] == "meta")
     meta["paper_saved"] = figures and figures["saved"]
     if meta["seen"] is None:
@@ -86,11 +86,11 @@ def samples(subject: Subject) -> Table:
 
 
 def _sample_row(subject: Subject, name: str) -> Row:
-    fit = subject.fits[name]
+    fit = subject.runs[name]
     batch, tasks = fit.recipe.batch, subject.tasks
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": fit.steps, "batch": batch if fit.steps else None}
-    row = row_of(subject, name, [], entries, beside_paper=False)
+    row = row_of(subject, name, [], entries)
     visible = subject.app.visible(tasks[0]) if tasks else None
     if visible is None:
         return row

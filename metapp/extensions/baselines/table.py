@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
-from metapp.evaluation.rows import compared_text, few_note, measures_note, paired_note, row_of, threads_note
+from metapp.evaluation.rows import compared_text, few_note, measures_note, of_paper, paired_note, row_of, threads_note
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.evaluation.tables.storage import size, stored
@@ -26,7 +26,7 @@ from metapp.runs.reporter import say
 from metapp.storage.fits import PARAMS, Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
-RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
+LONG = SHOWN[3:]  # stand here where there are records of them
 COLUMNS = columns(
     Column("method", "paradigm"),
     *("error", "seconds", "vs meta"),
@@ -40,9 +40,7 @@ COLUMNS = columns(
 def baselines(subject: Subject) -> Table:
     """The paradigms, then the baselines that there are training tasks for: their errors, times and bytes."""
     # Meta's rules that have a network of their own are compared, too
-    larger = [name for name, fit in subject.fits.items() if fit.app != subject.app and name not in SHOWN]
-    for name in (*RUN, *larger):
-        subject.records(name)
+    larger = [name for name, fit in subject.runs.items() if fit.app != subject.app and name not in SHOWN]
     able = _able(subject)
     records = {baseline.name: baseline_records(subject, baseline) for baseline in able}
     rows = [
@@ -73,7 +71,7 @@ def _able(subject: Subject) -> list[Baseline]:
     def able(baseline: Baseline) -> bool:
         if baseline.stored:
             return bool(subject.tasks) and all(baseline.stored in task.data for task in subject.tasks)
-        return not (baseline.learns and subject.tasks) or training_folder(subject.plan, baseline) is not None
+        return not (baseline.learns and subject.tasks) or training_folder(subject.run, baseline) is not None
 
     return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
 
@@ -81,14 +79,14 @@ def _able(subject: Subject) -> list[Baseline]:
 def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
     """The fits of a baseline."""
     kept = None
-    if subject.tasks and (not baseline.learns or training_folder(subject.plan, baseline)):
-        settings = settings_of(subject.plan, baseline, subject.label)
+    if subject.tasks and (not baseline.learns or training_folder(subject.run, baseline)):
+        settings = settings_of(subject.run, baseline, subject.label)
         kept = subject.kept(f"baseline-{baseline.name}", settings, ENTRIES)
 
     def measured(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         """The record and the picture of each task, as far as it can be fitted."""
         try:
-            for record, picture, _ in fit_baselines(subject.plan, baseline, tasks):
+            for record, picture, _ in fit_baselines(subject.run, baseline, tasks):
                 yield record, picture
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
@@ -97,17 +95,18 @@ def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
 
 
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
-    fit = subject.fits[name]
+    fit = subject.runs[name]
     theta = own_parameters(fit.app)
     entries = {"shared": stored(fit.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
-    return row_of(subject, name, subject.records(name, found=True), entries, against=("meta",))
+    entries |= of_paper(fit.app, name)
+    return row_of(subject, name, subject.found(name) if name in LONG else subject.records(name), entries, ("meta",))
 
 
 def _row_of_baseline(subject: Subject, name: str, records: list[Record]) -> Row:
     kept = {key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "size")}
     entries = kept | {"shared": records[-1]["shared"] if records else None, "baseline": True}
-    return row_of(subject, name, records, entries, against=("meta",))
+    return row_of(subject, name, records, entries, ("meta",))
 
 
 def _compared(all_rows: list[Row]) -> list[str]:
@@ -125,7 +124,7 @@ def _compared(all_rows: list[Row]) -> list[str]:
 def _missing(subject: Subject, all_rows: list[Row], able: list[Baseline]) -> list[str]:
     """Rows without records, and the commands that make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
-    lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
+    lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []
     names = {baseline.name for baseline in able}
     others = [baseline for baseline in baselines_of(subject.app) if baseline.name not in names]
     lines += [f"{each.name}: left out, as not all tasks hold {each.title}" for each in others if each.stored]

@@ -39,7 +39,7 @@ def call(*arguments: str | Path) -> int:
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
     planned = Run.of(fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
-    return Subject(planned, run=True, strict=True)
+    return Subject(planned, measuring=True)
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from metapp.evaluation.figures import FIGURES
-from metapp.evaluation.tables import table_names
+from metapp.registry import registry
 
 
 def headings(text: str) -> list[str]:
@@ -27,7 +27,7 @@ def test_the_report_has_all_tables_and_links_to_all_figures(evaluate: Callable, 
     assert (tmp_path / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
     text = (tmp_path / "report" / "index.md").read_text()
     assert set(re.findall(r"^!\[.+\]\((.*)\)$", text, re.MULTILINE)) == {f"brdf-{name}.png" for name in FIGURES}
-    assert len(headings(text)) == len(table_names()) + len(FIGURES)
+    assert len(headings(text)) == len(registry().tables) + len(FIGURES)
     assert {"Error and time", "Storage"} < set(headings(text))
     for expected in ("| app | paradigm |", "| brdf | meta |", "- vs quickft: ", "95 % interval"):
         assert expected in text

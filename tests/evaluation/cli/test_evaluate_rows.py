@@ -31,9 +31,9 @@ from tests.evaluation.test_notes import row
 
 def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:
     """But of rules with a network of their own."""
-    planned = Subject(Run.of(fit_options("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
-    assert "meta:ridge" in planned.fits
-    assert learned(planned) == [name for name in planned.fits if name.startswith("meta") and name != "meta:ridge"]
+    planned = Subject(Run.of(fit_options("brdf", "general", recipe="quick", quiet=True)), measuring=False)
+    assert "meta:ridge" in planned.runs
+    assert learned(planned) == [name for name in planned.runs if name.startswith("meta") and name != "meta:ridge"]
     ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}
     results = {row["paradigm"]: row["error"] for row in rows(subject, "results")}
     start = "meta (meta-curvature)"
@@ -46,23 +46,23 @@ def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subje
 def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     places = [Path(records[0]["folder"]).parent.name for _, _, records in combined(subject, "meta")]
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
-    meta, general = (subject.fits[name].phi for name in ("meta", "general"))
-    tasks, recipe = stack(subject.app, subject.tasks), subject.plan.recipe
+    meta, general = (subject.runs[name].phi for name in ("meta", "general"))
+    tasks, recipe = stack(subject.app, subject.tasks), subject.run.recipe
     start, rule = InitialisationAlone(subject.app, recipe), RuleAlone(subject.app, recipe)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
     ours = start.initialisation(meta, tasks, rngs[0])
     assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
     theirs = rule.initialisation(general._replace(alpha=meta.alpha), tasks, rngs[1])
-    encoded = subject.fits["general"].paradigm.initialisation(general, tasks, rngs[2])
+    encoded = subject.runs["general"].paradigm.initialisation(general, tasks, rngs[2])
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert start.steps == rule.steps == 10
 
 
 def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
-    meta, encoder = subject.fits["meta"], subject.fits["general"].phi.encoder
+    meta, encoder = subject.runs["meta"], subject.runs["general"].phi.encoder
     assert not same_initialisation(subject, "meta")
     own = Checkpoint(meta.phi._replace(theta={}, encoder=encoder), "", "")
-    subject.fits["meta"] = replace(meta, checkpoint=own)
+    subject.runs["meta"] = replace(meta, checkpoint=own)
     assert same_initialisation(subject, "meta")
     fits = [subject.records("meta"), subject.records("quickft")]
     assert [records for _, _, records in combined(subject, "meta")] == fits
@@ -75,12 +75,12 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
         last = {record["name"]: record["curves"][name][-1] for record in traces}
         errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.records(name)}
         assert {task: error for task, (_, error) in last.items()} == errors
-        assert {step for step, _ in last.values()} == {subject.fits[name].steps}
+        assert {step for step, _ in last.values()} == {subject.runs[name].steps}
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
     record = traces[0]
     states = parts_of(record)
     assert list(states) == list(PARTS)
-    theta = subject.fits["meta"].phi.theta
+    theta = subject.runs["meta"].phi.theta
     assert all(torch.equal(states[0.0][key], value) for key, value in theta.items())
     assert len(record["paths"]["overfit"]) == len(path_steps(40))
     assert 0 < record["explained"] <= 1 + 1e-9

@@ -45,16 +45,14 @@ def measure(empty: Subject, tmp_path: Path) -> Callable:
 def test_missing_records_are_measured_once(measure: Callable, empty: Subject, tmp_path: Path) -> None:
     log: list[str] = []
     Fits(tmp_path / "some", {"title": "some"}).write({"name": "m1", "error": 0.5})
-    assert [record["error"] for record in measure("some", log.append, found=True)] == [0.5]
-    assert (log, empty.asked) == ([], {})
     for _ in range(2):
         records = measure("some", log.append)
         assert [(record["name"], record["error"]) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
         assert log == ["m0", "m2"]
     assert all("content" in records[i] for i in (0, 2))
-    empty.run = False
+    empty.measuring = False
     assert measure("others", log.append) == []
-    assert empty.asked == {"some": (3, 3), "others": (3, 0)}
+    assert {title: len(records) for title, (_, records) in empty.asked.items()} == {"some": 3, "others": 0}
     assert len(log) == 2
 
 
@@ -66,15 +64,17 @@ def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: C
     with pytest.raises(KeyboardInterrupt):
         measure("some", stop)
     log: list[str] = []
-    empty._records.clear()  # as of another process
+    empty.asked.clear()  # as of another process
     assert len(measure("some", log.append)) == 3
     assert log == ["m1", "m2"]
 
 
 def test_fits_of_few_steps_come_first(empty: Subject) -> None:
-    rows = result_rows(empty, ("overfit", "finetune", "general"))
-    assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general"]
-    assert [title for title in empty.asked if title != "quickft"] == ["general", "finetune", "overfit"]
+    assert empty.found("general") == []
+    rows = result_rows(empty, ("overfit", "finetune", "general", "quickft"))
+    assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general", "quickft"]
+    assert list(empty.asked) == ["general", "finetune", "quickft", "overfit"]
+    assert [record["name"] for record in empty.found("general")] == ["m0", "m1", "m2"]
 
 
 def test_the_progress_counts_gradient_steps(measure: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +111,7 @@ def test_an_application_without_what_its_checkpoints_need_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
-    monkeypatch.setattr("metapp.registry.app_names", lambda: ["texture", "transport"])
+    monkeypatch.setattr("metapp.cli.evaluate.app_names", lambda: ["texture", "transport"])
     lines: list[str] = []
     monkeypatch.setattr("metapp.cli.evaluate.say", lines.append)
     assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]

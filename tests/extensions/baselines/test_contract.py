@@ -16,7 +16,6 @@ from metapp.apps import app_of, class_of, recipes_of
 from metapp.cli.show import rich_table
 from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables import table_names
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Allowed, Training
 from metapp.extensions.baselines.table import baseline_records, baselines
@@ -83,8 +82,8 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Call
     def make(name: str, protocol: str) -> Subject:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
         planned = Run.of(fit_options(name, "general", **of_app, device="cpu", quiet=True))
-        subject = Subject(planned, run=False)  # paradigms may lack what their checkpoints need
-        subject.run = True
+        subject = Subject(planned, measuring=False)  # paradigms may lack what their checkpoints need
+        subject.measuring = True
         return subject
 
     return make
@@ -110,9 +109,8 @@ def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, pr
 def pretend_paradigms(subject: Subject, error: float = 1.0) -> None:
     """Records of Meta that cost nothing, and none of other paradigms."""
     records = [{"name": task.name, "error": error, "seconds": 1.0, "threads": 1} for task in subject.tasks]
-    for name in subject.fits:
-        subject._records[name] = records if name == "meta" else []
-        subject.asked[name] = len(records), len(records)
+    for name in subject.runs:
+        subject.asked[name] = subject.tasks, records if name == "meta" else []
 
 
 def rows_of(subject: Subject) -> dict[str, dict[str, Any]]:
@@ -154,16 +152,17 @@ def test_every_application_has_baselines_and_its_table_prints_them(
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    fits = Fits(subject.plan.options.out / "meta", {"of": "meta"})
+    fits = Fits(subject.run.options.out / "meta", {"of": "meta"})
     pretend_paradigms(subject)
-    subject._records["meta"] = [fits.write({"name": task.name, "error": 1.0}, theta) for task in subject.tasks]
+    records = [fits.write({"name": task.name, "error": 1.0}, theta) for task in subject.tasks]
+    subject.asked["meta"] = subject.tasks, records
     assert subject.draw("baselines", {}) is None
     table = subject.table("baselines")
     assert list(table.fits) == ["meta", "nearest", "quilting"]
     drawn = subject.draw("baselines", table.fits)
-    assert drawn == subject.plan.options.out / "texture" / f"baselines-{subject.label}-quick-seed0.png"
+    assert drawn == subject.run.options.out / "texture" / f"baselines-{subject.label}-quick.png"
     assert drawn.read_bytes().startswith(b"\x89PNG")
-    kept = subject.plan.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
+    kept = subject.run.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
     assert read_params(kept)["picture"].shape == (64, 64, 3)
 
 
@@ -181,8 +180,8 @@ def test_notes_say_who_is_ahead(
         meta.append({"name": task.name, "error": 1.0 + i, "seconds": 1.0, "folder": str(tmp_path)})
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
         other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "size": 4, "shared": 8})
-    subject._records |= {"meta": meta, baselines_of(subject.app)[0].name: other}
-    subject.run = False
+    subject.asked |= {"meta": (subject.tasks, meta), baselines_of(subject.app)[0].name: (subject.tasks, other)}
+    subject.measuring = False
     assert any(said in note for note in subject.table("baselines").notes)
 
 
@@ -202,7 +201,7 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
     subject = subject_of("svbrdf_nonstationary", "photo")
     pretend_paradigms(subject, 5.0)
     baseline_records(subject, baselines_of(subject.app)[0])
-    subject.run = False
+    subject.measuring = False
     drawn = draw_figure("plane", subject)
     assert drawn
     assert "Meta 5.000 in 1 s" in drawn.caption
@@ -218,7 +217,7 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
         task.data["angles"] = task.data["angles"] + 0.01
     assert baseline_records(subject, baselines_of(subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
-    subject.run = False
+    subject.measuring = False
     assert rows_of(subject)["pca_20"]["tasks"] == 0
 
 
@@ -226,11 +225,11 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject_of: Callable[[str, str], Subject], data: Callable[[str], Path]
 ) -> None:
     subject = subject_of("brdf", "")
-    manifest = subject.plan.options.data / "manifest.json"  # type: ignore[operator]
+    manifest = subject.run.options.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
     pretend_paradigms(subject)
     notes = subject.table("baselines").notes
-    assert subject.asked.keys() - subject.fits.keys() == {"ggx_2"}  # nothing is missing
+    assert subject.asked.keys() - subject.runs.keys() == {"ggx_2"}  # nothing is missing
     assert any("no training tasks; metapp data synth brdf" in note for note in notes)
 
 
@@ -283,5 +282,5 @@ def test_without_it_its_command_and_table_are_refused_by_its_name(
 ) -> None:
     monkeypatch.setenv(LEAVING_OUT, "baselines")
     assert "a table of the extension baselines" in metapp("evaluate", "--which", "baselines").misuse
-    assert "baselines" not in table_names()
+    assert "baselines" not in registry().tables
     assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in lines_of(app, Path()))

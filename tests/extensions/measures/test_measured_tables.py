@@ -48,7 +48,7 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
         title=app.title,
         tasks=[task],
         groups={task.name: task.name},
-        fits={},
+        runs={},
         is_of_few=lambda name: False,
     )
     monkeypatch.setattr(image, "PARADIGMS", {"meta": None})
