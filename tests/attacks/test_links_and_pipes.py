@@ -16,10 +16,8 @@ from metapp.storage.cache import cache_folder
 from metapp.storage.files import (
     check_readable,
     open_regular,
-    partial_path,
     read_bytes,
     read_text,
-    write_atomically,
 )
 from metapp.storage.fits import PARAMS, RECORD, read_fits, write_fit
 
@@ -68,15 +66,6 @@ def test_nothing_is_written_into_a_linked_folder(sent: Path, keys: Path) -> None
     assert [path.name for path in keys.parent.iterdir()] == ["keys"]
 
 
-def test_a_linked_file_is_replaced_and_its_target_as_it_was(sent: Path, keys: Path) -> None:
-    for path in (sent / "a.txt", partial_path(sent / "a.txt")):
-        path.symlink_to(keys)
-    write_atomically(sent / "a.txt", lambda path: path.write_text("ours"))
-    assert (sent / "a.txt").read_text() == "ours"
-    assert not (sent / "a.txt").is_symlink()
-    assert keys.read_text() == KEYS
-
-
 @pytest.mark.parametrize("read", [open_regular, read_bytes, read_text])
 def test_what_is_no_file_is_not_read(read: Callable, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
@@ -89,15 +78,6 @@ def test_what_is_no_file_is_not_read(read: Callable, tmp_path: Path) -> None:
         read(tmp_path)
     with pytest.raises(FileNotFoundError):
         read(tmp_path / "none")
-
-
-def test_a_pipe_is_no_record(metapp: Callable, sent: Path) -> None:
-    (sent / "gold").mkdir()
-    os.mkfifo(sent / "gold" / RECORD)
-    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; passed over"):
-        assert read_fits(sent) == []
-    assert write_fit(sent, GOLD, THETA)["name"].startswith("gold-")
-    assert f"gold/{RECORD}: no record, expected one of a task" in metapp("export", sent / "gold", "merl").error
 
 
 PIPES = {

@@ -5,22 +5,29 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import re
 import shutil
+import struct
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from data_tools.synthetic.cornell import random_scene
+from metapp.extensions.scene_files import places as module
+from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.reading import read_scene, read_task
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba
+from tests.scene_files import CORNERS, NAN, OBJ, ORDERS, ply, serialized, volume
 
 pytestmark = needs_mitsuba
 
@@ -278,15 +285,6 @@ def preview(*parts: str) -> str:
     return f'<scene version="3.0.0">{CAMERA}{"".join(parts)}{sky}</emitter>{ball}</scene>'
 
 
-def test_pictures_light_a_scene(tmp_path: Path) -> None:
-    """A lamp of 8-bit texels."""
-    picture(tmp_path / "textures" / "grid.png")
-    scene = random_scene(0)
-    scene["light"]["emitter"] = {"type": "area", "radiance": {"type": "bitmap", "filename": "textures/grid.png"}}
-    loaded = load_scene(read_scene(write(tmp_path / "lamp.json", json.dumps(scene))))
-    assert 0.5 < loaded.brightest <= 1
-
-
 def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
     data, scenes = tmp_path / "data", tmp_path / "scenes"
     picture(data / "common" / "textures" / "sky.exr")
@@ -308,3 +306,129 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
     with pytest.raises(ValueError, match="a plugin 'evil'"):
         read_scene(write(scenes / "evil.xml", preview('<path value="../data/common"/>', ITSELF)), [data])
     assert not mark.exists()
+
+
+# Meshes, volumes and pictures of scenes
+
+
+PAST = ((0, 1, 2), (0, 2, 400_000))
+LIGHT = {"type": "area", "radiance": {"type": "rgb", "value": [1, 1, 1]}}
+
+MESHES: dict[str, tuple[bytes, str]] = {
+    **{f"{order}.ply": (ply(order, faces=PAST), "the process died|a face at vertex 400,000") for order in ORDERS},
+    "one.ply": (ply("ascii", faces=((0, 1, 4),)), "a face at vertex 4, expected 0 to 3"),
+    "few.ply": (ply("binary_little_endian", vertex=5), "could not parse|read 14 out of 26 bytes"),
+    "past.serialized": (serialized(faces=PAST), "the process died|a face at vertex 400,000"),
+    "bomb.serialized": (serialized(face=10_000_000), "no scene that Mitsuba can load: |the process died"),
+    "nan.serialized": (serialized(corners=(NAN, *CORNERS)), "'more.vertex_positions' holds NaN or infinite values"),
+    "past.obj": ((OBJ + "f 1 2 9\n").encode(), "reference to invalid vertex 9"),
+    "empty.sdfgrid": (volume((0, 0, 0)), "a grid of 0 x 0 x 0, 1 channels"),
+    "large.sdfgrid": (volume((1290, 1290, 1290)), "48 bytes, expected 1 or more along each axis and 8,586,756,048"),
+    "nan.sdfgrid": (volume((2, 2, 2), values=[np.nan] * 8), "'more.grid' holds NaN or infinite values"),
+}  # fmt: skip
+
+READS = """
+import sys, pathlib
+from metapp.extensions.scene_files.reading import read_task
+for name in sys.argv[1:]:
+    try:
+        read_task(pathlib.Path(name), samples=8, held=8)
+        print(f"{name}\\tread", flush=True)
+    except ValueError as error:
+        print(f"{name}\\t{error}", flush=True)
+"""
+
+
+def with_shape(path: Path, shape: dict[str, Any]) -> Path:
+    """A box and a shape in it."""
+    path.write_text(json.dumps({**random_scene(0), "more": shape}))
+    return path
+
+
+def write_scene(folder: Path, name: str, content: bytes, **more: Any) -> Path:
+    """A box and a shape by this file; the file's suffix is its plugin."""
+    (folder / name).write_bytes(content)
+    shape = {"type": name.rpartition(".")[2], "filename": name, **more}
+    return with_shape(folder / f"{name}.json", shape)
+
+
+def refusals(paths: list[Path]) -> dict[str, str]:
+    """What reading them said, in a process that may die; "" of those after its death."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", READS, *map(str, paths)], env=environment, capture_output=True, text=True, check=False
+    )
+    lines = dict(line.split("\t", 1) for line in done.stdout.splitlines())
+    return {path.name: lines.get(str(path), f"died with {done.returncode}") for path in paths}
+
+
+@pytest.mark.long
+def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
+    paths = [write_scene(tmp_path, name, content, emitter=LIGHT) for name, (content, _) in MESHES.items()]
+    begin = time.perf_counter()
+    found = refusals(paths)
+    assert time.perf_counter() - begin < 60
+    wrong = {
+        name: found[f"{name}.json"] for name, (_, line) in MESHES.items() if not re.search(line, found[f"{name}.json"])
+    }
+    assert wrong == {}
+    for path in paths:
+        said = found[path.name].removeprefix(f"{path}: ")
+        assert said != found[path.name]
+        assert len(said) <= 300
+
+
+def png(width: int, height: int) -> bytes:
+    """The beginning of a gray PNG of this size."""
+    chunks = ((b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)), (b"IDAT", zlib.compress(bytes(100))))
+    parts = (struct.pack(">I", len(b)) + a + b + struct.pack(">I", zlib.crc32(a + b)) for a, b in chunks)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("a.vol", volume((2, 2, 2), 2**31 - 1), "2147483647 channels"),
+        ("a.vol", volume((1000, 1000, 1000), 6), "48 bytes, expected 1 or more along each axis and 24,000,000,048"),
+        ("a.png", png(20_000, 20_000), "20000x20000 px.*268,435,456 px or fewer"),
+    ],
+)
+def test_textures_fit_their_files_and_the_rule_of_photographs(
+    name: str, content: bytes, line: str, tmp_path: Path
+) -> None:
+    texture: dict[str, Any] = {"type": "bitmap", "filename": name}
+    if name == "a.vol":
+        texture = {"type": "volume", "volume": {"type": "gridvolume", "filename": name}}
+    (tmp_path / name).write_bytes(content)
+    shape = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": texture}}
+    path = with_shape(tmp_path / "room.json", shape)
+    with pytest.raises(ValueError, match=rf"^{path}: names the file '{name}', .*{line}"):
+        read_scene(path)
+    if name == "a.vol":
+        (tmp_path / name).write_bytes(volume((2, 2, 2), 3, values=np.ones(24)))
+        assert load_scene(read_scene(path)).scene
+
+
+# Files of scenes, at the limits of their names and sizes
+
+
+def refused(message: str, call: Callable[..., Any], *words: Any) -> None:
+    with pytest.raises(ValueError, match=message):
+        call(*words)
+
+
+def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for limit in ("TEXT_BYTES", "_DATA_BYTES"):
+        monkeypatch.setattr(module, limit, 10)
+    file, places = tmp_path / "x.xml", Places((tmp_path,), (tmp_path,))
+    for content, text in ((b"", ""), (b"x" * 10, "x" * 10), (b"\xef\xbb\xbfab", "ab")):  # without a byte order mark
+        file.write_bytes(content)
+        assert read_text(file) == text
+        assert places.file("x.xml") == file
+    file.write_bytes(b"x" * 11)
+    refused("more than 10 bytes", read_text, file)
+    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
+    file.write_bytes(b"\xff")
+    refused("not text in UTF-8", read_text, file)
+    refused("No such file", read_text, tmp_path / "none")
+    refused("no regular file", read_text, tmp_path)
