@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 import torch
 from torch import Generator
 
-from data_tools.synthetic.cornell import random_scene
 from metapp.extensions.guided.histogram import (
     AXES,
     BINS,
@@ -18,16 +16,13 @@ from metapp.extensions.guided.histogram import (
     ENTRIES,
     GRID,
     SIDE,
-    SLOTS,
     second_moments,
     shrunk,
 )
 from metapp.extensions.guided.prior import (
     CHANNELS,
-    ENTRY_PRIOR_PATHS,
     FirstHits,
     LearnedPrior,
-    features_of,
     read_prior,
 )
 from metapp.rendering.scenes.loading import load_scene
@@ -35,8 +30,6 @@ from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba, skip_without_mitsuba
 
 HALF = GRID // 2
-HITS = (1, 4, BINS)
-LEAST = SLOTS // BINS // DEFENSIVE
 VOXELS = torch.tensor([[x, y, z, axis] for x in (0, 1) for y in (0, 1) for z in (0, 1) for axis in (0, 3)])
 
 
@@ -161,40 +154,6 @@ def test_entries_without_features_are_as_without_a_prior() -> None:
     torch.testing.assert_close(found, second_moments(squares, counts, voxels))
 
 
-def arriving(entry: torch.Tensor, sums: dict[int, float], counts: dict[int, float], *more: float) -> torch.Tensor:
-    """Features [channels, SIDE, SIDE] where rays meet such entries, of which so much is known, at `more` alike."""
-    totals = torch.zeros(2, ENTRIES, dtype=torch.float64)
-    for total, values in zip(totals, (sums, counts), strict=True):
-        for index, value in values.items():
-            total[index] = value
-    hits = FirstHits(entry, *(torch.full(HITS, float(value)) for value in more))
-    return features_of(hits, *totals)[0]
-
-
-def test_what_arrives_is_what_is_sent_there() -> None:
-    entry = torch.zeros(HITS, dtype=torch.long)
-    entry[..., BINS // 2 :] = 7  # another entry is met in half of the bins
-    many = {0: 1e8, 7: 1e8}  # so many that there is no shrinkage
-    features = arriving(entry, {0: 1e8, 7: 3e8}, many, 0, 1, 0.5)
-    assert features.shape == (len(CHANNELS), SIDE, SIDE)
-    ratio = features[0].flatten()[-1] - features[0].flatten()[0]
-    assert float(ratio) == pytest.approx(math.log(9), abs=1e-4)
-    assert not features[1].any()
-    assert float(features[2, 0, 0]) == pytest.approx(math.log(2))
-    assert (features[3] == 0.5).all()
-
-
-def test_entries_of_few_paths_send_what_those_around_them_do() -> None:
-    entry = torch.zeros(HITS, dtype=torch.long)
-    entry[..., 0] = AXES  # the next voxel, in the same one of twice the side
-    entry[..., 1] = 2 * AXES * 2  # in another, of which nothing is known: the mean of all
-    # as many dark paths as those around count for
-    for paths, ratio in (({}, 1.0), ({AXES: ENTRY_PRIOR_PATHS}, 0.5)):
-        found = arriving(entry, {0: 5e8}, {0: 1e8, **paths}, 0, 0, 0)[0].flatten()
-        assert float(found[0] - found[2]) == pytest.approx(2 * math.log(ratio), abs=1e-3 if paths else 1e-4)
-        assert paths or float(found[1] - found[2]) == pytest.approx(0, abs=1e-4)
-
-
 # In Mitsuba
 
 
@@ -202,25 +161,6 @@ def tracer() -> Any:
     from metapp.extensions.guided.path_tracer import PathTracer
 
     return PathTracer(6, 5)
-
-
-@needs_mitsuba
-def test_a_survey_finds_how_far_away_things_are() -> None:
-    room = random_scene(1)
-    scene = load_scene({key: value for key, value in room.items() if not key.startswith(("sphere", "mirror"))})[1]
-    from metapp.extensions.guided.survey import survey
-
-    cache = empty(3 * (-1.01,), 3 * (1.01,))
-    voxels, features = survey(tracer(), scene, scene.sensors()[0], cache, 3)
-    floor = (voxels[:, 1] == 0) & (voxels[:, 3] == 2)  # faces up
-    assert floor.sum() > HALF**2 / 2
-    straight = torch.expm1(features[floor, 2, SIDE // 2 - 1 : SIDE // 2 + 1, SIDE // 2 - 1 : SIDE // 2 + 1])
-    assert float((straight - 2).abs().median()) < 0.1
-    cosine = features[floor, 3, SIDE // 2, SIDE // 2]
-    assert float(cosine.median()) > 0.95
-    emitted = features[:, 1]
-    assert float(emitted.min()) >= 0
-    assert 0.5 < float(emitted.max()) <= 1
 
 
 @needs_mitsuba

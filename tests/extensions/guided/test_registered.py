@@ -16,7 +16,6 @@ from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
-from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
 from metapp.rendering.paths import path_space
 from metapp.rendering.scenes.rules import scene_bytes
@@ -27,17 +26,6 @@ FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
 
 def task_of(seed: int) -> Task:
     return Task("room", {"samples": torch.rand(500, 4), "scene": scene_bytes(random_scene(seed))})
-
-
-def test_the_captions_of_pictures_are_those_of_earlier_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are a part of the keys of records."""
-    assert RECIPES["quick"].app.image_measure == (
-        "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
-        "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
-        "and counts the samples that a fit sees, the fit, its table and the picture"
-    )
-    monkeypatch.setenv("METAPP_WITHOUT", "guided")
-    assert "guided_path" not in Transport(FLOW).image_measure
 
 
 @pytest.mark.long
