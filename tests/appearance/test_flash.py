@@ -23,7 +23,7 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.geometry import rusinkiewicz_to_directions
-from metapp.appearance.highlight import RINGS, gloss, profile, unlit
+from metapp.appearance.highlight import gloss, unlit
 from metapp.appearance.relief import height_from_normal
 from tests import surfaces
 from tests.surfaces import normal_of, waves
@@ -124,27 +124,6 @@ def test_intensity_and_falloff_may_differ_by_picture() -> None:
 def channels_first(*vectors: Tensor) -> list[Tensor]:
     """Directions [N, 3] as a picture of one column."""
     return [each.T[..., None] for each in vectors]
-
-
-def reflected(maps: Maps, angle_rad: float, count: int = 400) -> float:
-    """Share of the light from one direction that comes back, by quadrature over the projected hemisphere."""
-    ticks = (torch.arange(count, dtype=torch.float64) + 0.5) * 2 / count - 1
-    disc = torch.cartesian_prod(ticks, ticks)
-    disc = disc[disc.square().sum(-1) < 1]
-    outgoing = torch.cat([disc, (1 - disc.square().sum(-1, keepdim=True)).sqrt()], dim=-1)
-    incident = torch.tensor([math.sin(angle_rad), 0, math.cos(angle_rad)], dtype=torch.float64)
-    wi, wo = channels_first(incident.expand_as(outgoing), outgoing)
-    return brdf(maps, wi, wo)[0].sum().item() * (2 / count) ** 2
-
-
-@pytest.mark.parametrize("roughness", [0.2, 0.35, 0.6, 1.0])
-def test_no_more_light_comes_back_than_is_promised(roughness: float) -> None:
-    for angle in (0, 30, 45, 60, 80):
-        lobe, body = (reflected(flat(a, f0, roughness), math.radians(angle)) for a, f0 in ((0, 1), (1, 0.04)))
-        assert lobe < 1.001  # all facets mirror: only what they mask from each other is missing
-        assert body < (1.005 if angle <= 45 else 2)
-    assert reflected(flat(0, 1, 0.2), 0) == pytest.approx(1, abs=3e-3)  # smooth facets mask little
-    assert reflected(flat(0.6, 0, roughness), 0) == pytest.approx(0.6, abs=1e-3)
 
 
 def test_very_smooth_materials_stay_finite() -> None:
@@ -380,14 +359,6 @@ def test_contrast_tells_varnish_from_cloth_and_the_lobes_share_metal() -> None:
     bodies = ((0.2, (0.0, 0.0, 0.0)), (0.02, (0.4, 0.4, 0.4)))
     metal, cloth = (float(gloss(photo(0.5, f0, light, diffuse=body), light).share) for f0, body in bodies)
     assert cloth < 0.15 < 0.9 < metal
-
-
-def test_profiles_of_even_pictures_are_even() -> None:
-    means, belongs = profile(torch.full((2, 3, 40, 56), 0.3), above(0.1, 0.2).expand(2, -1))
-    assert means.shape == (2, 3, RINGS)
-    there = belongs.sum(-1) > 0.1
-    torch.testing.assert_close(means.mT[there], torch.full_like(means.mT[there], 0.3))
-    torch.testing.assert_close(belongs.sum(-2), torch.ones(2, 40 * 56))
 
 
 def test_photos_without_their_light_are_as_bright_in_all_rings() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from metapp.appearance import order
+from metapp.appearance.quilting import origins, quilted
 
 SIZE = 128
 Vectors = tuple[tuple[float, float], tuple[float, float]]
@@ -25,18 +27,6 @@ def periodic(vectors: Vectors, generator: torch.Generator, offset: tuple[float, 
         phase = 2 * math.pi * (frequency[0] * y + frequency[1] * x + torch.rand((), generator=waves))
         picture += 0.1 * torch.randn(3, 1, 1, generator=waves) * phase.cos()
     return picture + 0.03 * torch.randn(picture.shape, generator=generator)
-
-
-@pytest.mark.parametrize("side", [3, 9, 65])
-def test_surroundings_are_means_of_squares(side: int) -> None:
-    picture = torch.rand(2, 3, 40, 56, generator=torch.Generator().manual_seed(side))
-    border = min(side // 2, 39)
-    padded = torch.nn.functional.pad(picture.double(), (border,) * 4, mode="reflect")
-    squares = padded.unfold(-2, 2 * border + 1, 1).unfold(-2, 2 * border + 1, 1)
-    centred = picture - picture.mean((-1, -2), keepdim=True)
-    expected = picture - squares.mean((-1, -2)).to(picture)
-    torch.testing.assert_close(order.high_passed(picture, side), expected, rtol=1e-4, atol=1e-5)
-    assert order.high_passed(centred, side).shape == picture.shape
 
 
 @pytest.mark.parametrize(
@@ -105,3 +95,38 @@ def test_a_slope_without_peaks_leads_no_lattice_vector_to_shift_zero() -> None:
     cone = torch.exp(-(y * y + x * x).double().sqrt() / 100)
     vector = order._refined(cone, 0, 8)
     assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.SHIFT_PX
+
+
+# Image quilting
+
+
+def waves(size: int = 48, period: int = 8) -> np.ndarray:
+    """A picture [size, size, 3] that repeats every `period` px."""
+    at = np.arange(size) * (2 * np.pi / period)
+    wave = 0.5 + 0.25 * np.sin(at)[:, None] + 0.25 * np.cos(at)
+    return np.stack([wave, 1 - wave, 0.3 + 0.4 * wave], 2).astype(np.float32)
+
+
+def steepest(picture: np.ndarray) -> float:
+    """The greatest step between neighbours, across the edges too."""
+    return max(float(np.abs(np.roll(picture, 1, axis) - picture).max()) for axis in (0, 1))
+
+
+@pytest.mark.parametrize("tiles", [False, True])
+def test_a_picture_is_the_pixels_of_the_exemplar_that_it_comes_of(tiles: bool) -> None:
+    exemplar = np.random.default_rng(1).random((20, 24, 3)).astype(np.float32)
+    made, used = (
+        function(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
+        for function in (quilted, origins)
+    )
+    assert made.shape == (33, 41, 3)
+    assert made.dtype == np.float32
+    assert np.array_equal(made, exemplar.reshape(-1, 3)[used])
+
+
+@pytest.mark.parametrize("size", [(48, 48), (64, 32), (40, 56)])
+def test_what_repeats_is_quilted_without_seams(size: tuple[int, int]) -> None:
+    """Of sizes that its period divides; across the edges where it tiles."""
+    exemplar = waves()
+    made = quilted(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
+    assert steepest(made) <= 1.01 * steepest(exemplar)

@@ -194,15 +194,6 @@ def test_draws_and_that_the_scale_of_a_map_does_not_matter(rng: torch.Generator)
     assert max((photo - photos[0]).abs().max() for photo in photos) <= 1
 
 
-def test_mixed_gloss_is_the_mixture(rng: torch.Generator) -> None:
-    light = draw_map(rng)
-    parts = torch.zeros(1, len(ROUGHNESSES))
-    parts[0, 2], parts[0, 5] = 0.25, 0.75
-    mixed = shade_all(light[None], Material(torch.zeros(1, 3), torch.ones(1), parts), 16)[0]
-    apart = 0.25 * shade(light, gloss(ROUGHNESSES[2]), 16) + 0.75 * shade(light, gloss(ROUGHNESSES[5]), 16)
-    torch.testing.assert_close(mixed, apart)
-
-
 def test_a_mirror_shows_the_map_where_it_reflects_the_view() -> None:
     towards = directions(256, 512)
     seen = mirror((towards + 1)[None], 32)[0] - 1
