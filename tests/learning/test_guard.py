@@ -103,17 +103,6 @@ def test_an_initialisation_that_is_not_finite_is_refused(start: Params, tasks: T
         fit(rates(*[FAST] * 5), start, tasks)
 
 
-def test_noise_does_not_trigger_it(start: Params, tasks: Tasks) -> None:
-    """Descents on noisy samples whose losses rise again and again, on which all end lower than they began."""
-    far = {"x": start["x"] + 10}
-    found, alone = fit(rates(*[FAST] * 5), far, tasks, loss=NOISY)
-    descent = descend(far, rates(*[FAST] * 5), tasks, NOISY, steps=STEPS, rng=Generator().manual_seed(1))
-    losses = [now.loss for now in descent if now.loss is not None]
-    assert (torch.stack(losses).diff(dim=0) > 0).any(0).all()
-    assert not found.guarded.any()
-    assert torch.equal(found.theta["x"], alone["x"])
-
-
 def test_a_loss_that_hardly_falls_is_doubtful(start: Params, tasks: Tasks) -> None:
     """Its share of the initialisation's is (1 - rate)^(2 steps)."""
     rule, share = rates(*[SLOW] * 5), (1 - SLOW) ** (2 * STEPS)

@@ -1,12 +1,26 @@
-"""Steps of update rules on given gradients, and what they leave."""
+"""Parts and named rules in closed form, before they have learned, and with nothing learned as torch.optim."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections.abc import Callable
+
+import pytest
 import torch
+from torch import Generator
 
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import UpdateRule, at_step
+from metapp.learning.learn import expand_tasks
+from metapp.learning.recipe import Adam, MetaTraining
+from metapp.learning.rules import META_EPS, fixed_adam, half_cosine, outer_adam, sgd
+from metapp.learning.rules.parts import Average, Basis, Curvature, averaging
 from metapp.learning.task import Params
+from metapp.rules import rule_of
+from tests.paradigms.small import applicable
 
+APP = Brdf()
 STEPS = 12
 
 
@@ -36,3 +50,269 @@ def assert_equal(actual: list[Params], expected: list[Params]) -> None:
 def one_task(theta: Params) -> Params:
     """Parameters, or gradients, of the first task, without task axis."""
     return {key: value[0] for key, value in theta.items()}
+
+
+# Parameters and gradients
+
+
+@pytest.fixture
+def theta(rng: Generator) -> Params:
+    return {key: value.double() for key, value in APP.init(rng, 2).items()}
+
+
+@pytest.fixture
+def start(theta: Params) -> Params:
+    """The parameters of one task, without task axis."""
+    return one_task(theta)
+
+
+@pytest.fixture
+def single(grads: list[Params]) -> list[Params]:
+    """Its gradients."""
+    return [one_task(grad) for grad in grads]
+
+
+@pytest.fixture
+def grads(theta: Params, rng: Generator) -> list[Params]:
+    """One gradient a step, magnitudes from 1e-3 to 1e3; some weights never get any."""
+    draws = [
+        {key: torch.randn(value.shape, generator=rng).double() for key, value in theta.items()} for _ in range(STEPS)
+    ]
+    for i, draw in enumerate(draws):
+        for value in draw.values():
+            value *= 10.0 ** (i % 7 - 3)
+            value.flatten()[0] = 0.0
+    return draws
+
+
+# Parts and named rules
+
+
+ON_MATRICES = applicable(APP)
+
+FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final=0.1)
+BASIS = Basis()
+
+
+def path_of(name: str, start: Params, single: list[Params], changes: Params | None = None) -> list[Params]:
+    """The parameters of one task after each step by a composition, as it is at first but for some changes."""
+    rule = rule_of(name)
+    return run(rule.rule(rule.alpha(APP, start, len(single), FIRST) | (changes or {})), start, single)
+
+
+# What changes nothing before it has learned
+
+
+@pytest.mark.parametrize("base", ["adam", "tied+betas+eps", "sgd"])
+def test_at_first_a_part_changes_nothing(base: str, start: Params, single: list[Params]) -> None:
+    """And the average of one step is its result."""
+    for part in ("loss", "curvature", "basis"):
+        assert_equal(path_of(f"{base}+{part}", start, single), path_of(base, start, single))
+    assert_equal(path_of(f"{base}+average", start, single[:1]), path_of(base, start, single[:1]))
+
+
+# Closed forms
+
+
+def log_rates(start: Params, rate: float) -> Params:
+    return {f"rate.{key}": torch.full((1, *value.shape), math.log(rate)).double() for key, value in start.items()}
+
+
+def test_without_moments_rates_are_of_the_gradient(start: Params, single: list[Params]) -> None:
+    after = path_of("shared", start, single[:1], log_rates(start, 0.3))[0]
+    for key, value in start.items():
+        torch.testing.assert_close(after[key], value - 0.3 * single[0][key])
+
+
+def test_betas_may_differ_from_step_to_step(start: Params, single: list[Params]) -> None:
+    """Two steps by hand: a moment is a mean with weights that add up to 1 once divided by 1 - beta(1) beta(2)."""
+    (b1, b2), (c1, c2), rate = (0.9, 0.4), (0.99, 0.8), 0.1
+    changes = {
+        "beta1": torch.logit(torch.tensor([b1, b2], dtype=torch.float64)),
+        "beta2": torch.logit(torch.tensor([c1, c2], dtype=torch.float64)),
+    }
+    first, second = path_of("shared+betas", start, single[1:3], changes | log_rates(start, rate))
+    for key in start:
+        g, h = single[1][key], single[2][key]
+        mean = (b2 * (1 - b1) * g + (1 - b2) * h) / (1 - b1 * b2)
+        square = (c2 * (1 - c1) * g * g + (1 - c2) * h * h) / (1 - c1 * c2)
+        torch.testing.assert_close(first[key] - second[key], rate * mean / ((square + 1e-24).sqrt() + META_EPS))
+
+
+def test_eps_divides_small_gradients(start: Params, single: list[Params]) -> None:
+    """Adam's first direction is g / (|g| + eps)."""
+    (after,) = path_of("adam+eps", start, single[:1], {"eps": torch.tensor([math.log(0.02)], dtype=torch.float64)})
+    for key, value in start.items():
+        grad = single[0][key]
+        torch.testing.assert_close(value - after[key], FIRST.rate * grad / (grad.abs() + 0.02), rtol=1e-5, atol=1e-12)
+
+
+def test_curvature_is_of_axes_that_have_more_than_one_entry(start: Params) -> None:
+    alpha = Curvature().initial(APP, start, 3, FIRST)
+    assert {key: tuple(value.shape) for key, value in alpha.items() if key.endswith((".w1", ".b1"))} == {
+        "left.w1": (3, 21, 21),
+        "right.w1": (3, 6, 6),
+        "left.b1": (3, 21, 21),
+    }
+
+
+def test_plain_descent_is_the_same_in_all_bases(start: Params, single: list[Params], rng: Generator) -> None:
+    """Where all weights have one rate: a turned gradient, turned back, is the gradient."""
+    bases = {
+        key: torch.linalg.qr(torch.randn(value.shape, generator=rng).double()).Q
+        for key, value in BASIS.initial(APP, start, 1, FIRST).items()
+    }
+    for there, plain in zip(path_of("sgd+basis", start, single, bases), path_of("sgd", start, single), strict=True):
+        for key, value in plain.items():
+            torch.testing.assert_close(there[key], value)
+    turned = path_of("adam+basis", start, single, bases)[0]
+    assert not torch.allclose(turned["w2"], path_of("adam", start, single)[0]["w2"])  # as Adam's is not
+
+
+def test_averaging_is_over_the_last_of_the_steps_of_a_fit() -> None:
+    alpha = Average().for_steps(averaging(20) | {"beta1": torch.ones(20)}, 5)
+    assert alpha.keys() == {"mean", "answer", "beta1"}
+    for key, value in averaging(5).items():
+        assert torch.equal(alpha[key], value)
+    assert len(alpha["beta1"]) == 20
+
+
+# Taken from gradients
+
+
+def test_bases_are_turned_to_the_axes_of_gradients(rng: Generator) -> None:
+    """Gradients that are alike but for a rotation of their rows and columns become diagonal."""
+    rows, columns = (torch.linalg.qr(torch.randn(n, n, generator=rng, dtype=torch.float64)).Q for n in (4, 3))
+    cores = torch.zeros(50, 4, 3).double()
+    for i in range(3):
+        cores[:, i, i] = torch.randn(50, generator=rng).double() * (i + 1)
+    alpha = {"out.w": torch.eye(4).double()[None], "in.w": torch.eye(3).double()[None], "pace.w": torch.zeros(1)}
+    gradients = {"w": rows @ cores @ columns.mT, "b": torch.ones(50, 4)}
+    turned = BASIS.settle(alpha, BASIS.gather(alpha, gradients))
+    assert turned.keys() == alpha.keys()
+    for name in ("out.w", "in.w"):
+        basis = turned[name][0]
+        torch.testing.assert_close(basis @ basis.mT, torch.eye(len(basis)).double())
+    own = expand_tasks(turned, 50, 1)
+    inside = BASIS.gradients(at_step(own, 0), gradients)["w"]
+    assert ((inside.abs() > 1e-9).sum((1, 2)) <= 3).all()  # one entry a row and column
+    torch.testing.assert_close(BASIS.updates(at_step(own, 0), {"w": inside})["w"], gradients["w"])
+
+
+def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
+    alpha = {"out.w": torch.eye(2)[None], "in.w": torch.eye(3)[None]}
+    gradient = torch.randn(5, 2, 3, 3, 3, generator=rng)
+    scaled = gradient * torch.tensor([1e-3, 1.0, 1e3, 5.0, 1e-9]).reshape(-1, 1, 1, 1, 1)
+    assert_same([BASIS.gather(alpha, {"w": gradient})], [BASIS.gather(alpha, {"w": scaled})])
+    assert float(BASIS.gather(alpha, {"w": gradient})["out.w"].trace()) == pytest.approx(5)
+
+
+# Named rules
+
+
+@pytest.mark.parametrize("settings", [Adam(5e-3, beta2=0.99), Adam(2e-2, 0.6, 0.95, final=0.1), Adam(1e-3, final=0.0)])
+@pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
+def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
+    own = dataclasses.replace(settings, eps=1e-3)
+    learned = rule_of(rule).rule(rule_of(rule).alpha(APP, start, STEPS, own))
+    plain = fixed_adam(own if "eps" in learned.alpha else dataclasses.replace(own, eps=META_EPS), start, STEPS)
+    until = -1 if "mean" in learned.alpha else None  # the last answer is a mean then
+    assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])
+
+
+def test_tied_rates_are_adam_s_where_its_rates_are_alike(start: Params, single: list[Params], rng: Generator) -> None:
+    """With paces of 0 and the same rates at every step; a pace multiplies the rates of one tensor at one step."""
+    tied = {
+        key: value + torch.randn(value.shape, generator=rng).double() for key, value in log_rates(start, 5e-3).items()
+    }
+    free = {key: value.repeat(STEPS, *[1] * (value.ndim - 1)) for key, value in tied.items()}
+    tied |= {f"pace.{key}": torch.zeros(STEPS).double() for key in start}
+    path = path_of("tied+betas", start, single, tied)
+    assert_same(path, path_of("adam", start, single, free))
+    tied["pace.w2"][3] = math.log(3)
+    free["rate.w2"][3] += math.log(3)
+    paced = path_of("tied+betas", start, single, tied)
+    assert_same(paced, path_of("adam", start, single, free))
+    torch.testing.assert_close(paced[3]["w2"] - paced[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
+
+
+def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params], rng: Generator) -> None:
+    left, right = (torch.randn(1, 21, 21, generator=rng).double() for _ in "lr")
+    (bent,) = path_of("adam+curvature", start, single[:1], {"left.w2": left, "right.w2": right})
+    (straight,) = path_of("adam", start, single[:1])
+    torch.testing.assert_close(bent["w2"] - start["w2"], left[0] @ (straight["w2"] - start["w2"]) @ right[0])
+    for key in set(start) - {"w2"}:
+        torch.testing.assert_close(bent[key], straight[key])
+
+
+@pytest.mark.parametrize("steps", [1, 4, 5, 15])
+def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, start: Params, rng: Generator) -> None:
+    grads = [{key: torch.randn(v.shape, generator=rng).to(v) for key, v in start.items()} for _ in range(steps)]
+    path, averaged = (path_of(name, start, grads) for name in ("tied+betas", "tied+betas+average"))
+    assert_same(averaged[:-1], path[:-1])
+    last = path[-max(round(0.4 * steps), 1) :]
+    for key in start:
+        torch.testing.assert_close(averaged[-1][key], torch.stack([each[key] for each in last]).mean(0))
+
+
+# Rules with nothing learned, against torch.optim
+
+
+def run_torch(optimiser: torch.optim.Optimizer, leaves: Params, grads: list[Params], after: Callable) -> list[Params]:
+    path = []
+    for grad in grads:
+        for key, leaf in leaves.items():
+            leaf.grad = grad[key].clone()
+        optimiser.step()
+        after()
+        path.append({key: leaf.detach().clone() for key, leaf in leaves.items()})
+    return path
+
+
+def copies(theta: Params) -> Params:
+    return {key: value.clone().requires_grad_() for key, value in theta.items()}
+
+
+def test_half_cosine_warm_up() -> None:
+    rates = half_cosine(2.0, 104, final=0.0, warmup=4)
+    torch.testing.assert_close(rates[:5], torch.tensor([0.4, 0.8, 1.2, 1.6, 2.0]))
+    torch.testing.assert_close(rates[54], torch.tensor(1.0))
+    assert (rates > 0).all()
+    assert half_cosine(1.0, 0).shape == (1,)
+    assert torch.isfinite(half_cosine(1.0, 2, warmup=10)).all()
+
+
+@pytest.mark.parametrize(
+    "settings", [Adam(1e-2), Adam(3e-3, 0.5, 0.9, 1e-3), Adam(1e-2, final=0.0), Adam(1e-2, 0.8, 0.99, 1e-8, 0.1)]
+)
+def test_fixed_adam_is_torch_adam(settings: Adam, theta: Params, grads: list[Params]) -> None:
+    leaves = copies(theta)
+    betas = (settings.beta1, settings.beta2)
+    optimiser = torch.optim.Adam(leaves.values(), lr=settings.rate, betas=betas, eps=settings.eps)
+    low = settings.rate * settings.final
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS, eta_min=low)
+    assert_same(
+        run(fixed_adam(settings, theta, STEPS), theta, grads), run_torch(optimiser, leaves, grads, schedule.step)
+    )
+
+
+def test_outer_adam_is_torch_adam_with_l2(theta: Params, grads: list[Params]) -> None:
+    training = MetaTraining(STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup=3, final=0.1, decay=0.3)
+    leaves = copies(theta)
+    rates = {"w1": 1e-2, "w2": 1e-2, "w3": 1e-4}
+    groups = [{"params": [leaf], "lr": rates.get(key, 1e-3)} for key, leaf in leaves.items()]
+    optimiser = torch.optim.Adam(groups, weight_decay=training.decay)
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimiser, lambda i: float(half_cosine(1.0, STEPS, 0.1, 3)[min(i, 11)])
+    )
+    assert_same(run(outer_adam(training, theta), theta, grads), run_torch(optimiser, leaves, grads, schedule.step))
+
+
+def test_sgd_takes_rates_of_any_sign_and_of_each_task(theta: Params, grads: list[Params]) -> None:
+    rates = {f"rate.{key}": torch.randn(1, *value.shape, dtype=torch.float64) for key, value in theta.items()}
+    moved = run(sgd(rates), theta, grads[:1])[0]
+    by_task = run(sgd({"rate": torch.tensor([[0.0, 2.0]], dtype=torch.float64)}), theta, grads[:1])[0]
+    for key, value in theta.items():
+        torch.testing.assert_close(moved[key], value - rates[f"rate.{key}"][0] * grads[0][key])
+        assert torch.equal(by_task[key][0], value[0])
+        torch.testing.assert_close(by_task[key][1], value[1] - 2 * grads[0][key][1])
