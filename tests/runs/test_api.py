@@ -250,16 +250,6 @@ def assert_same(fit: api.Fit, other: api.Fit) -> None:
         assert all(torch.equal(value, known[key]) for key, value in made.items())
 
 
-@pytest.mark.usefixtures("vgg")
-def test_a_flash_photo_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
-    pixels = pictures.noise(64, 64)
-    fit = by_general("svbrdf_stationary", pixels)
-    assert_same(fit, by_general("svbrdf_stationary", pictures.write(tmp_path / "object.png", pixels)))
-    wanted = {"diffuse": 3, "specular": 3, "normal": 3, "roughness": 2, "height": 2}
-    assert {name: values.ndim for name, values in fit.maps.items()} == wanted
-    np.testing.assert_allclose(np.linalg.norm(fit.maps["normal"], axis=-1), 1, atol=1e-5)
-
-
 def test_a_material_in_memory_is_that_of_its_files(tmp_path: Path) -> None:
     maps = {name: pictures.noise(64, 64, seed=seed) for seed, name in enumerate(("diffuse", "specular", "roughness"))}
     maps["normal"] = np.full_like(maps["diffuse"], (128, 128, 255))
