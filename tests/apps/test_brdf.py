@@ -63,15 +63,6 @@ def distance_by_hand(theta: Params, batch: Batch, task: int, clamp: bool) -> np.
     return np.abs(np.log1p((np.maximum(value, 0) if clamp else value) * where[6]) - target)
 
 
-def test_init() -> None:
-    theta = APP.init(Generator().manual_seed(0), 2000)
-    assert sum(value[0].numel() for value in theta.values()) == 675
-    for layer, (inputs, gain) in enumerate(((6, 2), (21, 2), (21, 1)), 1):
-        torch.testing.assert_close(theta[f"w{layer}"].var(), torch.tensor(gain / inputs), rtol=0.02, atol=0)
-        assert not theta[f"b{layer}"].any()
-    assert not torch.equal(theta["w1"][0], theta["w1"][1])
-
-
 def test_init_of_the_papers_recipe() -> None:
     """Weights uniform in +-0.05 and biases 0 (Sztrajman et al. 2021), also in what an untrained General predicts."""
     recipe = recipes_of("brdf")["paper"]

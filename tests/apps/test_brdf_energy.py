@@ -12,7 +12,7 @@ from torch import Tensor
 
 import metapp
 from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
-from metapp.apps.brdf.energy import INCIDENT_RAD, albedo, conserving, quadrature
+from metapp.apps.brdf.energy import albedo, conserving, quadrature
 from metapp.apps.brdf.network import network_of
 
 
@@ -23,15 +23,6 @@ def grey(value: Tensor) -> Tensor:
 def test_a_white_diffuse_surface_reflects_all() -> None:
     shares = albedo(lambda angles: grey(torch.full(angles.shape[:-1], 1 / math.pi)))
     torch.testing.assert_close(shares, torch.ones(16, 3, dtype=torch.float64), atol=1e-3, rtol=0)
-
-
-def test_shares_of_a_product_of_cosines() -> None:
-    def product(angles: Tensor) -> Tensor:
-        c = cosines(angles.double())
-        return grey(c.incident * c.outgoing)
-
-    expected = grey(INCIDENT_RAD.cos() * 2 * math.pi / 3)
-    torch.testing.assert_close(albedo(product), expected, atol=1e-3, rtol=0)
 
 
 @pytest.mark.parametrize("power", [400.0, 40_000.0])

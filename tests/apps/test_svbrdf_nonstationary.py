@@ -18,7 +18,6 @@ from metapp.apps.svbrdf_nonstationary.app import HIDDEN, INPUTS, STEEP, SvbrdfNo
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
-    decoded,
     flash_of,
     inputs_of,
     mirroring_pairs,
@@ -35,8 +34,6 @@ from metapp.apps.svbrdf_nonstationary.variants import (
 )
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Tasks
-from metapp.networks import field as fields
-from metapp.networks.map_pictures import map_pictures
 
 SIDE = 16
 REFERENCE = SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="reference")
@@ -258,20 +255,6 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
     for hidden in ("maps", "lit"):
         other = batch | {hidden: batch[hidden] * 0.5}
         assert torch.equal(photo.loss(theta, other, {}), photo.loss(theta, batch, {}))
-
-
-def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is seen of a row depends on others, and the last rows are fewer: the same to rounding, at any size."""
-    theta = {key: value.double() for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    photo = torch.rand(1, 3, 150, 150, generator=Generator().manual_seed(1), dtype=torch.float64)
-    field = app.network._replace(height=150, width=150)
-    whole = decoded(field(theta, inputs_of(photo)))
-    one = Maps(*(part[0] for part in whole))
-    pictures = map_pictures(one)
-    monkeypatch.setattr(fields, "STRIP_TEXELS", 150 * 64)
-    for found, wanted in zip(app.fine_maps(theta, photo), whole, strict=True):
-        torch.testing.assert_close(found, wanted)
-    assert all(torch.allclose(found.pixels, pictures[name].pixels) for name, found in map_pictures(one).items())
 
 
 def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -> None:

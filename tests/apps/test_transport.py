@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps.transport import spline
 from metapp.apps.transport.app import Transport
-from metapp.apps.transport.flow import Flow, blobs, interpolated
+from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -100,18 +100,6 @@ def test_the_density_is_the_jacobian_of_the_chain() -> None:
         film, towards = flow.log_density(theta, point[None, :, None])
         assert float(jacobian[:2, :2].diagonal().log().sum()) == pytest.approx(float(film), abs=1e-5)
         assert float(jacobian[2:, 2:].diagonal().log().sum()) == pytest.approx(float(towards), abs=1e-5)
-
-
-def test_blobs_and_grids_are_linear_between_centres() -> None:
-    x = torch.rand(1, 100, generator=rng(), dtype=torch.float64)
-    torch.testing.assert_close(blobs(x, 6).sum(1), torch.ones(1, 100, dtype=torch.float64))
-    inside = x.clamp(0.5 / 6, 5.5 / 6)
-    centres = (torch.arange(6, dtype=torch.float64) + 0.5) / 6
-    torch.testing.assert_close((blobs(inside, 6) * centres[:, None]).sum(1), inside)
-    y = torch.rand(1, 100, generator=rng(1), dtype=torch.float64).clamp(0.5 / 4, 3.5 / 4)
-    rows = (torch.arange(4, dtype=torch.float64) + 0.5) / 4
-    grid = torch.stack([centres.expand(4, 6), rows[:, None].expand(4, 6)])[None]
-    torch.testing.assert_close(interpolated(grid, inside, y), torch.stack([inside, y], 1))
 
 
 # The table
