@@ -117,17 +117,6 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, f
 
 
 @needs_compiler
-def test_tasks_do_not_see_each_other() -> None:
-    rng = Generator().manual_seed(1)
-    theta, batch = theta_of(rng), batch_of(rng, 200)
-    flat = Layout(theta).flat(theta)
-    together, _ = nbrdf.gradient(flat, batch, {})
-    for task in range(TASKS):
-        one, _ = nbrdf.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
-        assert torch.equal(one[0], together[task])
-
-
-@needs_compiler
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e30])
 def test_what_is_not_finite_is_said(bad: float) -> None:
     rng = Generator().manual_seed(2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import tarfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -184,27 +183,3 @@ def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: p
     monkeypatch.setattr(pages, "URL", Path("none.tgz").absolute().as_uri())
     assert "expected onnxruntime-web" in metapp(*words).refusal
     assert not Path("onnx-page").exists()
-
-
-@pytest.mark.slow
-def test_the_page_computes_what_python_does(metapp: Callable, browser: Any, tmp_path: Path) -> None:
-    """By the real runtime, of the folder that METAPP_RUNTIME names, with its archive."""
-    folder = os.environ.get("METAPP_RUNTIME")
-    if not folder:
-        pytest.skip(f"METAPP_RUNTIME names no folder with {pages.ARCHIVE}")
-    (Path(os.environ["METAPP_CACHE"]) / pages.ARCHIVE).write_bytes((Path(folder) / pages.ARCHIVE).read_bytes())
-    ort = pytest.importorskip("onnxruntime")
-    for kind in ("onnx", "onnx-page"):
-        assert metapp("export", "svbrdf_nonstationary", kind).code == 0
-    assert sum(file.stat().st_size for file in Path("onnx-page").iterdir()) < 10e6
-    pixels = photo(tmp_path / "a.png", 256, 256)
-    opened = Opened(browser, Path("onnx-page"))
-    opened.says("Ready.", 120)
-    opened.choose(tmp_path / "a.png")
-    opened.says("maps of 256 x 256 px", 240)
-    found = opened.maps()
-    session = ort.InferenceSession("onnx/svbrdf_nonstationary.onnx", providers=["CPUExecutionProvider"])
-    names = ["diffuse", "specular", "roughness", "normal"]
-    expected = session.run(names, {"photo": np.float32(pixels.transpose(2, 0, 1)[None]) / np.float32(255)})
-    for name, values in zip(names, expected, strict=True):
-        np.testing.assert_allclose(found[name], values[0], atol=1e-3)
