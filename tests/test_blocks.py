@@ -77,7 +77,6 @@ REASONS = {
     "has a test of its own",
     "needs a scheduler",
     "needs photos of your own",
-    "needs Blender",
 }
 LEFT_OUT = [block for page in PAGES for block in blocks_of(page) if block.reason]
 # what a reader would have to replace before a line works
