@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -44,13 +44,12 @@ class CodedApp(App):
     def cheap_fits(self) -> bool:
         return self.network.height * self.network.width <= CHEAP
 
-    @property
-    def encoder(self) -> Any:
-        """Reads photographs for the network: a task's own parameters, [T, ...] each."""
-        raise NotImplementedError
-
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(0.3))}
+
+    def init_reader(self, rng: Generator) -> Params:
+        """Random parameters of the reader of photographs."""
+        raise NotImplementedError
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         """A task's own parameters, [T, ...] each, from its photograph."""
@@ -58,7 +57,7 @@ class CodedApp(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of photographs, and the parameters of the field that all tasks share."""
-        return encoder_of(self.encoder.init(rng), self.network.init(rng, 1), ("z",))
+        return encoder_of(self.init_reader(rng), self.network.init(rng, 1), ("z",))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}

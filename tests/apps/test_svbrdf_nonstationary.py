@@ -14,7 +14,7 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, unpack
 from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary.app import HIDDEN, INPUTS, STEEP, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import HIDDEN, STEEP, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
@@ -97,7 +97,7 @@ def test_a_finer_photo_says_the_same() -> None:
 
 def test_finer_levels_add_to_what_the_coarse_ones_read(rng: Generator) -> None:
     """Nothing at first; then at each resolution that a photo has, and what the coarse ones read of it stays in it."""
-    coarse, finer = Encoder(INPUTS, 4, code=3, flash=FLASH), Encoder(INPUTS, 4, code=3, flash=FLASH, finer=(3, 2))
+    coarse, finer = Encoder(4, code=3), Encoder(4, code=3, finer=(3, 2))
     weights = finer.init(rng)
     photo = torch.rand(2, 3, 256, 256, generator=rng)
     small = avg_pool2d(photo, 4)

@@ -15,8 +15,8 @@ from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
+from metapp.apps.illumination import encoder
 from metapp.apps.illumination.confidence import Weibull, deviations, features, hatched, spread_of
-from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, photographed, resampled, seen_loss
 from metapp.apps.illumination.spheres import SPHERES, sphere_errors
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
@@ -77,10 +77,6 @@ class Illumination(CodedApp):
         "certain": TensorSpec((2, "h", "w"), low=0.0, high=1.0, optional=True),
     }
     scale = 100.0
-
-    @property
-    def encoder(self) -> Encoder:
-        return Encoder(2 * self.encoder_size[0], 2 * self.encoder_size[1], self.network.code, BODY)
 
     @property
     def read_size(self) -> int:
@@ -194,8 +190,11 @@ class Illumination(CodedApp):
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
         return super().loss_parameters(steps) | light
 
+    def init_reader(self, rng: Generator) -> Params:
+        return encoder.init_reader(rng, self.network.code, BODY)
+
     def read(self, reader: Params, photos: Tensor) -> Params:
-        code, body = self.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
+        code, body = encoder.read(reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size)
         return {"z": code / self.network.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -14,64 +13,51 @@ from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, dense
 
 SLOPE = 0.1
+PHOTO_PX = 64  # side of a photograph
 DIRECT = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that look at the photograph as it is
 OUTLINE = 32  # numbers that describe the photograph as a whole
 AROUND = 64  # channels on the sphere of directions
 STRIDES = (1, 2, 4, 8, 1)  # how far apart the texels are that its layers look at, so that all see all around
 
 
-class Encoder(NamedTuple):
-    """Two views of one photograph: as it is, and unwrapped to where its pixels mirror from and where they face.
+def init_reader(rng: Generator, code: int, body: int) -> Params:
+    """Random parameters for codes of a length, and for `body` numbers of the sphere's material and the camera."""
+    reader: Params = {}
+    layer = functools.partial(add_layer, reader, rng)
 
-    Each direction also sees what is on the other side of the sphere at its elevation, and its row's mean: most light
-    behind a sphere resembles what is before it.
+    for i, (inputs, outputs) in enumerate(DIRECT):
+        layer(f"photo{i}", outputs, inputs, 3, 3)
+    layer("whole", 2 * OUTLINE, DIRECT[-1][1] * (PHOTO_PX // 2 ** len(DIRECT)) ** 2)
+    layer("outline", OUTLINE, 2 * OUTLINE)
+    layer("body", body, 2 * OUTLINE, gain=0.1)
+    layer("around0", AROUND, 2 * 6 + 3, 3, 3)
+    layer("around0.whole", AROUND, OUTLINE)
+    for i in range(1, 1 + len(STRIDES)):
+        layer(f"around{i}", AROUND, AROUND, 3, 3, gain=1.0)
+        layer(f"around{i}.row", AROUND, AROUND, 1, gain=0.5)
+    layer("code", code, AROUND, 1, 1, gain=0.3)
+    return reader
 
-    Attributes:
-        height, width: of the unwrapped views, twice the code's grid.
-        code: length of the code in a cell.
-        body: numbers that describe the sphere's material and the camera.
-        photo: side of the photograph, px.
+
+def read(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
+    """The code [T, code, rows, columns] and the body [T, body] of photographs [T, 3, PHOTO_PX, PHOTO_PX] in [0, 1].
+
+    Two views of one photograph: as it is, and unwrapped to where its pixels mirror from and where they face. Each
+    direction also sees what is on the other side of the sphere at its elevation, and its row's mean: most light behind
+    a sphere resembles what is before it.
     """
-
-    height: int
-    width: int
-    code: int
-    body: int
-    photo: int = 64
-
-    def init(self, rng: Generator) -> Params:
-        """Random parameters."""
-        encoder: Params = {}
-        layer = functools.partial(add_layer, encoder, rng)
-
-        for i, (inputs, outputs) in enumerate(DIRECT):
-            layer(f"photo{i}", outputs, inputs, 3, 3)
-        layer("whole", 2 * OUTLINE, DIRECT[-1][1] * (self.photo // 2 ** len(DIRECT)) ** 2)
-        layer("outline", OUTLINE, 2 * OUTLINE)
-        layer("body", self.body, 2 * OUTLINE, gain=0.1)
-        layer("around0", AROUND, 2 * 6 + 3, 3, 3)
-        layer("around0.whole", AROUND, OUTLINE)
-        for i in range(1, 1 + len(STRIDES)):
-            layer(f"around{i}", AROUND, AROUND, 3, 3, gain=1.0)
-            layer(f"around{i}.row", AROUND, AROUND, 1, gain=0.5)
-        layer("code", self.code, AROUND, 1, 1, gain=0.3)
-        return encoder
-
-    def __call__(self, encoder: Params, photos: Tensor) -> tuple[Tensor, Tensor]:
-        """The code [T, code, height / 2, width / 2] and the body [T, body] of photographs [T, 3, S, S] in [0, 1]."""
-        x = photos - 0.5
-        for i in range(len(DIRECT)):
-            kernel, shift = encoder[f"photo{i}.kernel"], encoder[f"photo{i}.shift"]
-            x = leaky_relu(conv2d(x, kernel, shift, stride=2, padding=1), SLOPE)
-        whole = leaky_relu(dense(encoder, "whole", x.flatten(1)), SLOPE)
-        x = unwrapped(photos, self.height, self.width).contiguous(memory_format=torch.channels_last)
-        outline = dense(encoder, "around0.whole", dense(encoder, "outline", whole))[..., None, None]
-        x = avg_pool2d(leaky_relu(_around(encoder, "around0", x) + outline, SLOPE), 2)
-        for i, stride in enumerate(STRIDES, 1):
-            row = conv1d(x.mean(3), encoder[f"around{i}.row.kernel"], encoder[f"around{i}.row.shift"])[..., None]
-            x = x + leaky_relu(_around(encoder, f"around{i}", x, stride) + row, SLOPE)
-        code = conv2d(x, encoder["code.kernel"], encoder["code.shift"])
-        return code, dense(encoder, "body", whole)
+    x = photos - 0.5
+    for i in range(len(DIRECT)):
+        kernel, shift = reader[f"photo{i}.kernel"], reader[f"photo{i}.shift"]
+        x = leaky_relu(conv2d(x, kernel, shift, stride=2, padding=1), SLOPE)
+    whole = leaky_relu(dense(reader, "whole", x.flatten(1)), SLOPE)
+    x = unwrapped(photos, 2 * rows, 2 * columns).contiguous(memory_format=torch.channels_last)
+    outline = dense(reader, "around0.whole", dense(reader, "outline", whole))[..., None, None]
+    x = avg_pool2d(leaky_relu(_around(reader, "around0", x) + outline, SLOPE), 2)
+    for i, stride in enumerate(STRIDES, 1):
+        row = conv1d(x.mean(3), reader[f"around{i}.row.kernel"], reader[f"around{i}.row.shift"])[..., None]
+        x = x + leaky_relu(_around(reader, f"around{i}", x, stride) + row, SLOPE)
+    return conv2d(x, reader["code.kernel"], reader["code.shift"]), dense(reader, "body", whole)
 
 
 def unwrapped(photos: Tensor, height: int, width: int) -> Tensor:

@@ -7,7 +7,6 @@ squared angle to that direction in rad^2, and the radiance round it. There the n
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -39,9 +38,9 @@ def _suns(light: Tensor) -> Tensor:
     regions = _regions(bright > SUN_LUMINANCE)
     weights = luminance(excess)
     suns = [_shape(weights * (regions == region), towards) for region in range(1, int(regions.max()) + 1)]
-    small = sorted((sun for sun in suns if sun.spread <= WIDEST_RAD**2), key=lambda sun: -sun.light)[:SUNS]
-    for number, sun in enumerate(small):
-        numbers[number, :3], numbers[number, 6] = sun.towards, sun.spread
+    small = sorted((sun for sun in suns if sun[1] <= WIDEST_RAD**2), key=lambda sun: -sun[0])[:SUNS]
+    for number, (_, spread, mean) in enumerate(small):
+        numbers[number, :3], numbers[number, 6] = mean, spread
     lobes = _lobes(numbers[None], height, width)[0]
     covers = _covered(lobes) * area
     rest = torch.minimum(light, light * SUN_LUMINANCE / bright.clamp_min(1e-9))
@@ -51,17 +50,11 @@ def _suns(light: Tensor) -> Tensor:
     return numbers
 
 
-class _Shape(NamedTuple):
-    towards: Tensor
-    spread: float
-    light: float
-
-
-def _shape(weights: Tensor, towards: Tensor) -> _Shape:
-    """Mean direction, mean squared angle to it and sum of weights [H, W]."""
+def _shape(weights: Tensor, towards: Tensor) -> tuple[float, float, Tensor]:
+    """Sum of weights [H, W], mean squared angle to their mean direction, and that direction [3]."""
     mean, light = torch.einsum("hw,chw->c", weights.double(), towards.double()), float(weights.double().sum())
     length = float(mean.norm())
-    return _Shape((mean / length).float(), max(2 * (1 - length / light), 0.0), light)
+    return light, max(2 * (1 - length / light), 0.0), (mean / length).float()
 
 
 def _regions(bright: Tensor) -> Tensor:

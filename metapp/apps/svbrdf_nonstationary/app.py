@@ -18,6 +18,7 @@ from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
     FLASH,
+    INPUTS,
     RAW,
     Flash,
     decoded,
@@ -47,7 +48,6 @@ RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged u
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 FINER, FINEST_SHOT_PX = 2, 256  # augmented materials are photographed so many times as fine as their maps, up to px
-INPUTS = 8
 FINEST_PX = 2048  # a side of a user's photograph, and of the maps that are written
 SHOWN_PX = 256  # a side of the maps that are shown
 
@@ -109,7 +109,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @property
     def encoder(self) -> Encoder:
-        return Encoder(INPUTS, self.encoder_width, self.network.code, FLASH, finer=self.encoder_finer)
+        return Encoder(self.encoder_width, self.network.code, self.encoder_finer)
 
     @property
     def read_size(self) -> int:
@@ -209,6 +209,9 @@ class SvbrdfNonstationary(CodedApp):
 
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
+
+    def init_reader(self, rng: Generator) -> Params:
+        return self.encoder.init(rng)
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         photos = adaptive_avg_pool2d(photos, self.encoder_size or photos.shape[-1])

@@ -9,12 +9,13 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
 
-from metapp.apps.svbrdf_nonstationary.maps import inputs_of
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, INPUTS, inputs_of
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
 BASE = 64  # texels a side of the level that all others are counted from
+LEVELS = 5  # resolutions from BASE down, each half of the one before
 FLASH_CELLS = 4  # cells a side of the coarsest level that the flash is looked for in
 WIDEST_TIMES = 8  # times the finest level's channels, at the coarsest
 
@@ -26,19 +27,13 @@ class Encoder(NamedTuple):
     coarser ones. So its weights serve at every resolution up to BASE * 2^len(finer).
 
     Attributes:
-        inputs: channels of what is known of the pixels.
         width: channels of the level of BASE texels; each level down has twice as many, up to WIDEST_TIMES times.
         code: length of the code in a pixel.
-        flash: numbers that describe the flash.
-        levels: resolutions from BASE down, each half of the one before.
         finer: channels of the levels above, the coarsest first.
     """
 
-    inputs: int
     width: int
     code: int
-    flash: int
-    levels: int = 5
     finer: tuple[int, ...] = ()
 
     def channels(self, level: int) -> int:
@@ -56,25 +51,25 @@ class Encoder(NamedTuple):
             layer(f"{name}.second", outputs, outputs, 3, 3, gain=0.7)
             layer(f"{name}.mean", outputs, outputs, gain=0.5)
 
-        block("down0", self.inputs, self.channels(0))
-        for level in range(1, self.levels):
+        block("down0", INPUTS, self.channels(0))
+        for level in range(1, LEVELS):
             block(f"down{level}", self.channels(level - 1), self.channels(level))
-        for level in reversed(range(self.levels - 1)):
+        for level in reversed(range(LEVELS - 1)):
             block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
         layer("code", self.code, self.channels(0), gain=0.3)
-        layer("flash", self.flash, self.channels(self.levels - 1) * FLASH_CELLS**2, gain=0.1)
+        layer("flash", FLASH, self.channels(LEVELS - 1) * FLASH_CELLS**2, gain=0.1)
         below = self.channels(0)
         for level, (width, above) in enumerate(zip(self.finer, (*self.finer, 0)[1:], strict=True)):
-            block(f"finer{level}.down", self.inputs + above, width)
+            block(f"finer{level}.down", INPUTS + above, width)
             block(f"finer{level}.up", below + width, width)
             layer(f"finer{level}.code", self.code, width, gain=0.0)
             below = width
         if self.finer:
-            layer("finer0.known", self.inputs, self.finer[0], gain=0.0)
+            layer("finer0.known", INPUTS, self.finer[0], gain=0.0)
         return encoder
 
     def __call__(self, encoder: Params, photos: Tensor) -> Params:
-        """Read linear photographs [T, 3, H, H]: `z`, the code [T, code, H, H], and `flash` [T, flash].
+        """Read linear photographs [T, 3, H, H]: `z`, the code [T, code, H, H], and `flash` [T, FLASH].
 
         Where there are finer levels, H is at most BASE, or BASE times a power of two.
         """
@@ -82,11 +77,11 @@ class Encoder(NamedTuple):
         base = adaptive_avg_pool2d(photos, min(BASE, photos.shape[-1])) if finer else photos
         x, skips = inputs_of(base).contiguous(memory_format=torch.channels_last), []
         x = x if added is None else x + added
-        for level in range(self.levels):
+        for level in range(LEVELS):
             x = block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         flash = dense(encoder, "flash", adaptive_avg_pool2d(x, FLASH_CELLS).flatten(1))
-        for level in reversed(range(self.levels - 1)):
+        for level in reversed(range(LEVELS - 1)):
             x = block(encoder, f"up{level}", torch.cat([twice(x), skips[level]], 1))
         code = pointwise(encoder, "code", x)
         for level, skip in enumerate(finer):

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.transport.encoder import Encoder
+from metapp.apps.transport.encoder import init_reader, read
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
@@ -46,11 +46,6 @@ class Transport(App):
         "next_event": TensorSpec((1,), "uint8", optional=True),
     }
 
-    @property
-    def encoder(self) -> Encoder:
-        """Reads pictures of scenes."""
-        return Encoder(self.network)
-
     def remarks(self, task: Task, theta: Params) -> dict[str, str]:
         return {"note": NOTE} if "next_event" in task.data else {}
 
@@ -75,13 +70,13 @@ class Transport(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
-        return encoder_of(self.encoder.init(rng), self.network.init(rng, 1), ("z", "film.x", "film.y"))
+        return encoder_of(init_reader(rng, self.network.code), self.network.init(rng, 1), ("z", "film.x", "film.y"))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        return with_decoder(self.encoder(reader_of(encoder), condition["image"]), encoder)
+        return with_decoder(read(reader_of(encoder), condition["image"], self.network), encoder)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same scenes, some mirrored left to right, their pictures a little noisier.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -16,71 +15,61 @@ from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
 LIGHT_FLOOR = 0.01  # of a picture of mean luminance 1: its log is flat below
-BLOCKS = 3
+CHANNELS, HEADS, BLOCKS = 48, 8, 3  # of the convolutions; attention maps; convolutions after these
 
 
-class Encoder(NamedTuple):
-    """Convolutions on the film that also read the whole picture, pooled by a few learned attention maps.
+def init_reader(rng: Generator, code: int) -> Params:
+    """Random parameters; at first the flow's directions are almost uniform and its film is the picture."""
+    reader: Params = {}
+    layer = functools.partial(add_layer, reader, rng)
 
-    Attributes:
-        flow: what it is for; its grid has half as many rows and columns as the picture.
-        channels: of the convolutions.
-        heads: attention maps.
+    layer("in", CHANNELS, 5, 4, 4)
+    layer("look", CHANNELS, CHANNELS, 3, 3)
+    layer("heads", HEADS, CHANNELS, 1, 1, gain=1.0)
+    layer("whole", CHANNELS, HEADS * (CHANNELS + 2), gain=1.0)
+    for i in range(BLOCKS):
+        layer(f"block{i}", CHANNELS, CHANNELS + 2, 3, 3, gain=1.0)
+    layer("code", code, CHANNELS, 1, 1, gain=1.0)
+    layer("film", 6, CHANNELS, 1, 1, gain=0.0)
+    return reader
+
+
+def read(reader: Params, images: Tensor, flow: Flow) -> Params:
+    """The own parameters of T flows, by convolutions that also read the whole picture, pooled by HEADS attention maps.
+
+    Args:
+        reader: parameters, as of `init_reader`.
+        images: linear RGB of any scale, [T, 3, 2 rows, 2 columns] of the flow's grid.
+        flow: what they are for.
+
+    Returns:
+        `z`, `film.x` and `film.y`, each [T, ...].
     """
+    light = luminance(images)
+    logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + LIGHT_FLOOR).log()
+    colours = images / (images.sum(1, keepdim=True) + 1e-6) - 1 / 3
+    x = torch.cat([logs[:, None], colours[:, ::2], places(images)], 1)
+    x = leaky_relu(conv2d(x, reader["in.kernel"], reader["in.shift"], stride=2, padding=1), SLOPE)
+    grid = places(x)
+    features = leaky_relu(convolved(reader, "look", x), SLOPE)
+    weights = convolved(reader, "heads", features).flatten(2).softmax(2)
+    pooled = weights @ torch.cat([features, grid], 1).flatten(2).mT
+    whole = dense(reader, "whole", pooled.flatten(1))
+    x = features + whole[..., None, None]
+    for i in range(BLOCKS):
+        x = x + leaky_relu(convolved(reader, f"block{i}", torch.cat([x, grid], 1)), SLOPE)
+    film = _film(logs, convolved(reader, "film", x))
+    own = {"z": convolved(reader, "code", x) / flow.gain}
+    return own | {key: value / flow.film_gain for key, value in film.items()}
 
-    flow: Flow
-    channels: int = 48
-    heads: int = 8
 
-    def init(self, rng: Generator) -> Params:
-        """Random parameters; at first the flow's directions are almost uniform and its film is the picture."""
-        encoder: Params = {}
-        layer = functools.partial(add_layer, encoder, rng)
-
-        layer("in", self.channels, 5, 4, 4)
-        layer("look", self.channels, self.channels, 3, 3)
-        layer("heads", self.heads, self.channels, 1, 1, gain=1.0)
-        layer("whole", self.channels, self.heads * (self.channels + 2), gain=1.0)
-        for i in range(BLOCKS):
-            layer(f"block{i}", self.channels, self.channels + 2, 3, 3, gain=1.0)
-        layer("code", self.flow.code, self.channels, 1, 1, gain=1.0)
-        layer("film", 6, self.channels, 1, 1, gain=0.0)
-        return encoder
-
-    def __call__(self, encoder: Params, images: Tensor) -> Params:
-        """The own parameters of T flows.
-
-        Args:
-            encoder: parameters, as of `init`.
-            images: linear RGB of any scale, [T, 3, 2 rows, 2 columns] of the flow's grid.
-
-        Returns:
-            `z`, `film.x` and `film.y`, each [T, ...].
-        """
-        light = luminance(images)
-        logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + LIGHT_FLOOR).log()
-        colours = images / (images.sum(1, keepdim=True) + 1e-6) - 1 / 3
-        x = torch.cat([logs[:, None], colours[:, ::2], places(images)], 1)
-        x = leaky_relu(conv2d(x, encoder["in.kernel"], encoder["in.shift"], stride=2, padding=1), SLOPE)
-        grid = places(x)
-        features = leaky_relu(convolved(encoder, "look", x), SLOPE)
-        weights = convolved(encoder, "heads", features).flatten(2).softmax(2)
-        pooled = weights @ torch.cat([features, grid], 1).flatten(2).mT
-        whole = dense(encoder, "whole", pooled.flatten(1))
-        x = features + whole[..., None, None]
-        for i in range(BLOCKS):
-            x = x + leaky_relu(convolved(encoder, f"block{i}", torch.cat([x, grid], 1)), SLOPE)
-        code = convolved(encoder, "code", x)
-        return {"z": code / self.flow.gain} | self._film(logs, convolved(encoder, "film", x))
-
-    def _film(self, logs: Tensor, corrections: Tensor) -> Params:
-        """The film's splines: evenly wide bins that hold what the picture says, [T, rows, columns], and corrections."""
-        fine = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
-        of_picture = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
-        widths, masses, bends = fine[:, 3:].mean(2).unbind(1)
-        shares = logs.exp().sum(1).log() + masses
-        numbers = {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": of_picture + fine[:, :3]}
-        return {key: value / self.flow.film_gain for key, value in numbers.items()}
+def _film(logs: Tensor, corrections: Tensor) -> Params:
+    """The film's splines: evenly wide bins that hold what the picture says, [T, rows, columns], and corrections."""
+    fine = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
+    of_picture = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
+    widths, masses, bends = fine[:, 3:].mean(2).unbind(1)
+    shares = logs.exp().sum(1).log() + masses
+    return {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": of_picture + fine[:, :3]}
 
 
 def places(like: Tensor) -> Tensor:

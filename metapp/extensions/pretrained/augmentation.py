@@ -8,8 +8,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.apps.svbrdf_nonstationary.app import INPUTS
-from metapp.apps.svbrdf_nonstationary.maps import inputs_of, of_length_1, pooled
+from metapp.apps.svbrdf_nonstationary.maps import INPUTS, inputs_of, of_length_1, pooled
 from metapp.apps.svbrdf_nonstationary.variants import (
     RESTYLED,
     draws_of,
