@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from data_tools.readers.image_files import LINEAR, Pixels
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.ball.view import Ball, Floats, mirrored
+from metapp.extensions.capture.ball.geometry import Ball, Floats, mirrored
 from metapp.storage.images import write_png
 
 
@@ -28,12 +29,17 @@ def detailed(towards: Floats) -> Floats:
 def places_of(ball: Ball, height: int, width: int, many: int = 2) -> Floats:
     """Places [2, many * height, many * width] in the ball's disc of a photograph's pixels."""
     x, y = np.meshgrid((np.arange(many * width) + 0.5) / many, (np.arange(many * height) + 0.5) / many)
-    if ball.lens is None:
-        return np.stack([(x - ball.x) / ball.radius, (ball.y - y) / ball.radius])
-    centre, right, up = ball._axes()
+    centre = np.array([ball.x - ball.lens.x, ball.y - ball.lens.y, ball.lens.focal])
+    right = np.cross([0.0, 1.0, 0.0], centre)
+    up = np.cross(right, centre)
     ray = np.stack([x - ball.lens.x, y - ball.lens.y, np.full(x.shape, ball.lens.focal)])
     along = centre @ centre / np.einsum("i,ihw->hw", centre, ray)
-    return np.stack([np.einsum("i,ihw->hw", axis, ray) * along / ball.radius for axis in (right, up)])
+    return np.stack(
+        [
+            np.einsum("i,ihw->hw", axis, ray) * along / ball.radius
+            for axis in (right / np.linalg.norm(right), up / np.linalg.norm(up))
+        ]
+    )
 
 
 def photograph(ball: Ball, height: int, width: int, around: Floats | float = 0.05, lit=light) -> Floats:
@@ -53,6 +59,11 @@ def busy(height: int, width: int, seed: int) -> Floats:
         height_, width_ = rng.integers(10, 80, 2)
         result[y : y + height_, x : x + width_] = rng.choice([0.02, 0.04, 0.6, 0.7, 0.9, 1.0])
     return result
+
+
+def taken(linear: Floats) -> Pixels:
+    """A photograph in memory of linear RGB [3, height, width] in [0, 1]."""
+    return Pixels(linear.transpose(1, 2, 0).astype(np.float32), LINEAR, False)
 
 
 def written(path: Path, linear: np.ndarray) -> Path:

@@ -59,11 +59,12 @@ def page(opening: int, paper: str = "a4") -> tuple[np.ndarray, tuple[float, floa
     from metapp.extensions.capture.markers.sheet import draw_sheet
 
     drawn = draw_sheet(opening, paper)
-    for patch_of_page in drawn.axes.patches:
+    (axes,) = drawn.axes
+    for patch_of_page in axes.patches:
         patch_of_page.set_snap(False)  # to whole pixels, which a printer does not do
     stream = io.BytesIO()
-    drawn.figure.savefig(stream, format="png", dpi=PX_PER_CM * 2.54)
-    return np.asarray(Image.open(stream).convert("L")) / 255.0, drawn.centre_cm
+    drawn.savefig(stream, format="png", dpi=PX_PER_CM * 2.54)
+    return np.asarray(Image.open(stream).convert("L")) / 255.0, (-axes.get_xlim()[0], -axes.get_ylim()[0])
 
 
 @functools.cache

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.extensions.capture.ball.view import Ball
+from metapp.extensions.capture.ball.geometry import Ball
 from metapp.storage.shards import check_shard, read_shard
 from tests.extensions.capture.ball_photos import detailed, photograph, written
 
@@ -52,7 +52,7 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, brack
     ("options", "line"),
     [
         (["--shutter", "a"], "expected exposure times"),
-        (["--fov", "1e-300"], "1e-300 degrees, expected 0 or 0.5 to 150"),
+        (["--fov", "1e-300"], "--fov '1e-300': expected 0 or 0.5 to 150 degrees"),
         (["--ball", "1,2"], "expected centre and radius"),
     ],
 )

@@ -10,11 +10,10 @@ import torch
 
 from data_tools.readers.photos import read_photo
 from metapp.appearance.latlong import directions, sphere_normals
-from metapp.extensions.capture.ball.mirror import features, is_mirror
+from metapp.extensions.capture.ball.geometry import Ball
+from metapp.extensions.capture.ball.picture import features, is_mirror
 from metapp.extensions.capture.ball.reading import read_task
-from metapp.extensions.capture.ball.shots import Shot
-from metapp.extensions.capture.ball.view import Ball
-from tests.extensions.capture.ball_photos import detailed, light, photograph, written
+from tests.extensions.capture.ball_photos import detailed, light, photograph, taken, written
 from tests.pictures import write
 
 
@@ -71,16 +70,15 @@ def test_of_a_mirror_what_it_shows_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lit", [light, detailed])
 def test_what_may_be_matte_is_no_mirror(lit: object) -> None:
-    values = matte().astype(np.float32)
-    assert not is_mirror(Shot(Ball(80, 80, 80), values))
-    smooth = photograph(Ball(80, 80, 78), 160, 160, 0.05, light).astype(np.float32)
-    assert not is_mirror(Shot(Ball(80, 80, 78), smooth))
+    assert not is_mirror(taken(matte()), Ball(80, 80, 80))
+    smooth = taken(photograph(Ball(80, 80, 78), 160, 160, 0.05, light))
+    assert not is_mirror(smooth, Ball(80, 80, 78))
 
 
 def test_a_small_ball_is_not_told() -> None:
-    sharp = photograph(Ball(80, 80, 78), 160, 160, 0.05, room).astype(np.float32)
-    assert is_mirror(Shot(Ball(80, 80, 78), sharp))
-    assert not is_mirror(Shot(Ball(80, 80, 30), sharp))
+    sharp = taken(photograph(Ball(80, 80, 78), 160, 160, 0.05, room))
+    assert is_mirror(sharp, Ball(80, 80, 78))
+    assert not is_mirror(sharp, Ball(80, 80, 30))
     assert np.isfinite(features(np.zeros((3, 128, 128)))).all()
 
 

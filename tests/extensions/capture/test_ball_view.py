@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from metapp.extensions.capture.ball.view import Ball, Lens, mirrored, seen_at
+from metapp.extensions.capture.ball.geometry import FAR, Ball, Lens, mirrored, seen_at
 
-ANGLES = (0.0, 0.02, 0.3, 1.0)
+ANGLES = (FAR, 0.02, 0.3, 1.0)
 
 
 @pytest.mark.parametrize("angle", ANGLES)
@@ -39,7 +39,7 @@ def test_rays_are_mirrored_by_the_ball_that_they_meet(angle: float) -> None:
 
 def test_from_far_away_a_near_camera_is_an_orthographic_one() -> None:
     disc = np.random.default_rng(2).uniform(-0.7, 0.7, (2, 100))
-    np.testing.assert_allclose(mirrored(disc, 1e-5), mirrored(disc, 0.0), atol=1e-4)
+    np.testing.assert_allclose(mirrored(disc, 1e-5), mirrored(disc), atol=1e-4)
     np.testing.assert_allclose(mirrored(np.zeros((2, 1)), 0.3), [[0], [0], [1]])
 
 

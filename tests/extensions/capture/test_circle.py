@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from metapp.extensions.capture.ball.circle import FOUND, best_ball
-from metapp.extensions.capture.ball.view import Ball, Lens
+from metapp.extensions.capture.ball.circle import MIN_SCORE, best_ball
+from metapp.extensions.capture.ball.geometry import Ball, Lens
 from tests.extensions.capture.ball_photos import busy, detailed, photograph
 
 
@@ -32,7 +32,7 @@ def test_a_ball_is_found_before_a_busy_background(
     picture = gaussian_filter(gray(picture), blur) + noise * np.random.default_rng(0).normal(size=(240, 300))
     found = best_ball(picture.clip(0, 1))
     assert found is not None
-    assert found.score > FOUND
+    assert found.score > MIN_SCORE
     np.testing.assert_allclose(found[:3], circle, atol=tolerance)
 
 
@@ -47,7 +47,7 @@ def test_with_a_lens_the_contour_is_an_ellipse() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_where_there_is_no_ball_none_is_found(seed: int) -> None:
     found = best_ball(busy(200, 260, seed) ** (1 / 2.2))
-    assert found is None or found.score < FOUND
+    assert found is None or found.score < MIN_SCORE
 
 
 def test_a_picture_without_edges_has_no_ball() -> None:

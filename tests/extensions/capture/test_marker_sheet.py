@@ -76,7 +76,8 @@ def test_the_pdf_is_to_scale_and_the_same_each_time(tmp_path: Path, paper: str) 
     assert np.isclose(lines[:, 2] - lines[:, 0], 10 * POINT, atol=0.01).sum() == 1  # the ruler
     placed = rb"1 0 0 1 ([\d.]+) ([\d.]+) cm ([\d.]+) 0 0 -([\d.]+) 0 [\d.]+ cm /I\d+ Do"
     x, y, width, height = np.array(re.findall(placed, b" ".join(drawn.split())), float).T
-    centre = np.array(draw_sheet(7, paper).centre_cm)
+    (axes,) = draw_sheet(7, paper).axes
+    centre = -np.array([axes.get_xlim()[0], axes.get_ylim()[0]])
     outlines = np.stack([x, y, x + width, y + height], -1)
     expected = [[*(c.min(0) + centre) * POINT, *(c.max(0) + centre) * POINT] for c in corners_cm(7).values()]
     np.testing.assert_allclose(outlines, expected, atol=0.02)

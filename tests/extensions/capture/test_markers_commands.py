@@ -112,10 +112,10 @@ def test_options_out_of_range(metapp: Callable, taken: Path) -> None:
     for words in ("--opening 3", "--opening 14", "--opening 7.5", "--page a3"):
         metapp("data", "markers", "sheet.pdf", *words.split()).misuse  # noqa: B018  (it looks by itself)
     for words, line in (
-        ("--flash 1", "'1', expected two numbers in cm, up to 30, such as 1.2,0."),
-        ("--flash nan,0", "'nan,0', expected two numbers"),
+        ("--flash 1", "'1': expected two numbers in cm, up to 30, such as 1.2,0."),
+        ("--flash nan,0", "'nan,0': expected two numbers"),
         ("--fov nan", "--fov"),
-        ("--ruler 97", "less than or equal to 20"),
+        ("--ruler 97", "--ruler 97.0: expected 5.0 to 20.0"),
     ):
         assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF, *words.split()).misuse
     assert list(Path().iterdir()) == []

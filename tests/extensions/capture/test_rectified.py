@@ -15,8 +15,9 @@ from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograp
 
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import field_of_view
-from metapp.extensions.capture.markers.rectified import Placed, Set, place, rectified, write_set
-from metapp.extensions.capture.markers.sighting import common_focal, find_sheet, pose_of
+from metapp.extensions.capture.markers.rectified import PhotoSet, find_cameras, rectified, write_set
+from metapp.extensions.capture.markers.sighting import Camera as Found
+from metapp.extensions.capture.markers.sighting import camera_of, common_focal, find_sheet
 from metapp.extensions.several import photos as placed_photos
 from metapp.extensions.several.photos import read_places
 from tests.pictures import STORED, noise, write
@@ -60,10 +61,10 @@ def expected(size: int, vignette: float, camera: Camera) -> np.ndarray:
 def test_the_patch_and_the_camera_are_found(photos: Path, name: str) -> None:
     camera, path = CAMERAS[name], photos / f"{name}.jpg"
     sighting = find_sheet(path)
-    assert (sighting.opening, len(sighting.markers), sighting.focal_mm) == (10, 12, camera.focal_mm)
-    pose = pose_of(sighting, sighting.focal_mm)
-    assert off_by(pose.place_cm, camera) < 0.003  # asked for: 0.02
-    assert pose.error_px < 0.4
+    assert (sighting.opening_cm, len(sighting.markers), sighting.focal_mm) == (10, 12, camera.focal_mm)
+    camera_found = camera_of(sighting, sighting.focal_mm)
+    assert off_by(camera_found.place_cm, camera) < 0.003  # asked for: 0.02
+    assert camera_found.error_px < 0.4
     size = int(10 * sighting.scales()[0])
     picture = rectified(read_pixels(path), sighting, size)
     rmse = np.sqrt(np.mean((picture - expected(size, LOOK["vignette"], camera)) ** 2))
@@ -76,7 +77,7 @@ def test_without_a_focal_length_one_tilted_photograph_tells_it(photos: Path, nam
     sighting = find_sheet(photos / f"{name}.jpg")
     focal = common_focal([sighting])
     assert focal == pytest.approx(camera.focal_mm, rel=0.02)
-    assert off_by(pose_of(sighting, focal).place_cm, camera) < 0.02  # asked for: 0.05
+    assert off_by(camera_of(sighting, focal).place_cm, camera) < 0.02  # asked for: 0.05
 
 
 def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> None:
@@ -91,11 +92,11 @@ def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> No
 def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
     cameras = [tilted(0, distance=26), tilted(5, 40)]
     paths = [take(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
-    placed = place(paths, fov_rad=field_of_view(26, 1200, 1600))
-    for photo, camera in zip(placed.photos, cameras, strict=True):
-        assert off_by(photo.camera_cm, camera) < 0.002
+    placed = find_cameras(paths, fov_rad=field_of_view(26, 1200, 1600))
+    for photo, camera in zip(placed.cameras, cameras, strict=True):
+        assert off_by(photo.place_cm, camera) < 0.002
     with pytest.raises(ValueError, match="--fov"):
-        place(paths)
+        find_cameras(paths)
 
 
 def test_photographs_are_read_upright(tmp_path: Path) -> None:
@@ -104,7 +105,7 @@ def test_photographs_are_read_upright(tmp_path: Path) -> None:
     path = write(tmp_path / "a.png", STORED[6](upright), Orientation=6)
     sighting = find_sheet(path)
     assert (sighting.height, sighting.width) == (800, 600)
-    assert off_by(pose_of(sighting, 26).place_cm, camera) < 0.005
+    assert off_by(camera_of(sighting, 26).place_cm, camera) < 0.005
     picture = rectified(read_pixels(path), sighting, 128)
     assert np.sqrt(np.mean((picture - expected(128, 0, camera)) ** 2)) < 0.03
 
@@ -125,8 +126,8 @@ def test_colours_are_what_they_were(photos: Path, dtype: type) -> None:
     assert back.std() < 0.02
 
 
-def written(folder: Path, paths: list[Path], **settings: Any) -> Set:
-    placed = place(paths, **settings)
+def written(folder: Path, paths: list[Path], **settings: Any) -> PhotoSet:
+    placed = find_cameras(paths, **settings)
     write_set(placed, folder)
     return placed
 
@@ -135,9 +136,9 @@ def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: P
     names = ["steep", "aside", "above", "turned"]
     placed = written(tmp_path / "leaf", [photos / f"{name}.jpg" for name in names])
     order = ["above", "aside", "turned", "steep"]  # that from straight above first
-    assert [photo.sighting.path.stem for photo in placed.photos] == order
+    assert [photo.sighting.path.stem for photo in placed.cameras] == order
     assert placed.side_cm == 10
-    assert placed.size == int(10 * placed.photos[0].sighting.scales()[0])
+    assert placed.size == int(10 * placed.cameras[0].sighting.scales()[0])
     task = placed_photos.read_task(tmp_path / "leaf")
     assert task.data["photo"].shape == (3, 256, 256)
     assert task.data["others"].shape == (3, 3, 256, 256)
@@ -152,30 +153,31 @@ def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: P
 
 def test_the_flash_is_beside_the_lens_in_the_photograph(photos: Path) -> None:
     paths = [photos / "aside.jpg", photos / "turned.jpg"]
-    for photo in place(paths, flash_cm=(1.5, -0.5)).photos:
-        seen = photo.pose.axes @ (photo.light_cm - photo.camera_cm)  # right, down, forward
+    found = find_cameras(paths, flash_cm=(1.5, -0.5))
+    for photo, light_cm in zip(found.cameras, found.lights_cm(), strict=True):
+        seen = photo.axes @ (light_cm - photo.place_cm)  # right, down, forward
         np.testing.assert_allclose(seen, [1.5, 0.5, 0], atol=1e-9)
         # what is to the right in the photograph is where its homography says
         camera = CAMERAS[photo.sighting.path.stem]
-        before, after = (camera.to_px() @ np.array([*(foot(photo, shift)), 1]) for shift in (0.0, 1.0))
+        before, after = (camera.to_px() @ np.array([*(foot(photo, light_cm, shift)), 1]) for shift in (0.0, 1.0))
         assert after[0] / after[2] > before[0] / before[2]
 
 
-def foot(photo: Placed, share: float) -> np.ndarray:
+def foot(photo: Found, light_cm: np.ndarray, share: float) -> np.ndarray:
     """A point of the sheet so much of the flash's offset from the opening's centre."""
-    return share * (photo.light_cm - photo.camera_cm)[:2]
+    return share * (light_cm - photo.place_cm)[:2]
 
 
 def test_a_page_that_was_printed_smaller_is_all_smaller(photos: Path, tmp_path: Path) -> None:
     paths = [photos / "aside.jpg", photos / "turned.jpg"]
     placed = written(tmp_path / "leaf", paths, ruler_cm=9.7)
     assert placed.side_cm == pytest.approx(9.7)
-    for photo in placed.photos:
-        assert off_by(photo.camera_cm / 0.97, CAMERAS[photo.sighting.path.stem]) < 0.003
-    before = place(paths)
+    for photo in placed.cameras:
+        assert off_by(photo.place_cm / 0.97, CAMERAS[photo.sighting.path.stem]) < 0.003
+    before = find_cameras(paths)
     places = read_places(tmp_path / "leaf", 2)
     assert places is not None
-    np.testing.assert_allclose(places[:, 0] * 5, np.stack([photo.camera_cm for photo in before.photos]), atol=1e-3)
+    np.testing.assert_allclose(places[:, 0] * 5, np.stack([photo.place_cm for photo in before.cameras]), atol=1e-3)
 
 
 def hidden(path: Path, camera: Camera, *boxes: tuple[float, float, float, float]) -> Path:
@@ -193,7 +195,7 @@ def test_some_hidden_markers_do_no_harm(tmp_path: Path) -> None:
     camera = tilted(25, 60, distance=30)
     sighting = find_sheet(hidden(tmp_path / "a.png", camera, (-9, 9, 5.2, 9), (5.2, 9, 2, 3)))
     assert len(sighting.markers) == 7
-    assert off_by(pose_of(sighting, 26).place_cm, camera) < 0.005
+    assert off_by(camera_of(sighting, 26).place_cm, camera) < 0.005
 
 
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
@@ -221,10 +223,10 @@ def test_a_cropped_photograph_or_another_lens_is_refused(photos: Path, tmp_path:
     cropped = write(tmp_path / "cropped.png", np.ascontiguousarray(values), Exif_FocalLengthIn35mmFilm=26)
     find_sheet(cropped)
     paths = [photos / "above.jpg", photos / "aside.jpg", cropped]
-    placed = place(paths)
-    assert len(placed.photos) == 2
+    placed = find_cameras(paths)
+    assert len(placed.cameras) == 2
     (line,) = placed.skipped
     assert line.startswith(f"{cropped}: markers are ")
     assert "from where a lens of 26 mm sees them" in line
     with pytest.raises(ValueError, match=r"1 of 2 photos can be used \(.* mm sees them\), expected two or more"):
-        place([photos / "above.jpg", cropped])
+        find_cameras([photos / "above.jpg", cropped])

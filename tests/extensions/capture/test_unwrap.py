@@ -10,18 +10,18 @@ import torch
 
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.latlong import directions
-from metapp.extensions.capture.ball.shots import disc, lens_of
-from metapp.extensions.capture.ball.unwrap import unwrapped
-from metapp.extensions.capture.ball.view import Lens, mirrored
+from metapp.extensions.capture.ball.capture import unwrapped
+from metapp.extensions.capture.ball.geometry import FAR, TELESCOPE, Ball, Lens, disc, mirrored
+from metapp.extensions.capture.ball.picture import lens_of
 from tests.extensions.capture.ball_photos import light
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.1, 0.4])
+@pytest.mark.parametrize("angle", [FAR, 0.1, 0.4])
 def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
     places = disc(400)
-    seen, certain = unwrapped(
-        light(mirrored(places, angle)), np.zeros((400, 400), bool), np.ones((400, 400), bool), 64, angle, 200
-    )
+    ball = Ball(0, 0, 200, Lens(200 / math.tan(angle), 0, 0))
+    values = light(mirrored(places, angle))
+    seen, certain = unwrapped(values, np.zeros((400, 400), bool), np.ones((400, 400)), ball, 64)
     true = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).float()
     error = (seen - true).abs()
     assert error[:, certain[0] > 0.99].max() < 0.01
@@ -36,20 +36,19 @@ def test_what_clips_is_said_and_a_small_ball_is_less_certain() -> None:
     places = disc(200)
     values = light(mirrored(places))
     clipped = values.max(0) > 0.75
-    _, certain = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 100)
+    _, certain = unwrapped(values, clipped, np.ones((200, 200)), Ball(0, 0, 100), 64)
     bright = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).max(0).values
     assert (certain[1][bright > 0.78] > 0.9).all()
     assert (certain[1][bright < 0.72] == 0).all()
     assert (certain.sum(0) <= 1.00001).all()
-    _, small = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 20)
+    _, small = unwrapped(values, clipped, np.ones((200, 200)), Ball(0, 0, 20), 64)
     assert (small.sum(0) <= certain.sum(0) + 1e-6).all()
 
 
 def test_a_cropped_photograph_has_no_lens() -> None:
     whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, 26.0)
     lens = lens_of(whole, 0.0)
-    assert lens is not None
     assert lens.focal == pytest.approx(26 * 2500 / math.hypot(36, 24))
-    assert lens_of(whole._replace(values=whole.values[:, :1700]), 0.0) is None
+    assert lens_of(whole._replace(values=whole.values[:, :1700]), 0.0) == TELESCOPE
     given = lens_of(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
     assert given == pytest.approx(Lens(750, 850, 750))

@@ -9,184 +9,186 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers.image_files import Pixels, read_pixels
+from data_tools.readers.latlong import HEIGHT
+from data_tools.readers.photos import Floats
 from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.latlong import directions
 from metapp.apps.illumination.mirror import CLIPPED_VALUE
-from metapp.extensions.capture.ball.alignment import aligned
-from metapp.extensions.capture.ball.circle import FOUND, best_ball
-from metapp.extensions.capture.ball.exposures import exif_exposure, merged, parsed, power_of
-from metapp.extensions.capture.ball.shots import Shot, disc, gray_of, lens_of, photo_of, shot_of
-from metapp.extensions.capture.ball.unwrap import unwrapped
-from metapp.extensions.capture.ball.view import Ball, Floats, Lens, mirrored
+from metapp.extensions.capture.ball.bracket import aligned, exposures_of, merged, power_of
+from metapp.extensions.capture.ball.circle import MIN_SCORE, best_ball, score_of
+from metapp.extensions.capture.ball.geometry import FAR, Ball, seen_at
+from metapp.extensions.capture.ball.picture import is_mirror, lens_of, means, photo_of, picture_of, sampled
+from metapp.extensions.capture.photos import display
 from metapp.learning.task import Task
 
-ROWS = 64
-
 _AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is
-_LARGEST = 800  # px of the merged picture of the ball
-_SHARED = 0.01  # of the ball, that may be white in the photograph that fits see
+_LARGEST_PX = 800  # side of the merged picture of the ball
+_MAX_WHITE = 0.01  # share of the ball, in the photograph that fits see
+_SHARP_RAD, _BLURRED_RAD = math.pi / 64, math.pi / 16  # a pixel: up to the one it is seen, from the other it is not
+_FINEST = 16  # samples along a texel
+_SAME = 0.03  # of the radius, by which a ball may miss the one that touches the central square's borders
+_BETTER = 1.2  # of its score, that another ball must have
 
 
 class Capture(NamedTuple):
     """Light around a ball.
 
     Attributes:
-        shots: the photographs as they agree.
-        chosen: which one fits see; white in it is radiance 1.
+        balls: in the photographs, as these agree.
+        chosen: which photograph fits see; white in it is radiance 1.
         exposures: [N], the chosen one's 1.
         power: of the camera's curve, as of `power_of`.
-        residuals: of each photograph, as of `Merged`.
-        seen: radiance [3, rows, 2 * rows].
-        certain: [2, rows, 2 * rows], as of `unwrapped`.
+        residuals: of each photograph, as of `merged`.
+        data: of a task: `photos`, the ball as a camera far away sees it in the chosen photograph, and what it mirrors,
+            `seen` and `certain`, as of `unwrapped`.
     """
 
-    shots: list[Shot]
+    balls: Sequence[Ball]
     chosen: int
     exposures: Floats
     power: float
-    residuals: list[float]
-    seen: Tensor
-    certain: Tensor
-
-    def task(self, name: str) -> Task:
-        """The task of it: the ball as a camera far away sees it in the chosen photograph, and what it mirrors."""
-        photo = photo_of(self.shots[self.chosen], 0.0)
-        return Task(name, {"photos": photo[None], "seen": self.seen, "certain": self.certain})
+    residuals: Sequence[float]
+    data: dict[str, Tensor]
 
 
-def merge(paths: Sequence[Path], shutter: str, rows: int = ROWS, fov_rad: float = 0.0) -> Task:
-    """Turn photographs of one mirror ball, of different exposures, into a task named by the first one's stem.
-
-    Args:
-        paths: the files.
-        shutter: times in their order, such as "1/20,1/60"; "auto": as EXIF says.
-        rows: rows of the map.
-        fov_rad: as of `capture`.
-
-    Raises:
-        ValueError: as `capture`; no exposure times.
-    """
-    times = () if shutter == "auto" else parsed(shutter)
-    return capture(paths, times, fov_rad=fov_rad, rows=rows).task(paths[0].stem)
+def merge(paths: Sequence[Path], shutter: str, rows: int = HEIGHT, fov_rad: float = 0.0) -> Task:
+    """Turn photographs of one mirror ball into a task named by the first one's stem; arguments as of `capture`."""
+    return Task(paths[0].stem, capture(paths, shutter, rows, fov_rad).data)
 
 
 def capture(
     paths: Sequence[Path],
-    times: Sequence[float] = (),
-    *,
+    shutter: str = "auto",
+    rows: int = HEIGHT,
     fov_rad: float = 0.0,
-    ball: tuple[float, float, float] | None = None,
-    rows: int = ROWS,
+    circle: Sequence[float] = (),
     done: Callable[[str], object] = str,
 ) -> Capture:
     """Read photographs of one mirror ball.
 
     Args:
         paths: the photographs, of different exposures.
-        times: of each, in any unit; () as EXIF says.
-        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
-        ball: x, y, radius in px of the first photograph; None: it is found.
+        shutter: as of `exposures_of`.
         rows: of the map.
+        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+        circle: x, y, radius of the ball in px of the first photograph; (): it is found.
         done: called with the name of each photograph that was searched.
 
     Raises:
-        ValueError: as `read_pixels`; no ball; another number of exposures than of photographs, or none; OpenCV is not
-            installed and there are several photographs.
+        ValueError: as `read_pixels` and `exposures_of`; no ball; OpenCV is not installed and there are several
+            photographs.
     """
-    exposures = _exposures(paths, times)
-    pictures: list[Pixels] = []
-    found: list[Ball | None] = []
-    brightness = []
+    exposures = exposures_of(paths, shutter)
+    photos, found, brightness = [], [], []
     for path in paths:
         pixels = read_pixels(path)
-        pictures.append(pixels)
-        gray, lens = gray_of(pixels), lens_of(pixels, fov_rad)
+        gray, lens = display(pixels).mean(-1), lens_of(pixels, fov_rad)
+        photos.append(pixels)
+        found.append(Ball(circle[0], circle[1], circle[2], lens) if circle else best_ball(gray, lens))
         brightness.append(float(gray.mean()))
-        found.append(_given(pixels, ball, lens) if ball else best_ball(gray, lens))
         done(path.name)
     if np.log(exposures) @ (np.array(brightness) - np.mean(brightness)) < 0:
         raise ValueError("exposures: photos get darker as times get longer, expected times such as 1/60, not 60.")
-    first, balls = _agreed(paths, found)
-    shots = [shot_of(pixels, ball) for pixels, ball in zip(pictures, balls, strict=True)]
-    shots = aligned(shots, np.argsort(exposures).tolist(), first)
-    return light_around(shots, first, exposures, rows)
+    scores = [ball.score if ball else -1.0 for ball in found]
+    first = int(np.argmax(scores))
+    best, (height, width) = found[first], photos[0].values.shape[:2]
+    if not best or best.score < MIN_SCORE:
+        which = f"{paths[0]}" if len(paths) == 1 else f"{len(paths)} photos"
+        raise ValueError(
+            f"{which}: no ball found (best circle: {max(scores):.2f}), expected one whose contour shows "
+            f"({MIN_SCORE:.2f} or more); say where it is with --ball X,Y,RADIUS."
+        )
+    if not (best.radius < 2 * max(height, width) and 0 <= best.x <= width and 0 <= best.y <= height):
+        raise ValueError(
+            f"a ball at {best.x:g},{best.y:g} of radius {best.radius:g} px, expected one in the picture of "
+            f"{width}x{height} px; give --ball as X,Y,RADIUS in px from its upper left corner."
+        )
+    balls = [ball if ball and ball.score >= _AS_GOOD * best.score else best for ball in found]
+    balls = aligned(photos, balls, np.argsort(exposures).tolist(), first)
+    return light_around(photos, balls, first, exposures, rows)
 
 
-def light_around(shots: list[Shot], first: int, exposures: Floats, rows: int) -> Capture:
+def capture_one(pixels: Pixels, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
+    """The data of a task of one photograph: of the ball in it, and of what that mirrors if it is surely a mirror.
+
+    Args:
+        pixels: the photograph.
+        square: its central square as fits see it, uint8 [1, 3, SIZE, SIZE], which is taken where the ball that touches
+            its borders explains the photograph as well as the one that is found.
+        rows, fov_rad: as of `capture`.
+    """
+    height, width = pixels.values.shape[:2]
+    gray, central = display(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
+    ball = best_ball(gray, lens_of(pixels, fov_rad)) or central
+    is_same = max(np.abs(np.subtract(ball[:3], central[:3]))) < _SAME * central.radius
+    is_central = is_same or ball.score < max(MIN_SCORE, _BETTER * score_of(gray, central))
+    ball = central if is_central else ball
+    if is_mirror(pixels, ball):
+        return light_around([pixels], [ball], 0, np.ones(1), rows).data
+    return {"photos": square if is_central else photo_of(pixels, ball, ball.angle)}
+
+
+def light_around(photos: Sequence[Pixels], balls: Sequence[Ball], first: int, exposures: Floats, rows: int) -> Capture:
     """The light that aligned photographs of one mirror ball show.
 
     Args:
-        shots: the photographs.
+        photos: the photographs.
+        balls: in them.
         first: which one's camera looks along +z.
         exposures: [N], in any unit.
         rows: of the map.
     """
+    nearest = balls[first]
+    size = min(_LARGEST_PX, 2 * math.ceil(nearest.radius))
+    pictures = np.stack([picture_of(*photo, size, nearest.angle) for photo in zip(photos, balls, strict=True)])
+    # the brightest photograph that is hardly white anywhere, else the darkest
+    is_white = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
+    white = np.average(is_white.reshape(len(photos), -1), 1, pictures[:, 3].reshape(len(photos), -1))
     order = np.argsort(exposures).tolist()
-    nearest = shots[first].ball
-    places = disc(min(_LARGEST, 2 * math.ceil(nearest.radius)))
-    on_ball = np.hypot(*places) < 1
-    pairs = [shot.at(mirrored(places, nearest.angle)) for shot in shots]
-    lights = [light for light, _ in pairs]
-    seen = [there & on_ball for _, there in pairs]
-    chosen = _chosen(lights, seen, order)
+    chosen = next((number for number in reversed(order) if white[number] <= _MAX_WHITE), order[0])
     exposures = exposures / exposures[chosen]
-    power = power_of(lights, seen, exposures)
-    light = merged(lights, seen, exposures, power)
-    texels = unwrapped(light.radiance, light.clipped, np.any(seen, 0), rows, nearest.angle, nearest.radius)
-    return Capture(shots, chosen, exposures, power, light.residuals, *texels)
+    power = power_of(pictures, exposures)
+    radiance, is_clipped, residuals = merged(pictures, exposures, power)
+    seen, certain = unwrapped(radiance, is_clipped, pictures[:, 3].max(0), nearest, rows)
+    data = {"photos": photo_of(photos[chosen], balls[chosen], FAR), "seen": seen, "certain": certain}
+    return Capture(balls, chosen, exposures, power, residuals, data)
 
 
-def _exposures(paths: Sequence[Path], times: Sequence[float]) -> Floats:
-    """Times as they are given, else as EXIF says; 1 of one photograph."""
-    many = len(paths)
-    if times and len(times) != many:
-        counts = f"exposures: {len(times)} for {many} photo{'s' * (many != 1)}"
-        raise ValueError(f"{counts}, expected one for each, in their order.")
-    if many == 1:
-        return np.ones(1)
-    values = np.array(times or [exif_exposure(path) for path in paths])
-    if not times and (not (values > 0).all() or np.ptp(values) == 0):
-        path = paths[int(np.argmin(values))]
-        raise ValueError(
-            f"{path}: {'the exposure of all photos' if values.all() else 'no exposure time'} in its EXIF, expected "
-            f"different ones; give them: --shutter 1/20,1/60,1/160."
-        )
-    return values
+def unwrapped(
+    radiance: Floats, is_clipped: NDArray[np.bool_], shown: Floats, ball: Ball, rows: int
+) -> tuple[Tensor, Tensor]:
+    """A map of a picture of a mirror ball.
 
+    Texels are means over samples that lie as close as pixels do; where pixels are larger, they are interpolated.
 
-def _given(pixels: Pixels, circle: tuple[float, float, float], lens: Lens | None) -> Ball:
-    height, width = pixels.values.shape[:2]
-    x, y, radius = circle
-    if not (0 < radius < 2 * max(height, width) and 0 <= x <= width and 0 <= y <= height):
-        raise ValueError(
-            f"a ball at {x:g},{y:g} of radius {radius:g} px, expected one in the picture of {width}x{height} px; "
-            "give --ball as X,Y,RADIUS in px from its upper left corner."
-        )
-    return Ball(x, y, radius, lens)
+    Args:
+        radiance: [3, S, S] of the ball, which fills the picture.
+        is_clipped: where it is a lower bound.
+        shown: where it is known, 1, and where it is not, 0.
+        ball: in the photograph.
+        rows: of the map.
 
-
-def _agreed(paths: Sequence[Path], balls: Sequence[Ball | None]) -> tuple[int, list[Ball]]:
-    """The photograph that shows the ball best, and the ball in each, where it is not found as in that one.
-
-    Raises:
-        ValueError: no photograph shows a ball.
+    Returns:
+        `seen`, radiance [3, rows, 2 * rows], 0 where nothing is seen; `certain` [2, rows, 2 * rows] in [0, 1]: how far
+        a texel is seen unclipped, and how far it is seen but clipped. Both fall to 0 towards the contour, where a
+        pixel shows _BLURRED_RAD, and are 0 behind it.
     """
-    scores = [ball.score if ball else -1.0 for ball in balls]
-    first = int(np.argmax(scores))
-    best = balls[first]
-    if best is None or best.score < FOUND:
-        which = f"{paths[0]}" if len(paths) == 1 else f"{len(paths)} photos"
-        raise ValueError(
-            f"{which}: no ball found (best circle: {max(scores):.2f}), expected one whose contour shows "
-            f"({FOUND:.2f} or more); say where it is with --ball X,Y,RADIUS."
-        )
-    return first, [ball if ball and ball.score >= _AS_GOOD * best.score else best for ball in balls]
-
-
-def _chosen(lights: Sequence[Floats], seen: Sequence[np.ndarray], order: Sequence[int]) -> int:
-    """The brightest photograph that is hardly white anywhere, else the darkest."""
-    clip = srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
-    white = [float((light.max(0) >= clip)[there].mean()) for light, there in zip(lights, seen, strict=True)]
-    return next((number for number in reversed(order) if white[number] <= _SHARED), order[0])
+    size = radiance.shape[1]
+    many = min(_FINEST, max(1, math.ceil(size / 4 * math.pi / rows)))
+    planes = np.concatenate([radiance, is_clipped[None], shown[None]])
+    towards = directions(rows * many, 2 * rows * many, dtype=torch.float64).numpy()
+    texels = []
+    for row in range(rows):
+        place, speed = seen_at(towards[:, row * many : (row + 1) * many], ball.angle)
+        values = sampled(planes, np.stack([1 + place[0], 1 - place[1]]) * (size / 2))
+        sharp = np.log(_BLURRED_RAD * (speed * ball.radius).clip(1e-9)) / math.log(_BLURRED_RAD / _SHARP_RAD)
+        is_seen = (np.hypot(*place) < 1 - 1 / ball.radius) & (values[4] > 0.99)
+        weight, is_lost = sharp.clip(0, 1) * is_seen, values[3] > 0.01
+        texels.append(means(np.stack([*(values[:3] * weight), weight * ~is_lost, weight * is_lost]), many))
+    light, certain = np.split(np.concatenate(texels, 1), [3])
+    seen = light / certain.sum(0).clip(1e-6)
+    return torch.from_numpy(seen).float(), torch.from_numpy(certain.clip(0, 1)).float()

@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, uniform_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 from scipy.optimize import minimize
 
-from metapp.extensions.capture.ball.view import Ball, Floats, Lens, sampled
+from data_tools.readers.photos import Floats
+from metapp.extensions.capture.ball.geometry import TELESCOPE, Ball, Lens
+from metapp.extensions.capture.ball.picture import sampled
 
-FOUND = 0.34  # least score of a ball
+MIN_SCORE = 0.34  # of a ball
 
-_LARGEST_PX = 1024  # longer side of a picture, of what is looked at
 _SEARCHED_PX = 160  # longer side of the picture that is searched
 _REFINED_PX = 150  # radius that the contour is refined at, or less
 _RADII = (0.12, 0.75)  # least of the shorter side, greatest of the longer one
@@ -36,33 +37,30 @@ _NOISE = 0.02  # a gradient, of logarithms a px, that counts as half an edge, or
 _AROUND = 0.25  # of the picture's longer side: side of the square that they are in
 
 
-def best_ball(gray: Floats, lens: Lens | None = None) -> Ball | None:
+def best_ball(gray: Floats, lens: Lens = TELESCOPE) -> Ball | None:
     """The ball that fits best, however badly: its score says; None in a picture without edges.
 
     Args:
         gray: display values [H, W] in [0, 1].
-        lens: of the camera; None: the ball is taken for far away.
+        lens: of the camera.
     """
-    share = min(1.0, _LARGEST_PX / max(gray.shape))
-    gray = np.log(_resized(gray, share) + _DARK)
-    less = min(1.0, _SEARCHED_PX / max(gray.shape))
-    slopes = _slopes(_resized(gray, less))
-    own = lens and Lens(*(share * less * value for value in lens))
-    scored = [_scored(slopes, Ball(x, y, radius, own)) for x, y, radius in _candidates(slopes)]
-    scored.sort(key=_evidence, reverse=True)
-    moved = [_moved(slopes, ball) for ball in scored[:_MOVED]]
+    share = min(1.0, _SEARCHED_PX / max(gray.shape))
+    slopes = _slopes(gray, share)
+    own = Ball(0, 0, 1, lens).scaled(share).lens
+    scored = [_scored(slopes, Ball(*circle, own)) for circle in _candidates(slopes)]
+    moved = [_moved(slopes, ball) for ball in sorted(scored, key=_evidence, reverse=True)[:_MOVED]]
     if not moved:
         return None
     best = max(moved, key=_evidence)
-    refined = _refined(gray, best.scaled(1 / less)).scaled(1 / share)
-    return refined._replace(score=_evidence(best))
+    finer = min(1.0, _REFINED_PX * share / best.radius)
+    refined = _moved(_slopes(gray, finer), best.scaled(finer / share), 1, 1 / _REFINED_PX)
+    return refined.scaled(1 / finer)._replace(score=_evidence(best))
 
 
 def score_of(gray: Floats, ball: Ball) -> float:
     """The score that `best_ball` gives a ball, here one that is known; display values [H, W] in [0, 1]."""
     share = min(1.0, _SEARCHED_PX / max(gray.shape))
-    slopes = _slopes(_resized(np.log(gray + _DARK), share))
-    return _evidence(_scored(slopes, ball.scaled(share)))
+    return _evidence(_scored(_slopes(gray, share), ball.scaled(share)))
 
 
 def _evidence(ball: Ball) -> float:
@@ -70,26 +68,18 @@ def _evidence(ball: Ball) -> float:
     return (ball.score - _CHANCE) * math.sqrt(2 * ball.radius / _SEARCHED_PX)
 
 
-def _refined(gray: Floats, ball: Ball) -> Ball:
-    """A ball that is nearly right, to fractions of a px, by its contour alone."""
-    share = min(1.0, _REFINED_PX / ball.radius)
-    return _moved(_slopes(_resized(gray, share)), ball.scaled(share), 1, 1 / _REFINED_PX).scaled(1 / share)
+def _slopes(gray: Floats, share: float) -> Floats:
+    """Edges of a picture [H, W] at a share of its size up to 1, [3, h, w].
 
-
-def _resized(gray: Floats, share: float) -> Floats:
-    """A picture [H, W] at a share of its size up to 1."""
-    if share == 1:
-        return gray
-    smooth = gaussian_filter(gray, 0.4 / share, mode="nearest")
-    y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share - 0.5 for side in gray.shape)
-    result: Floats = map_coordinates(smooth, np.meshgrid(y, x, indexing="ij"), order=1, mode="nearest")
-    return result
-
-
-def _slopes(gray: Floats) -> Floats:
-    """Gradients along x and y of a smoothed picture [H, W], and the length that counts as half an edge, [3, H, W]."""
-    y, x = np.gradient(gaussian_filter(gray, 1.0, mode="nearest"))
-    around = uniform_filter(np.hypot(x, y), round(_AROUND * max(gray.shape)), mode="nearest")
+    Gradients along x and y of smoothed logarithms, and the length that counts as half an edge.
+    """
+    logs = np.log(gray + _DARK)
+    if share < 1:
+        y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share for side in gray.shape)
+        logs = gaussian_filter(logs, 0.4 / share, mode="nearest")
+        (logs,) = sampled(logs[None], np.stack(np.meshgrid(x, y)))
+    y, x = np.gradient(gaussian_filter(logs, 1.0, mode="nearest"))
+    around = uniform_filter(np.hypot(x, y), round(_AROUND * max(logs.shape)), mode="nearest")
     return np.stack([x, y, np.maximum(around, _NOISE)])
 
 
@@ -122,8 +112,8 @@ def _moved(slopes: Floats, ball: Ball, rings: int = len(_RINGS), step: float = 0
     """The ball with most support by so many rings, near where it is: within about a few steps of its radius."""
 
     def changed(change: Floats) -> Ball:
-        x, y, radius = ball.radius * change + ball[:3]
-        return ball._replace(x=float(x), y=float(y), radius=float(radius))
+        x, y, radius = (ball.radius * change + ball[:3]).tolist()
+        return ball._replace(x=x, y=y, radius=radius)
 
     simplex = np.concatenate([np.zeros((1, 3)), np.diag([step] * 3)]) - step / 4
     options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 120}

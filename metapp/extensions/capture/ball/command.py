@@ -11,40 +11,59 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
-from metapp.extensions.capture.options import field_of_view
+from metapp.networks.options import fov
+from metapp.options import Option
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
     from metapp.extensions.capture.ball.capture import Capture
 
+UNITS = {
+    "photos": "the ball as a camera far away sees it, display values, uint8 0..255 [1, 3, 64, 64]; black outside",
+    "seen": "lat-long radiance that the ball mirrors, linear Rec.709 [3, H, 2 H], rows from the top (+y), the middle "
+    "column looks to +z, to the camera; 1 is white in `photos`; 0 where nothing is seen",
+    "certain": "[2, H, 2 H] in [0, 1]: how far a texel is seen unclipped; how far it is seen but white in all photos, "
+    "so that `seen` is a lower bound",
+}
+
+
+def circle_of(text: str) -> tuple[float, ...]:
+    """Centre and radius of "X,Y,RADIUS", px; ValueError for another form."""
+    try:
+        x, y, radius = map(float, text.split(","))
+    except ValueError:
+        x = y = radius = math.nan
+    if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
+        raise ValueError("expected centre and radius in px, such as 210,205,180")
+    return x, y, radius
+
 
 @dataclass(frozen=True)
 class BallOptions:
-    """The arguments and options of `ball`."""
+    """The options of `ball` about photographs and map."""
 
-    paths: Annotated[
-        list[Path], typer.Argument(metavar="PHOTO...", help="Photographs of one ball, of different exposures.")
-    ]
-    folder: Out
     shutter: Annotated[
-        str,
-        typer.Option(
-            metavar="T,T,...",
-            help="Shutter times of the photos in their order, such as 1/20,1/60; default: EXIF.",
-        ),
-    ] = ""
-    fov: Annotated[float, field_of_view("as EXIF says of uncropped photos, else far away")] = 0
+        str, Option("Shutter times of the photos in their order, such as 1/20,1/60; auto: EXIF's.", "T,T,...")
+    ] = "auto"
+    fov: Annotated[float, fov("EXIF's of uncropped photos, else far away")] = 0.0
     ball: Annotated[
-        str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
-    ] = ""
-    rows: Annotated[int, typer.Option(min=32, max=1024, metavar="N", help="Rows of the map.")] = 128
-    overwrite: Overwrite = False
-    quiet: Quiet = False
-    as_json: Json = False
+        tuple[float, ...],
+        Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=circle_of),
+    ] = ()
+    rows: Annotated[int, Option("Rows of the map, 32 to 1024.", "N", low=32, high=1024)] = 128
 
 
 @takes(BallOptions)
-def ball(options: BallOptions) -> None:
+def ball(
+    options: BallOptions,
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="PHOTO...", help="Photographs of one ball, of different exposures.")
+    ],
+    folder: Out,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
     """Read the light around a mirror ball from photographs of it.
 
     The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
@@ -57,83 +76,63 @@ def ball(options: BallOptions) -> None:
       metapp data ball IMG_1.jpg --fov 55 --rows 256 --out garden
     """
     from metapp.extensions.capture.ball.capture import capture
-    from metapp.extensions.capture.ball.files import FOUND, write_capture
+    from metapp.extensions.capture.photos import FOUND
     from metapp.storage.shards import MANIFEST
 
-    times, place = _times(options.shutter), _place(options.ball)
-    folder, name = options.folder, options.folder.resolve().name
-    check_new(folder / MANIFEST, options.overwrite)
-    fov_rad = math.radians(options.fov)
-    with progress("photos", len(options.paths), quiet=options.quiet) as bar:
-        captured = capture(options.paths, times, fov_rad=fov_rad, ball=place, rows=options.rows, done=bar.advance)
-    write_capture(name, options.paths, captured, folder, overwrite=options.overwrite)
-    document = _document(options, captured)
-    if not options.quiet:
-        _say(document)
+    check_new(folder / MANIFEST, overwrite)
+    name, fov_rad = folder.resolve().name, math.radians(options.fov)
+    with progress("photos", len(paths), quiet=quiet) as bar:
+        captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance)
+    _write(name, paths, captured, folder, overwrite=overwrite)
+    document = _document(paths, captured)
+    for photo in () if quiet else document["photos"]:
+        place = f"ball at {photo['x']:.1f},{photo['y']:.1f}, radius {photo['radius']:.1f} px"
+        off = f", exposure {photo['exposure']:.4g}, {photo['residual']:.1%} from the merged radiance"
+        say(f"{Path(photo['source']).name}: {place}{off * (len(paths) > 1)}")
+    if not quiet:
+        curve = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " * (len(paths) > 1)
+        say(f"{curve}{document['seen']:.0%} of the texels seen, {document['clipped']:.1%} clipped")
         say(f"{folder}: {name}.exr and a data set; look at what was found: {folder / FOUND}")
-    if options.as_json:
-        print_json(document)
+    if as_json:
+        print_json({"out": str(folder), **document})
 
 
-def _times(text: str) -> tuple[float, ...]:
-    from metapp.extensions.capture.ball.exposures import parsed
-
-    try:
-        return parsed(text) if text else ()
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.", param_hint="--shutter") from None
-
-
-def _place(text: str) -> tuple[float, float, float] | None:
-    """A circle "X,Y,RADIUS" in px."""
-    if not text:
-        return None
-    try:
-        x, y, radius = map(float, text.split(","))
-    except ValueError:
-        x = y = radius = math.nan
-    if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
-        raise typer.BadParameter(
-            f"'{text}', expected centre and radius in px, such as 210,205,180.", param_hint="--ball"
-        )
-    return x, y, radius
-
-
-def _document(options: BallOptions, captured: Capture) -> dict[str, Any]:
+def _document(paths: list[Path], captured: Capture) -> dict[str, Any]:
     """The document for scripts."""
+    balls, figures = captured.balls, zip(captured.exposures.tolist(), captured.residuals, strict=True)
     photos = [
-        {
-            "source": str(path),
-            "x": shot.ball.x,
-            "y": shot.ball.y,
-            "radius": shot.ball.radius,
-            "score": shot.ball.score,
-            "exposure": float(exposure),
-            "residual": residual,
-        }
-        for path, shot, exposure, residual in zip(
-            options.paths, captured.shots, captured.exposures, captured.residuals, strict=True
-        )
+        {"source": str(path), "x": ball.x, "y": ball.y, "radius": ball.radius, "score": ball.score}
+        | {"exposure": exposure, "residual": residual}
+        for path, ball, (exposure, residual) in zip(paths, balls, figures, strict=True)
     ]
-    return {
-        "out": str(options.folder),
+    seen, clipped = captured.data["certain"].mean((1, 2)).tolist()
+    chosen = str(paths[captured.chosen])
+    return {"power": captured.power, "chosen": chosen, "seen": seen, "clipped": clipped, "photos": photos}
+
+
+def _write(name: str, paths: list[Path], captured: Capture, folder: Path, *, overwrite: bool) -> None:
+    """Write a data set of one task, its map NAME.exr and found/*.png."""
+    import numpy as np
+    import torch
+
+    from data_tools.readers.image_files import read_pixels
+    from metapp.extensions.capture.photos import FOUND, write_found
+    from metapp.learning.task import Task
+    from metapp.storage.images import write_exr
+    from metapp.storage.shards import ShardWriter
+
+    notes = {
+        "made_by": "metapp data ball",
+        "photos": [path.name for path in paths],
+        "exposures": captured.exposures.tolist(),
         "power": captured.power,
-        "chosen": str(options.paths[captured.chosen]),
-        "seen": float(captured.certain[0].mean()),
-        "clipped": float(captured.certain[1].mean()),
-        "photos": photos,
+        "files": [FOUND, f"{name}.exr"],
     }
-
-
-def _say(document: dict[str, Any]) -> None:
-    """The same in words: a line a photograph and one of all."""
-    photos = document["photos"]
-    for photo in photos:
-        line = (
-            f"{Path(photo['source']).name}: ball at {photo['x']:.1f},{photo['y']:.1f}, radius {photo['radius']:.1f} px"
-        )
-        if len(photos) > 1:
-            line += f", exposure {photo['exposure']:.4g}, {100 * photo['residual']:.1f} % from the merged radiance"
-        say(line)
-    curve = f"camera's curve: sRGB's to the power of {document['power']:.2f}; " if len(photos) > 1 else ""
-    say(f"{curve}{document['seen']:.0%} of the texels seen, {document['clipped']:.1%} clipped")
+    turn = np.linspace(0, 2 * np.pi, 361)
+    with ShardWriter(folder, "illumination", UNITS, notes, overwrite=overwrite) as writer:
+        writer.add(Task(name, captured.data), "test", paths[captured.chosen])
+        for path, ball in zip(paths, captured.balls, strict=True):
+            contour = ball.to_px(np.stack([np.cos(turn), np.sin(turn)])).T
+            write_found(read_pixels(path), [(contour, "lime")], folder / FOUND / f"{path.stem}.png")
+        light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
+        write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")

@@ -5,20 +5,18 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.extensions.capture.opencv import opencv
+from metapp.extensions.capture.photos import opencv
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 OPENINGS_CM = range(4, 14)  # sides of the opening; each has markers of its own, so that photos tell it
-OPENING_CM = 10
 PAGES_CM = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}
 RULER_CM = 10.0
 CELLS = 7  # of a marker's side: five of its code and a black one on either side
@@ -27,25 +25,21 @@ MARKERS = 12  # of a sheet, four along each side
 _LARGEST_CM = 2.4  # a marker's side
 _GAP_CM = 0.6  # from the opening to the markers
 _CUT_CM = 0.15  # from the opening to the line to cut along: an uneven cut leaves no paper in the picture
-_CM = 1 / 2.54  # in inches
+_INCH_CM = 2.54
 _FINE = 40  # px of a cell, so that viewers that smooth pictures keep edges
 _TOP_CM = 1.0  # margin that printers leave blank
 
+_STEPS = (
+    'metapp marker sheet, opening {0} x {0} cm. Print at 100 % ("actual size"), on matt paper.',
+    "1. Measure the ruler. If it is not 10 cm long, add its length in step 4: --ruler CM",
+    "2. Cut out the square. Lay the sheet flat on the flat material; let neither of them move.",
+    "3. Take 3 to 10 photos, flash on, in a dark room, with the whole sheet in view and sharp:",
+    "    one from straight above, the others from other places and distances, up to 40 degrees aside.",
+    "4. metapp data rectify PHOTOS --out FOLDER",
+    "5. metapp meta svbrdf_nonstationary FOLDER --observe photo",
+)
+
 Floats = NDArray[np.float64]
-
-
-class Page(NamedTuple):
-    """A page to print.
-
-    Attributes:
-        figure: as large as the paper.
-        axes: all of it, in cm from its lower left corner.
-        centre_cm: of the opening, in these.
-    """
-
-    figure: Figure
-    axes: Axes
-    centre_cm: tuple[float, float]
 
 
 def dictionary() -> object:
@@ -64,7 +58,7 @@ def corners_cm(opening: int) -> dict[int, Floats]:
         By a marker's number its corners [4, 2] in cm, upper left, upper right, lower right, lower left: x right, y up,
         from the opening's centre.
     """
-    side = _marker_cm(opening)
+    side = min(_LARGEST_CM, (opening - 0.5) / 2)  # four and the gaps between fit along a small opening, too
     reach = opening / 2 + _GAP_CM + side / 2
     along = np.linspace(-reach, reach, MARKERS // 4 + 1)
     ring = [(x, y) for y in along[::-1] for x in along if max(abs(x), abs(y)) > reach - 1e-9]
@@ -79,12 +73,7 @@ def opening_of(numbers: Iterable[int]) -> int | None:
     return OPENINGS_CM[max(set(sheets), key=sheets.count)] if sheets else None
 
 
-def _marker_cm(opening: int) -> float:
-    """Side of a marker: four of them and the gaps between fit along a small opening, too."""
-    return min(_LARGEST_CM, (opening - 0.5) / 2)
-
-
-def write_sheet(path: Path, opening: int = OPENING_CM, page: str = "a4") -> None:
+def write_sheet(path: Path, opening: int = 10, page: str = "a4") -> None:
     """Write the page as PDF, true to scale, the same bytes each time.
 
     Args:
@@ -99,53 +88,39 @@ def write_sheet(path: Path, opening: int = OPENING_CM, page: str = "a4") -> None
     from matplotlib import rc_context
 
     with rc_context({"pdf.fonttype": 42}):
-        figure = draw_sheet(opening, page).figure
+        figure = draw_sheet(opening, page)
         save = functools.partial(figure.savefig, format="pdf", metadata={"CreationDate": None})
         write_atomically(path, save)
 
 
-def draw_sheet(opening: int = OPENING_CM, page: str = "a4") -> Page:
-    """Draw the page, as `write_sheet` writes it."""
+def draw_sheet(opening: int = 10, page: str = "a4") -> Figure:
+    """Draw the page, as `write_sheet` writes it: as large as the paper, its axes in cm from the opening's centre."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
-    width, height = PAGES_CM[page]
-    figure = Figure(figsize=(width * _CM, height * _CM))
+    (width, height), corners_by_number = PAGES_CM[page], corners_cm(opening)
+    outer, cut, left = max(map(np.max, corners_by_number.values())), opening + 2 * _CUT_CM, -RULER_CM / 2
+    figure = Figure(figsize=(width / _INCH_CM, height / _INCH_CM))
     figure.suppressComposite = True  # a picture of each marker, as sharp as it is
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(0, height))
+    ends: dict[str, Any] = {"xlim": (-width / 2, width / 2), "ylim": (outer + _TOP_CM - height, outer + _TOP_CM)}
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(**ends)
     axes.set_axis_off()
-    markers = corners_cm(opening)
-    outer = max(corners.max() for corners in markers.values())
-    centre = width / 2, height - _TOP_CM - outer
-    aruco = opencv().aruco
-    for number, corners in markers.items():
-        (left, top), _, (right, bottom), _ = corners + centre
-        picture = aruco.generateImageMarker(dictionary(), number, CELLS * _FINE)
-        axes.imshow(picture, cmap="gray", extent=(left, right, bottom, top), interpolation="none", aspect="auto")
-    cut = opening + 2 * _CUT_CM
-    corner = centre[0] - cut / 2, centre[1] - cut / 2
-    axes.add_patch(Rectangle(corner, cut, cut, fill=False, edgecolor="0.45", linewidth=0.6, linestyle=(0, (6, 4))))
-    axes.text(*centre, "Cut this square out\nalong the dashed line.", ha="center", va="center", color="0.45", size=9)
-    _write_words(axes, opening, centre[1] - outer - 1.2)
-    return Page(figure, axes, centre)
-
-
-def _write_words(axes: Axes, opening: int, top: float) -> None:
-    """The ruler, and below it what to do, from a height in cm on."""
-    left = (axes.get_xlim()[1] - RULER_CM) / 2
-    axes.plot([left, left + RULER_CM], [top, top], color="black", linewidth=0.8, solid_capstyle="butt")
+    for number, corners in corners_by_number.items():
+        (x0, y1), _, (x1, y0), _ = corners
+        picture = opencv().aruco.generateImageMarker(dictionary(), number, CELLS * _FINE)
+        axes.imshow(picture, cmap="gray", extent=(x0, x1, y0, y1), interpolation="none", aspect="auto")
+    dashes: dict[str, Any] = {"edgecolor": "0.45", "linewidth": 0.6, "linestyle": (0, (6, 4))}
+    axes.add_patch(Rectangle((-cut / 2, -cut / 2), cut, cut, fill=False, **dashes))
+    axes.text(0, 0, "Cut this square out\nalong the dashed line.", ha="center", va="center", color="0.45", size=9)
+    line: dict[str, Any] = {"color": "black", "linewidth": 0.8, "solid_capstyle": "butt"}
+    top = -outer - 1.2
+    axes.plot([left, -left], [top, top], **line)
     for mark in range(int(RULER_CM) + 1):
-        axes.plot([left + mark] * 2, [top, top + 0.25], color="black", linewidth=0.8, solid_capstyle="butt")
+        axes.plot([left + mark] * 2, [top, top + 0.25], **line)
         axes.text(left + mark, top + 0.32, str(mark), ha="center", va="bottom", size=7)
-    axes.text(left + RULER_CM + 0.3, top, "cm", ha="left", va="center", size=8)
-    lines = (
-        f'metapp marker sheet, opening {opening} x {opening} cm. Print at 100 % ("actual size"), on matt paper.',
-        "1. Measure the ruler. If it is not 10 cm long, add its length in step 4: --ruler CM",
-        "2. Cut out the square. Lay the sheet flat on the flat material; let neither of them move.",
-        "3. Take 3 to 10 photos, flash on, in a dark room, with the whole sheet in view and sharp:",
-        "    one from straight above, the others from other places and distances, up to 40 degrees aside.",
-        "4. metapp data rectify PHOTOS --out FOLDER",
-        "5. metapp meta svbrdf_nonstationary FOLDER --observe photo",
-    )
-    for i, line in enumerate(lines):
-        axes.text(left - 2.0, top - 0.8 - 0.5 * i, line, ha="left", va="center", size=8.5 if i else 9)
+    axes.text(-left + 0.3, top, "cm", ha="left", va="center", size=8)
+    for i, words in enumerate(_STEPS):
+        size = 8.5 if i else 9
+        axes.text(left - 2.0, top - 0.8 - 0.5 * i, words.format(opening), ha="left", va="center", size=size)
+    return figure

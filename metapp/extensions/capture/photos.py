@@ -1,0 +1,59 @@
+"""Photographs by hand: their display values, pictures of what was found in them, and OpenCV, which looks at them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+
+import torch
+
+from data_tools.readers.image_files import Pixels
+from data_tools.readers.photos import Floats, linear_light
+from metapp.appearance.colour import linear_to_srgb
+from metapp.storage.images import write_png
+
+FOUND = "found"  # folder of pictures that show what was found
+
+_SHOWN_PX = 1200  # their longer side, at most
+
+
+def opencv() -> ModuleType:
+    """The module cv2, which the extra `capture` of the package installs.
+
+    Raises:
+        ValueError: it is not installed.
+    """
+    try:
+        import cv2
+    except ImportError:
+        raise ValueError('OpenCV: not installed, expected here; install it: pip install "metapp[capture]".') from None
+    return cv2
+
+
+def display(pixels: Pixels) -> Floats:
+    """Display values of a photograph, sRGB [height, width, 3] in [0, 1]."""
+    result: Floats = linear_to_srgb(torch.from_numpy(linear_light(pixels, slice(None))[..., :3])).numpy()
+    return result
+
+
+def write_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Path) -> None:
+    """Write a photograph with outlines in colours as PNG.
+
+    Args:
+        pixels: the photograph.
+        outlines: closed ones, px [N, 2] from its upper left corner, and their colours in words.
+        path: the file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray((display(pixels) * 255).round().astype("uint8"))
+    width = image.width
+    image.thumbnail((_SHOWN_PX, _SHOWN_PX))
+    for points, colour in outlines:
+        ends = [tuple(point) for point in (points * image.width / width).tolist()]
+        ImageDraw.Draw(image).line([*ends, ends[0]], fill=colour, width=2)
+    write_png(torch.tensor(list(image.tobytes())).view(image.height, image.width, 3) / 255, {"encoding": "sRGB"}, path)
