@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from metapp.appearance.surface import DIELECTRIC, Surface
@@ -32,23 +33,6 @@ VERTICES, INDICES = 34962, 34963
 GLB, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 CORNERS = ((-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5))  # from the upper left one, counter-clockwise
 TRIANGLES = (0, 1, 2, 0, 2, 3)
-ATTRIBUTES = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}  # accessors; 4 is that of indices
-
-
-class _Binary:
-    """The binary part of a .glb, and the views of it."""
-
-    def __init__(self) -> None:
-        self.content = bytearray()
-        self.views: list[dict[str, int]] = []
-
-    def add(self, part: bytes, target: int = 0) -> int:
-        """Append a part; the index of its view."""
-        self.content += b"\0" * (-len(self.content) % 4)
-        view = {"buffer": 0, "byteOffset": len(self.content), "byteLength": len(part)}
-        self.views.append(view | ({"target": target} if target else {}))
-        self.content += part
-        return len(self.views) - 1
 
 
 def write_gltf(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
@@ -58,15 +42,30 @@ def write_gltf(surface: Surface, path: Path, provenance: Mapping[str, object]) -
 
 
 def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:
-    """The bytes of a .glb of a surface."""
-    binary = _Binary()
-    accessors = _quad(binary, surface)
-    pictures = _encoded(surface)
-    images = [
-        {"name": key, "mimeType": "image/png", "bufferView": binary.add(content)} for key, content in pictures.items()
+    """The bytes of a .glb of a surface: a rectangle of width 1 that faces +z, row 0 of the pictures on top."""
+    height = surface.size[0] / surface.size[1]
+    vertices = {
+        "POSITION": np.array([(x, y * height, 0) for x, y in CORNERS], np.float32),
+        "NORMAL": np.array([(0, 0, 1)] * 4, np.float32),
+        "TANGENT": np.array([(1, 0, 0, 1)] * 4, np.float32),
+        "TEXCOORD_0": np.array([(x + 0.5, 0.5 - y) for x, y in CORNERS], np.float32),
+    }
+    pictures, wrap = _encoded(surface), REPEAT if surface.tiles else CLAMP
+    parts = [(rows.tobytes(), {"target": VERTICES}) for rows in vertices.values()]
+    parts.append((np.array(TRIANGLES, np.uint16).tobytes(), {"target": INDICES}))
+    views, binary = list[dict[str, int]](), bytearray()
+    for part, use in [*parts, *((png, {}) for png in pictures.values())]:
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(part), **use})
+        binary += part + b"\0" * (-len(part) % 4)
+    accessors: list[dict[str, object]] = [
+        {"bufferView": i, "componentType": FLOAT, "count": 4, "type": f"VEC{rows.shape[1]}"}
+        for i, rows in enumerate(vertices.values())
     ]
-    wrap = REPEAT if surface.tiles else CLAMP
-    binary.content += b"\0" * (-len(binary.content) % 4)
+    corners = vertices["POSITION"]
+    accessors[0] |= {"min": corners.min(0).tolist(), "max": corners.max(0).tolist()}
+    indices = len(accessors)
+    accessors.append({"bufferView": indices, "componentType": SHORT, "count": len(TRIANGLES), "type": "SCALAR"})
+    primitive = {"attributes": {key: i for i, key in enumerate(vertices)}, "indices": indices, "material": 0}
     document = {
         "asset": {
             "version": "2.0",
@@ -77,46 +76,21 @@ def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": name, "mesh": 0}],
-        "meshes": [{"name": name, "primitives": [{"attributes": ATTRIBUTES, "indices": 4, "material": 0}]}],
+        "meshes": [{"name": name, "primitives": [primitive]}],
         "materials": [_material(name, list(pictures), highest_f0(surface))],
-        "textures": [{"source": i, "sampler": 0} for i in range(len(images))],
+        "textures": [{"source": i, "sampler": 0} for i in range(len(pictures))],
         "samplers": [{"magFilter": LINEAR, "minFilter": MIPMAPS, "wrapS": wrap, "wrapT": wrap}],
-        "images": images,
+        "images": [
+            {"name": key, "mimeType": "image/png", "bufferView": i} for i, key in enumerate(pictures, indices + 1)
+        ],
         "accessors": accessors,
-        "bufferViews": binary.views,
-        "buffers": [{"byteLength": len(binary.content)}],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
     }
-    return _packed(document, bytes(binary.content))
-
-
-def _packed(document: Mapping[str, object], binary: bytes) -> bytes:
-    """A .glb: a header and two chunks, each of a multiple of four bytes."""
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    chunks = [struct.pack("<II", len(part), kind) + part for part, kind in ((text, JSON), (binary, BINARY))]
-    total = 12 + sum(map(len, chunks))
-    return b"".join([struct.pack("<III", GLB, 2, total), *chunks])
-
-
-def _quad(binary: _Binary, surface: Surface) -> list[dict[str, object]]:
-    """A rectangle of width 1 that faces +z, row 0 of the pictures on top; its accessors."""
-    aspect = surface.size[0] / surface.size[1]
-    corners: list[tuple[float, ...]] = [(x, y * aspect, 0.0) for x, y in CORNERS]
-    vertices: dict[str, list[tuple[float, ...]]] = {
-        "VEC3": corners,
-        "VEC3 normal": [(0.0, 0.0, 1.0)] * 4,
-        "VEC4 tangent": [(1.0, 0.0, 0.0, 1.0)] * 4,
-        "VEC2 place": [(x + 0.5, 0.5 - y) for x, y in CORNERS],
-    }
-    accessors: list[dict[str, object]] = []
-    for kind, rows in vertices.items():
-        part = b"".join(struct.pack(f"<{len(row)}f", *row) for row in rows)
-        view = binary.add(part, VERTICES)
-        accessors.append({"bufferView": view, "componentType": FLOAT, "count": 4, "type": kind.split()[0]})
-    low, high = ([end(column) for column in zip(*corners, strict=True)] for end in (min, max))
-    accessors[0] |= {"min": low, "max": high}
-    view = binary.add(struct.pack("<6H", *TRIANGLES), INDICES)
-    return [*accessors, {"bufferView": view, "componentType": SHORT, "count": 6, "type": "SCALAR"}]
+    content = struct.pack("<II", len(text), JSON) + text + struct.pack("<II", len(binary), BINARY) + binary
+    return struct.pack("<III", GLB, 2, 12 + len(content)) + content
 
 
 def highest_f0(surface: Surface) -> float:

@@ -13,13 +13,64 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import fitted_by, write_planes
+from metapp.extensions.assets.pictures import fitted_by, named, write_planes
 from metapp.extensions.assets.planes import fitted_planes
 from metapp.storage.files import write_xml
 
-VERSION = "1.39"
 TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
 HIGHEST = 0.9999  # F0; beyond, no index of refraction
+IMAGE = """<image name="{key}" type="{type}">
+  <input name="file" type="filename" value="NAME_{key}.png"{space}/>
+  <input name="uaddressmode" type="string" value="{mode}"/>
+  <input name="vaddressmode" type="string" value="{mode}"/>
+</image>"""
+# specular_weight carries the greatest channel of F0 over the reflectance of the index, specular_color the others' ratio
+DOCUMENT = """<materialx version="1.39" colorspace="lin_rec709">
+  <nodegraph name="maps">
+    {images}
+    <normalmap name="normal" type="vector3"><input name="in" type="vector3" nodename="normal_gl"/></normalmap>
+    <extract name="red" type="float">
+      <input name="in" type="color3" nodename="specular"/><input name="index" type="integer" value="0"/>
+    </extract>
+    <extract name="green" type="float">
+      <input name="in" type="color3" nodename="specular"/><input name="index" type="integer" value="1"/>
+    </extract>
+    <extract name="blue" type="float">
+      <input name="in" type="color3" nodename="specular"/><input name="index" type="integer" value="2"/>
+    </extract>
+    <max name="larger" type="float">
+      <input name="in1" type="float" nodename="red"/><input name="in2" type="float" nodename="green"/>
+    </max>
+    <max name="largest" type="float">
+      <input name="in1" type="float" nodename="larger"/><input name="in2" type="float" nodename="blue"/>
+    </max>
+    <divide name="weight" type="float">
+      <input name="in1" type="float" nodename="largest"/><input name="in2" type="float" value="{reflectance!r}"/>
+    </divide>
+    <max name="divisor" type="float">
+      <input name="in1" type="float" nodename="largest"/><input name="in2" type="float" value="1e-05"/>
+    </max>
+    <divide name="tint" type="color3">
+      <input name="in1" type="color3" nodename="specular"/><input name="in2" type="float" nodename="divisor"/>
+    </divide>
+    <output name="diffuse_out" type="color3" nodename="diffuse"/>
+    <output name="weight_out" type="float" nodename="weight"/>
+    <output name="tint_out" type="color3" nodename="tint"/>
+    <output name="roughness_out" type="float" nodename="roughness"/>
+    <output name="normal_out" type="vector3" nodename="normal"/>
+  </nodegraph>
+  <open_pbr_surface name="surface" type="surfaceshader">
+    <input name="base_color" type="color3" nodegraph="maps" output="diffuse_out"/>
+    <input name="specular_weight" type="float" nodegraph="maps" output="weight_out"/>
+    <input name="specular_color" type="color3" nodegraph="maps" output="tint_out"/>
+    <input name="specular_roughness" type="float" nodegraph="maps" output="roughness_out"/>
+    <input name="geometry_normal" type="vector3" nodegraph="maps" output="normal_out"/>
+    <input name="specular_ior" type="float" value="{index!r}"/>
+  </open_pbr_surface>
+  <surfacematerial name="material" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="surface"/>
+  </surfacematerial>
+</materialx>"""
 
 
 def write_materialx(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
@@ -45,63 +96,10 @@ def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, ob
         tiles: True where pictures go on at their edges.
         provenance: told in a comment.
     """
-    root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
-    root.append(ET.Comment(f" fitted by metapp: {fitted_by(provenance).replace('--', '- -')} "))
-    graph = ET.SubElement(root, "nodegraph", name="maps")
-    index = index_of(highest)
+    index, mode = index_of(highest), "periodic" if tiles else "clamp"
+    spaces = {"color3": ' colorspace="srgb_texture"'}
+    images = [IMAGE.format(key=key, type=kind, mode=mode, space=spaces.get(kind, "")) for key, kind in TYPES.items()]
     reflectance = ((index - 1) / (index + 1)) ** 2
-    _graph(graph, name, reflectance, tiles)
-    surface = ET.SubElement(root, "open_pbr_surface", name="surface", type="surfaceshader")
-    inputs = {
-        "base_color": ("color3", "diffuse"),
-        "specular_weight": ("float", "weight"),
-        "specular_color": ("color3", "tint"),
-        "specular_roughness": ("float", "roughness"),
-        "geometry_normal": ("vector3", "normal"),
-    }
-    for key, (kind, output) in inputs.items():
-        ET.SubElement(surface, "input", name=key, type=kind, nodegraph="maps", output=f"{output}_out")
-    ET.SubElement(surface, "input", name="specular_ior", type="float", value=repr(index))
-    material = ET.SubElement(root, "surfacematerial", name="material", type="material")
-    ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename="surface")
-    return root
-
-
-def _graph(graph: ET.Element, name: str, reflectance: float, tiles: bool) -> None:
-    """Pictures and what the surface's inputs are made of them."""
-    for key, kind in TYPES.items():
-        image = ET.SubElement(graph, "image", name=key, type=kind)
-        space = {"colorspace": "srgb_texture"} if kind == "color3" else {}
-        ET.SubElement(image, "input", {"name": "file", "type": "filename", "value": f"{name}_{key}.png", **space})
-        for axis in "uv":
-            mode = "periodic" if tiles else "clamp"
-            ET.SubElement(image, "input", name=f"{axis}addressmode", type="string", value=mode)
-    _node(graph, "normalmap", "normal", "vector3", {"in": "normal_gl"})
-    for i, channel in enumerate(("red", "green", "blue")):
-        extracted = _node(graph, "extract", channel, "float", {"in": "specular"}, of={"in": "color3"})
-        ET.SubElement(extracted, "input", name="index", type="integer", value=str(i))
-    _node(graph, "max", "larger", "float", {"in1": "red", "in2": "green"})
-    _node(graph, "max", "largest", "float", {"in1": "larger", "in2": "blue"})
-    weight = _node(graph, "divide", "weight", "float", {"in1": "largest"})
-    ET.SubElement(weight, "input", name="in2", type="float", value=repr(reflectance))
-    divisor = _node(graph, "max", "divisor", "float", {"in1": "largest"})
-    ET.SubElement(divisor, "input", name="in2", type="float", value="1e-05")
-    _node(graph, "divide", "tint", "color3", {"in1": "specular", "in2": "divisor"}, of={"in2": "float"})
-    for output in ("diffuse", "weight", "tint", "roughness", "normal"):
-        kind = {"diffuse": "color3", "tint": "color3", "normal": "vector3"}.get(output, "float")
-        ET.SubElement(graph, "output", name=f"{output}_out", type=kind, nodename=output)
-
-
-def _node(
-    graph: ET.Element,
-    category: str,
-    name: str,
-    kind: str,
-    inputs: Mapping[str, str],
-    of: Mapping[str, str] | None = None,
-) -> ET.Element:
-    """A node whose inputs are other nodes of the graph; `of` has the types that are not the node's own."""
-    node = ET.SubElement(graph, category, name=name, type=kind)
-    for key, source in inputs.items():
-        ET.SubElement(node, "input", name=key, type=(of or {}).get(key, kind), nodename=source)
-    return node
+    root = ET.fromstring(DOCUMENT.format(images="".join(images), index=index, reflectance=reflectance))
+    root.insert(0, ET.Comment(f" fitted by metapp: {fitted_by(provenance).replace('--', '- -')} "))
+    return named(root, name)

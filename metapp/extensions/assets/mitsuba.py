@@ -13,84 +13,85 @@ from pathlib import Path
 
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import write_planes
+from metapp.extensions.assets.pictures import named, write_planes
 from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import write_xml
 
-VERSION = "3.0.0"
-FOV_DEGREES = 45
-PLUGINS = {  # its textures by name, and other properties
-    "neural_svbrdf": ({"diffuse": "diffuse", "specular": "specular", "roughness": "roughness"}, {}),
-    # 0.5 is an index of 1.5
-    "principled": (
-        {"base_color": "basecolor", "metallic": "metallic", "roughness": "roughness"},
-        {"specular": "0.5"},
-    ),
-}
-SUFFIX = {"neural_svbrdf": "", "principled": "_builtin"}
 USED = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
+PLUGINS = {  # by the suffix of the scene: the BSDF, and its textures by name
+    "": ("neural_svbrdf", {"diffuse": "diffuse", "specular": "specular", "roughness": "roughness"}),
+    "_builtin": ("principled", {"base_color": "basecolor", "metallic": "metallic", "roughness": "roughness"}),
+}
+COLOURS = ("diffuse", "specular", "basecolor")
+INDEX = '<float name="specular" value="0.5"/>'  # of `principled`: an index of refraction of 1.5
+# "variant", else halves: three digits of 16 bits
+TEXTURE = """<texture type="bitmap" name="{key}">
+  <string name="filename" value="NAME_{map}.png"/>
+  <string name="format" value="variant"/>
+  <string name="wrap_mode" value="{wrap}"/>
+  {raw}
+</texture>"""
+# What was fitted has no shadowing function and flips no normals. Row 0 of a bitmap lies at v = 0, which is where
+# meshes, but not rectangles, have their upper edge. The film takes a pixel a texel.
+SCENE = """<scene version="3.0.0">
+  <integrator type="path"/>
+  <bsdf type="normalmap" id="NAME">
+    <boolean name="use_shadowing_function" value="false"/>
+    <boolean name="flip_invalid_normals" value="false"/>
+    {normals}
+    <bsdf type="{plugin}">{textures}</bsdf>
+  </bsdf>
+  <shape type="rectangle">
+    <boolean name="flip_normals" value="true"/>
+    <transform name="to_world"><scale x="{x!r}" y="{y!r}"/><rotate x="1" angle="180"/></transform>
+    <ref id="NAME"/>
+  </shape>
+  <sensor type="perspective">
+    <float name="fov" value="45"/>
+    <string name="fov_axis" value="smaller"/>
+    <transform name="to_world"><lookat origin="0, 0, {far!r}" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm">
+      <rfilter type="box"/>
+      <integer name="height" value="{height}"/>
+      <integer name="width" value="{width}"/>
+    </film>
+    <sampler type="independent"><integer name="sample_count" value="64"/></sampler>
+  </sensor>
+  <emitter type="point">
+    <point name="position" x="-0.8" y="0" z="{lamp!r}"/>
+    <rgb name="intensity" value="{intensity!r}"/>
+  </emitter>
+</scene>"""
 
 
 def write_mitsuba(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.xml, <path>/<name>_builtin.xml and the pictures."""
     planes = all_planes(surface)
     write_planes({key: planes[key] for key in USED}, path)
-    for plugin, suffix in SUFFIX.items():
-        write_xml(path / f"{path.name}{suffix}.xml", surface_scene(plugin, path.name, surface))
+    for suffix, (plugin, textures) in PLUGINS.items():
+        scene = surface_scene(plugin, textures, path.name, surface)
+        write_xml(path / f"{path.name}{suffix}.xml", scene)
 
 
-def surface_scene(plugin: str, name: str, surface: Surface) -> ET.Element:
+def surface_scene(plugin: str, textures: Mapping[str, str], name: str, surface: Surface) -> ET.Element:
     """The material on a rectangle, seen from straight above, under a lamp to the left."""
-    root = ET.Element("scene", version=VERSION)
-    ET.SubElement(root, "integrator", type="path")
-    _add_material(root, plugin, name, surface.tiles)
-    height, width = surface.size
-    shape = ET.SubElement(root, "shape", type="rectangle")
-    # row 0 of a bitmap lies at v = 0, which is where meshes, but not rectangles, have their upper edge
-    ET.SubElement(shape, "boolean", name="flip_normals", value="true")
-    placed = ET.SubElement(shape, "transform", name="to_world")
-    shorter = min(surface.size)
-    ET.SubElement(placed, "scale", x=repr(width / shorter), y=repr(height / shorter))
-    ET.SubElement(placed, "rotate", x="1", angle="180")
-    ET.SubElement(shape, "ref", id=name)
-    _add_camera(root, surface)
-    lamp = ET.SubElement(root, "emitter", type="point")
-    far = camera_distance()
-    ET.SubElement(lamp, "point", name="position", x="-0.8", y="0", z=repr(far - 0.8))
-    ET.SubElement(lamp, "rgb", name="intensity", value=repr(3.1416 * far * far))
-    return root
+    (height, width), shorter, far = surface.size, min(surface.size), camera_distance()
 
+    def texture(key: str, plane: str) -> str:
+        raw = "" if plane in COLOURS else '<boolean name="raw" value="true"/>'
+        wrap = "repeat" if surface.tiles else "clamp"
+        return TEXTURE.format(key=key, map=plane, wrap=wrap, raw=raw)
 
-def _add_material(root: ET.Element, plugin: str, name: str, tiles: bool) -> None:
-    bump = ET.SubElement(root, "bsdf", type="normalmap", id=name)
-    for key in ("use_shadowing_function", "flip_invalid_normals"):  # what was fitted has neither
-        ET.SubElement(bump, "boolean", name=key, value="false")
-    _add_texture(bump, "normalmap", f"{name}_normal_gl.png", raw=True, tiles=tiles)
-    bsdf = ET.SubElement(bump, "bsdf", type=plugin)
-    textures, numbers = PLUGINS[plugin]
-    for key, source in textures.items():
-        _add_texture(bsdf, key, f"{name}_{source}.png", raw=source in ("roughness", "metallic"), tiles=tiles)
-    for key, value in numbers.items():
-        ET.SubElement(bsdf, "float", name=key, value=value)
-
-
-def _add_texture(parent: ET.Element, key: str, file: str, *, raw: bool, tiles: bool) -> None:
-    texture = ET.SubElement(parent, "texture", type="bitmap", name=key)
-    ET.SubElement(texture, "string", name="filename", value=file)
-    ET.SubElement(texture, "string", name="format", value="variant")  # else halves: three digits of 16 bits
-    ET.SubElement(texture, "string", name="wrap_mode", value="repeat" if tiles else "clamp")
-    if raw:
-        ET.SubElement(texture, "boolean", name="raw", value="true")
-
-
-def _add_camera(root: ET.Element, surface: Surface) -> None:
-    sensor = ET.SubElement(root, "sensor", type="perspective")
-    ET.SubElement(sensor, "float", name="fov", value=str(FOV_DEGREES))
-    ET.SubElement(sensor, "string", name="fov_axis", value="smaller")
-    placed = ET.SubElement(sensor, "transform", name="to_world")
-    ET.SubElement(placed, "lookat", origin=f"0, 0, {camera_distance()!r}", target="0, 0, 0", up="0, 1, 0")
-    film = ET.SubElement(sensor, "film", type="hdrfilm")
-    ET.SubElement(film, "rfilter", type="box")  # a pixel a texel
-    for key, value in zip(("height", "width"), surface.size, strict=True):
-        ET.SubElement(film, "integer", name=key, value=str(value))
-    ET.SubElement(ET.SubElement(sensor, "sampler", type="independent"), "integer", name="sample_count", value="64")
+    text = SCENE.format(
+        plugin=plugin,
+        normals=texture("normalmap", "normal_gl"),
+        textures="".join(texture(*pair) for pair in textures.items()) + (INDEX if plugin == "principled" else ""),
+        x=width / shorter,
+        y=height / shorter,
+        far=far,
+        height=height,
+        width=width,
+        lamp=far - 0.8,
+        intensity=3.1416 * far * far,
+    )
+    return named(ET.fromstring(text), name)

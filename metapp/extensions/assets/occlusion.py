@@ -9,7 +9,7 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, interpolate, pad
+from torch.nn.functional import grid_sample, interpolate
 
 AZIMUTHS = 16
 REACH = 0.125  # of the width: radius of occlusion
@@ -36,12 +36,23 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
         occlusion = occlusion_from_height(pooled, periodic=periodic, reach=reach)
         return _enlarged(occlusion, size, periodic).reshape(height.shape)
     farthest = max(1, round(reach * height.shape[-1]))
+    wide, margin = _widened(height, farthest + 1, periodic), farthest + 1
+
+    def shifted(down: float, across: float) -> Tensor:
+        """The field sampled so many rows below and columns to the right, interpolated between texels."""
+        field = wide
+        for axis, offset in ((-2, down), (-1, across)):
+            near = field.narrow(axis, margin + math.floor(offset), size[axis])
+            far = field.narrow(axis, margin + math.floor(offset) + 1, size[axis])
+            field = torch.lerp(near, far, offset - math.floor(offset))
+        return field
+
     total = torch.zeros_like(height)
     for i in range(AZIMUTHS):
         turn = 2 * math.pi * i / AZIMUTHS
         slope = torch.zeros_like(height)
         for distance in _distances(farthest):
-            there = _shifted(height, distance * math.cos(turn), distance * math.sin(turn), periodic)
+            there = shifted(distance * math.sin(turn), distance * math.cos(turn))
             slope = torch.maximum(slope, (there - height) / distance)
         total += 1 / (1 + slope * slope)
     return total / AZIMUTHS
@@ -49,7 +60,7 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
 
 def _enlarged(field: Tensor, size: tuple[int, ...], periodic: bool) -> Tensor:
     """A field [B, 1, h, w] at another size, interpolated between its texels, across its edges where it tiles."""
-    wide = pad(field, (1, 1, 1, 1), mode="circular" if periodic else "replicate")
+    wide = _widened(field, 1, periodic)
     down, across = (
         2 * ((torch.arange(count, dtype=field.dtype, device=field.device) + 0.5) * few / count + 0.5) / (few + 1) - 1
         for count, few in zip(size, field.shape[-2:], strict=True)
@@ -66,19 +77,10 @@ def _distances(farthest: int) -> list[int]:
     return distances
 
 
-def _shifted(field: Tensor, x: float, rows: float, periodic: bool) -> Tensor:
-    """A field [..., H, W] sampled x columns to the right and so many rows below, interpolated between texels."""
-    for offset, axis in ((x, -1), (rows, -2)):
-        whole = math.floor(offset)
-        share = offset - whole
-        near = _moved(field, whole, axis, periodic)
-        field = near if share < 1e-9 else torch.lerp(near, _moved(field, whole + 1, axis, periodic), share)
+def _widened(field: Tensor, margin: int, periodic: bool) -> Tensor:
+    """A field [..., H, W] with a margin on each side: its other side where it tiles, else its edges."""
+    for axis in (-2, -1):
+        size = field.shape[axis]
+        places = torch.arange(-margin, size + margin, device=field.device)
+        field = field.index_select(axis, places % size if periodic else places.clamp(0, size - 1))
     return field
-
-
-def _moved(field: Tensor, count: int, axis: int, periodic: bool) -> Tensor:
-    if periodic:
-        return field.roll(-count, axis)
-    size = field.shape[axis]
-    rows = (torch.arange(size, device=field.device) + count).clamp(0, size - 1)
-    return field.index_select(axis, rows)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -33,7 +34,6 @@ from metapp.storage import images
 from metapp.storage.files import as_text, write_atomically
 
 PREVIEW = 256  # px, of the longer side
-SCHEMA = 1
 WORKFLOWS = {
     "specular": "diffuse and specular are what was fitted: f = diffuse (1 - F0) / pi + D F G / (4 cos_i cos_o), GGX, "
     "separable Smith, Schlick's Fresnel from F0",
@@ -60,24 +60,26 @@ def write_planes(planes: Mapping[str, Plane], path: Path, bits: int = 16) -> dic
         What is to be known of each file, by its name: encoding, meaning; of heights how integers become widths.
     """
     files = {key: path / f"{path.name}_{key}.png" for key in planes}
-    return {file.name: write_plane(planes[key], file, bits, stretch=key == "height") for key, file in files.items()}
+    return {file.name: write_plane(planes[key], file, bits) for key, file in files.items()}
 
 
-def write_plane(plane: Plane, file: Path, bits: int, *, stretch: bool = False) -> dict[str, object]:
-    """Write a map as PNG, colours as sRGB; with `stretch` so that its range becomes that of the integers.
+def write_plane(plane: Plane, file: Path, bits: int) -> dict[str, object]:
+    """Write a map as PNG by its encoding.
 
     Returns:
         What is to be known of the file.
     """
-    encoding = "sRGB" if plane.encoding == "srgb" else "linear"
-    values = linear_to_srgb(plane.values.clamp(0, 1)) if plane.encoding == "srgb" else plane.values
-    about = {"colour_space": encoding, "channels": len(values), "bits": bits, "meaning": plane.meaning}
-    if stretch:
+    encoding, values = "linear", plane.values
+    about: dict[str, object] = {"channels": len(values), "bits": bits, "meaning": plane.meaning}
+    if plane.encoding == "srgb":
+        encoding, values = "sRGB", linear_to_srgb(values.clamp(0, 1))
+    texts = {"encoding": encoding}
+    if plane.encoding == "stretched":
         values, low, high = stretched(values)
         about |= {"offset": low, "scale": high - low, "unit": "texture widths"}
-    texts = {"encoding": encoding} | {key: f"{about[key]:.9g}" for key in ("offset", "scale") if key in about}
+        texts |= {"offset": f"{low:.9g}", "scale": f"{high - low:.9g}"}
     images.write_png(values.movedim(0, -1), texts, file, bits)
-    return about
+    return {"colour_space": encoding} | about
 
 
 def preview(surface: Surface) -> Tensor:
@@ -101,17 +103,17 @@ def write_asset(surface: Surface, path: Path, provenance: Mapping[str, object]) 
     """Write the asset folder `path`; `material.json` comes last."""
     files = write_planes(all_planes(surface), path)
     images.write_png(preview(surface).movedim(0, -1), {"encoding": "sRGB"}, path / "preview.png")
-    write_description(path / DESCRIPTION, description(surface, path.name, files, provenance))
+    write_description(surface, path, files, provenance)
 
 
-def description(
-    surface: Surface, name: str, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
-) -> dict[str, object]:
-    """Content of `material.json` of a surface and its files."""
+def write_description(
+    surface: Surface, path: Path, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
+) -> None:
+    """Write `material.json` of a surface and its files; numbers that are not finite, which JSON lacks, become null."""
     height, width = surface.size
-    return {
-        "schema": SCHEMA,
-        "name": name,
+    document = {
+        "schema": 1,
+        "name": path.name,
         "kind": "texture" if surface.maps is None else "material",
         "size": {"width": width, "height": height, "unit": "px"},
         "real_world_size": None,  # of the width, in metres: a photograph alone does not tell
@@ -121,12 +123,8 @@ def description(
         "files": dict(files),
         "provenance": dict(provenance),
     }
-
-
-def write_description(file: Path, document: Mapping[str, object]) -> None:
-    """Write a JSON document; numbers that are not finite, which JSON lacks, become null."""
     text = json.dumps(as_text(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_atomically(file, lambda target: target.write_text(text, encoding="utf-8"))
+    write_atomically(path / DESCRIPTION, lambda target: target.write_text(text, encoding="utf-8"))
 
 
 def write_blender(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
@@ -135,11 +133,8 @@ def write_blender(surface: Surface, path: Path, provenance: Mapping[str, object]
     planes["level"] = Plane(
         specular_level(surface, planes), "linear", "Specular IOR Level; F0 / 0.08 of what no metal is"
     )
-    files = {}
-    for socket, key in WIRED.items():
-        file = path / f"{path.name}_{socket}.png"
-        files[file.name] = write_plane(planes[key], file, 16, stretch=key == "height")
-    write_description(path / DESCRIPTION, description(surface, path.name, files, provenance))
+    files = write_planes({socket: planes[key] for socket, key in WIRED.items()}, path)
+    write_description(surface, path, files, provenance)
 
 
 def specular_level(surface: Surface, planes: Mapping[str, Plane]) -> Tensor:
@@ -167,3 +162,11 @@ def fitted_by(provenance: Mapping[str, object]) -> str:
     """A fit's provenance in a few words."""
     keys = ("app", "paradigm", "rule", "checkpoint", "recipe")
     return ", ".join(f"{key} {provenance[key]}" for key in keys if key in provenance)
+
+
+def named(document: ET.Element, name: str) -> ET.Element:
+    """An XML document with a name in place of NAME in its attributes."""
+    for element in document.iter():
+        for key, value in element.items():
+            element.set(key, value.replace("NAME", name))
+    return document

@@ -10,7 +10,7 @@ from torch import Tensor
 from metapp.appearance.surface import DIELECTRIC, Surface
 from metapp.extensions.assets.occlusion import occlusion_from_height
 
-Encoding = Literal["srgb", "linear"]
+Encoding = Literal["srgb", "linear", "stretched"]
 
 
 class Plane(NamedTuple):
@@ -18,7 +18,7 @@ class Plane(NamedTuple):
 
     Attributes:
         values: [1 or 3, H, W], linear; in [0, 1] but for heights.
-        encoding: how a file of integers should hold it: colours as sRGB, data as they are.
+        encoding: how a file of integers should hold it: colours as sRGB, data as they are, heights over their range.
         meaning: in words, with the unit.
     """
 
@@ -37,7 +37,7 @@ def fitted_planes(surface: Surface) -> dict[str, Plane]:
         "specular": Plane(maps.specular.expand(3, -1, -1), "srgb", "F0, reflectance at normal incidence"),
         "roughness": Plane(maps.roughness, "linear", "roughness; GGX alpha is its square"),
         "normal_gl": Plane(maps.normal * 0.5 + 0.5, "linear", "normal, 0..1 for -1..1; x right, y up, z out"),
-        "height": Plane(surface.heights(), "linear", "height, up; in texture widths, mean 0"),
+        "height": Plane(surface.heights(), "stretched", "height, up; in texture widths, mean 0"),
     }
 
 
@@ -59,20 +59,8 @@ def all_planes(surface: Surface) -> dict[str, Plane]:
     }
 
 
-class MetallicRoughness(NamedTuple):
-    """Colours of the workflow.
-
-    Attributes:
-        base: [..., 3, H, W] linear RGB in [0, 1].
-        metallic: [..., 1, H, W] in [0, 1].
-    """
-
-    base: Tensor
-    metallic: Tensor
-
-
-def to_metallic(diffuse: Tensor, specular: Tensor) -> MetallicRoughness:
-    """The workflow's maps of diffuse and specular colour.
+def to_metallic(diffuse: Tensor, specular: Tensor) -> tuple[Tensor, Tensor]:
+    """Base colour [..., 3, H, W] and metallic [..., 1, H, W] of diffuse and specular colour, all in [0, 1].
 
     Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s - c) = 0, linear in d and s: it is solved for their
     means over the channels. The base colour is then d + s - c (1 - m). Both are exact where such maps exist
@@ -89,4 +77,4 @@ def to_metallic(diffuse: Tensor, specular: Tensor) -> MetallicRoughness:
     metallic = ((root - linear) / (2 * DIELECTRIC)).clamp(0, 1)
     metallic = metallic.where(s > DIELECTRIC, metallic.new_zeros(()))
     base = (diffuse + specular - DIELECTRIC * (1 - metallic)).clamp(0, 1)
-    return MetallicRoughness(base, metallic)
+    return base, metallic

@@ -196,18 +196,18 @@ def drawn(*shape: int) -> torch.Tensor:
 def test_it_is_inverted_where_such_maps_exist() -> None:
     base, metallic = DIELECTRIC + (1 - DIELECTRIC) * drawn(3, 16, 16), drawn(1, 16, 16)
     found = to_metallic(*from_metallic(base, metallic))
-    assert torch.allclose(found.metallic, metallic, atol=1e-9)
-    assert torch.allclose(found.base, base, atol=1e-9)
+    assert torch.allclose(found[1], metallic, atol=1e-9)
+    assert torch.allclose(found[0], base, atol=1e-9)
 
 
 def test_metals_and_dielectrics_are_what_they_are() -> None:
     gold, plaster = torch.tensor([1.0, 0.77, 0.34])[:, None, None], torch.full((3, 1, 1), 0.8)
     dielectric = torch.full((1, 1, 1), DIELECTRIC)
     metal, other = to_metallic(torch.zeros(3, 1, 1), gold), to_metallic(plaster, dielectric)
-    assert torch.allclose(metal.metallic, torch.ones(1, 1, 1), atol=1e-4)
-    assert torch.allclose(metal.base, gold, atol=1e-4)
-    assert torch.equal(other.metallic, torch.zeros(1, 1, 1))
-    assert torch.allclose(other.base, plaster)
+    assert torch.allclose(metal[1], torch.ones(1, 1, 1), atol=1e-4)
+    assert torch.allclose(metal[0], gold, atol=1e-4)
+    assert torch.equal(other[1], torch.zeros(1, 1, 1))
+    assert torch.allclose(other[0], plaster)
 
 
 def test_what_no_such_material_reflects_stays_in_range_and_is_kept() -> None:
