@@ -184,7 +184,7 @@ def scene_files(registry: Registry) -> None:
         f"{here}.reading", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
     )
     registry.objects["transport"] = Entry(f"{here}.reading:from_object")
-    registry.hooks["scene"] = Entry(f"{here}.checking:stored")
+    registry.hooks["scene"] = Entry(f"{here}.reading:stored")
 
 
 def several(registry: Registry) -> None:

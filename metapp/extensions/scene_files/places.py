@@ -1,18 +1,26 @@
-"""Places where files of scenes may lie: regular files of a bounded size, in folders that the user named alone."""
+"""Places where files of scenes may lie: regular files of a bounded size, in folders that the user named alone.
+
+Pictures and volumes are of a size that Mitsuba can take.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
+import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from metapp.extensions.scene_files.files import check_file
 from metapp.rendering.scenes.rules import Files, snake_case
 from metapp.storage.files import open_regular
+from metapp.storage.images import check_memory, check_pixels, error_of, reason_of, silent
 
 TEXT_BYTES = 2**24  # of a scene file or an include
 _DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
+_VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
+_BOX_BYTES = 24
 
 # Data files of scenes that were read in this process. A scene is kept as text beside its samples, and may be loaded
 # from it again, but text from elsewhere gives no right to read files.
@@ -119,3 +127,52 @@ def read_text(path: Path) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError("not text in UTF-8, expected a scene of Mitsuba 3.") from None
+
+
+def check_file(kind: str, path: Path) -> None:
+    """Refuse a file that would take the memory of a much larger one, or whose grid is empty; values are not looked at.
+
+    Args:
+        kind: name of the plugin that reads it; of others than pictures and volumes nothing is checked.
+        path: of the file.
+
+    Raises:
+        ValueError: no image or volume, or one of another size than it may have, naming the file.
+    """
+    check = {"bitmap": _check_picture, "envmap": _check_picture, "gridvolume": _check_volume, "sdfgrid": _check_volume}
+    if kind not in check:
+        return
+    try:
+        check[kind](path)
+    except ValueError as error:
+        reason = str(error).removeprefix(f"{path}: ")
+        raise ValueError(f"names the file {path.name[:60]!r}, which Mitsuba cannot take: {reason}") from None
+
+
+def _check_picture(path: Path) -> None:
+    """The rule of photographs."""
+    import OpenImageIO as oiio
+
+    with silent():
+        source = oiio.ImageInput.open(str(path))
+        if source is None:
+            raise ValueError(f"no image ({reason_of(error_of(oiio), path)}), expected one; export it again.")
+        with contextlib.closing(source):
+            spec = source.spec()
+            check_pixels(spec.width, spec.height, path)
+            check_memory(spec, path)
+
+
+def _check_volume(path: Path) -> None:
+    """A grid of 32-bit floats; Mitsuba ends the process at one without samples."""
+    with open_regular(path) as file:
+        header = file.read(_VOLUME.size).ljust(_VOLUME.size, b"\0")
+        size = file.seek(0, 2)
+    _, _, *grid, channels = _VOLUME.unpack(header)
+    needed = _VOLUME.size + _BOX_BYTES + 4 * math.prod(grid) * channels
+    if min(*grid, channels) < 1 or size < needed:
+        shape = " x ".join(map(str, grid))
+        raise ValueError(
+            f"a grid of {shape}, {channels} channels and {size:,} bytes, expected 1 or more along each axis and "
+            f"{needed:,} bytes; export it again."
+        )

@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
-from metapp.extensions.scene_files.checking import checked
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
-from metapp.extensions.scene_files.xml import of_version
+from metapp.extensions.scene_files.xml import checked_xml, of_version
 from metapp.learning.task import Task
-from metapp.rendering.scenes.rules import MOST_NESTED, Json, SceneDict
+from metapp.rendering.scenes.rules import MOST_NESTED, CheckedDict, Json, SceneDict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.shards import MANIFEST
 
@@ -148,6 +147,35 @@ def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> Sc
         return checked(scene, Places.beside(Path.cwd() / name, roots))
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+
+
+def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
+    """The same scene, of the same form, with absolute file names, includes and defaults in it.
+
+    Args:
+        scene: a dictionary, or {"xml": text}.
+        places: where its files may lie.
+        name: resolved path of its file, if it has one.
+
+    Raises:
+        ValueError: something that a scene may not hold.
+    """
+    if not isinstance(scene, dict):
+        raise ValueError("no scene, expected an object of type 'scene'.")
+    if "xml" in scene:
+        if not isinstance(scene["xml"], str):
+            raise ValueError("an 'xml' that is no text, expected a document; change it.")
+        return {"xml": checked_xml(scene["xml"], places, name)}
+    return CheckedDict(places).object(scene)
+
+
+def stored(scene: SceneDict) -> SceneDict:
+    """The same scene of a data set, whose files must have been read in this process.
+
+    Raises:
+        ValueError: as `checked`.
+    """
+    return checked(scene, Places())
 
 
 def _from_json(text: str) -> SceneDict:

@@ -29,7 +29,7 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
     """Refuse a scene that Mitsuba cannot load, that ends the process, or that never comes to an end.
 
     Args:
-        scene: as `metapp.extensions.scene_files.checking.checked` gives it.
+        scene: as `metapp.extensions.scene_files.reading.checked` gives it.
         variant: of Mitsuba, to load it in.
 
     Raises:
