@@ -17,7 +17,7 @@ from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
 from metapp.appearance.geometry import above_horizon, directions_to_four_angles, rusinkiewicz_to_directions
 from metapp.apps.brdf.anisotropic import axes_of
 from metapp.apps.brdf.recipes import ANISOTROPIC
-from metapp.extensions.viewer.pages.anisotropic_residual import corners
+from metapp.extensions.viewer.pages.anisotropic_residual import interpolation
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task
 
@@ -96,5 +96,4 @@ def fitted() -> Params:
 
 def interpolated(grid: Tensor, angles: Tensor, turn: float) -> Tensor:
     """The values that the page's shader finds at angles [N, 4] in rad in a grid of `anisotropic_residual`."""
-    places = corners(angles, turn)
-    return (grid.float().flatten(0, -2)[places.cells, :3] * places.shares[..., None]).sum(1)
+    return torch.from_numpy(interpolation(angles, turn) @ grid.float().flatten(0, -2)[:, :3].numpy())

@@ -137,8 +137,8 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
 def test_the_time_to_an_equal_error_is_between_measurements() -> None:
     """On a log scale: errors go with the root of time, so a guide of half the error needs a quarter of it."""
     seconds, one = torch.tensor([1.0, 4.0, 16.0]), torch.zeros(3, 4, 4)
-    regular = pages.Progress(one, seconds, seconds**-0.5, 16)
-    guided = pages.Progress(one, seconds, 0.75 * seconds**-0.5, 16)
+    regular = pages.Progress(one, seconds, seconds**-0.5, torch.tensor(16))
+    guided = pages.Progress(one, seconds, 0.75 * seconds**-0.5, torch.tensor(16))
     said, level = pages.equal_error(regular, guided)
     assert level == 0.25
     assert said == "To a MAPE of 0.25: regular 16 s, guided by the fit 9 s, 0.56 of the time."

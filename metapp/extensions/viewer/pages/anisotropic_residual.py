@@ -10,12 +10,13 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable
-from typing import NamedTuple
 
+import numpy as np
 import torch
+from scipy import sparse
+from scipy.sparse.linalg import cg
 from torch import Tensor
-from torch.nn.functional import embedding_bag, pad
+from torch.nn.functional import pad
 
 CELLS = (40, 40, 8, 12)  # of the disc along and across the axes, phi_h + phi_d, and theta_d
 PERIODIC = 2  # the axis of an azimuth
@@ -23,13 +24,6 @@ BEND, SHRINK = 0.01, 3e-4  # weights of squared second differences and of square
 STEPS = 40  # of conjugate gradients; more change little
 ROUNDED = 1024  # steps of 1/1024 deflate to a third of the bytes
 MOST = 1 << 18  # samples, which come in random order
-
-
-class Corners(NamedTuple):
-    """The cells about samples [N, 16], and their shares in what is interpolated there, which add up to 1."""
-
-    cells: Tensor
-    shares: Tensor
 
 
 def gridded(angles: Tensor, values: Tensor, turn: float) -> Tensor:
@@ -40,13 +34,28 @@ def gridded(angles: Tensor, values: Tensor, turn: float) -> Tensor:
         values: [N, 3].
         turn: azimuth of the material's axes in rad.
     """
-    places = corners(angles, turn)
-    at, back = _interpolation(places)
-    squares = torch.zeros(math.prod(CELLS)).index_add_(0, places.cells.flatten(), places.shares.flatten().square())
-    most = squares[:, None] + SHRINK + 6 * BEND * len(CELLS)
-    grid = solved(lambda grid: back(at(grid)) + _bending(grid), back(values.float()), most, STEPS)
-    rounded = (grid.reshape(*CELLS, 3) * ROUNDED).round() / ROUNDED
+    at = interpolation(angles, turn)
+    back = at.T.tocsr()
+    normal = back @ at + penalties()
+    right, scale = back @ values.float().numpy(), sparse.diags_array(1 / normal.diagonal())
+    columns = [cg(normal, column, rtol=0.0, maxiter=STEPS, M=scale)[0] for column in right.T]
+    grid = torch.from_numpy(np.stack(columns, 1)).reshape(*CELLS, 3)
+    rounded = (grid * ROUNDED).round() / ROUNDED
     return pad(torch.where(reached()[..., None], rounded, 0.0), (0, 1)).half()
+
+
+@functools.cache
+def penalties() -> sparse.csr_array:
+    """The matrix [cells, cells] of the weighted sum of squared second differences along each axis and of squares."""
+    total = SHRINK * sparse.eye_array(math.prod(CELLS), dtype=np.float32)
+    for axis, count in enumerate(CELLS):
+        second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count))
+        if axis == PERIODIC:
+            unit = np.eye(count)
+            second = sparse.csr_array(np.roll(unit, 1, 0) + np.roll(unit, -1, 0) - 2 * unit)
+        before, after = (sparse.eye_array(math.prod(sizes)) for sizes in (CELLS[:axis], CELLS[axis + 1 :]))
+        total = total + BEND * sparse.kron(sparse.kron(before, second.T @ second), after)
+    return sparse.csr_array(total.astype(np.float32))
 
 
 @functools.cache
@@ -65,8 +74,8 @@ def reached() -> Tensor:
     return (radius < 1 + aside) & (theta_h.tan() * theta_d.tan() * across.clamp_min(0).sin() < 1)
 
 
-def corners(angles: Tensor, turn: float) -> Corners:
-    """Where samples lie between the centres of cells, as the shader finds it; angles [N, 4] in rad."""
+def interpolation(angles: Tensor, turn: float) -> sparse.csr_array:
+    """The matrix [N, cells] from a flat grid to samples at angles [N, 4] in rad, as the shader interpolates."""
     theta_h, theta_d, phi_d, phi_h = angles.float().unbind(1)
     azimuth = phi_h - turn
     # samples that are uniform in theta_h and phi_h are so on the disc; towards grazing angles cells are smaller
@@ -80,66 +89,10 @@ def corners(angles: Tensor, turn: float) -> Corners:
     for corner in itertools.product((0, 1), repeat=len(CELLS)):
         cell = first + first.new_tensor(corner)
         weights.append((1 - (places - cell).abs()).prod(1))
-        cells.append(_index(cell.long()))
-    return Corners(torch.stack(cells, 1), torch.stack(weights, 1))
-
-
-def _index(cell: Tensor) -> Tensor:
-    """The place [N] in a flat grid of cells [N, 4], which at its borders go on as the last ones."""
-    index = torch.zeros_like(cell[:, 0])
-    for axis, (count, column) in enumerate(zip(CELLS, cell.unbind(1), strict=True)):
-        index = index * count + (column % count if axis == PERIODIC else column.clamp(0, count - 1))
-    return index
-
-
-Map = Callable[[Tensor], Tensor]
-
-
-def _interpolation(places: Corners) -> tuple[Map, Map]:
-    """Values at samples [N, 3] of a grid [cells, 3], and the transposed map."""
-    flat = places.cells.flatten()
-    order = flat.argsort(stable=True)
-    rows, shares = order // places.cells.shape[1], places.shares.flatten()[order]
-    counts = torch.bincount(flat, minlength=math.prod(CELLS))
-    starts = counts.cumsum(0) - counts
-
-    def at(grid: Tensor) -> Tensor:
-        return embedding_bag(places.cells, grid, per_sample_weights=places.shares, mode="sum")
-
-    def back(values: Tensor) -> Tensor:
-        return embedding_bag(rows, values, starts, per_sample_weights=shares, mode="sum")
-
-    return at, back
-
-
-def _bending(grid: Tensor) -> Tensor:
-    """Half the gradient of both penalties at a grid [cells, 3]."""
-    cells = grid.reshape(*CELLS, 3)
-    total = SHRINK * cells
-    for axis in range(len(CELLS)):
-        if axis == PERIODIC:
-            bent = _second_difference(_second_difference(cells, axis), axis)
-        else:
-            lines = cells.movedim(axis, -1)
-            bent = pad(lines.diff(n=2), (2, 2)).diff(n=2).movedim(-1, axis)
-        total = total + BEND * bent
-    return total.reshape(-1, 3)
-
-
-def _second_difference(cells: Tensor, axis: int) -> Tensor:
-    return cells.roll(1, axis) + cells.roll(-1, axis) - 2 * cells
-
-
-def solved(matrix: Map, right: Tensor, diagonal: Tensor, steps: int) -> Tensor:
-    """An approximate solution of a symmetric positive definite system by conjugate gradients, scaled by a diagonal."""
-    solution, rest = torch.zeros_like(right), right.clone()
-    scaled = rest / diagonal
-    direction, product = scaled, (rest * scaled).sum()
-    for _ in range(steps):
-        image = matrix(direction)
-        step = product / (direction * image).sum().clamp_min(1e-30)
-        solution, rest = solution + step * direction, rest - step * image
-        scaled = rest / diagonal
-        before, product = product, (rest * scaled).sum()
-        direction = scaled + product / before.clamp_min(1e-30) * direction
-    return solution
+        index = torch.zeros_like(cell[:, 0], dtype=torch.int32)
+        for axis, (count, column) in enumerate(zip(CELLS, cell.int().unbind(1), strict=True)):
+            index = index * count + (column % count if axis == PERIODIC else column.clamp(0, count - 1))
+        cells.append(index)
+    parts = (torch.stack(each, 1).numpy().ravel() for each in (weights, cells))
+    ends = np.arange(len(angles) + 1, dtype=np.int32) * len(cells)
+    return sparse.csr_array((*parts, ends), shape=(len(angles), math.prod(CELLS)))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
@@ -38,12 +38,12 @@ Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture
 
 
 class Progress(NamedTuple):
-    """A picture [3, size, size] of so many spp at last; its MAPE, and the seconds of CPU until then, at N times [N]."""
+    """A picture [3, size, size] of so many spp at last; the seconds of CPU and the MAPE until then, at N times [N]."""
 
     picture: Tensor
     seconds: Tensor
     errors: Tensor
-    spp: int
+    spp: Tensor
 
 
 def view(app: Transport, theta: Params, task: Task) -> View:
@@ -59,11 +59,9 @@ def scene_view(flow: Flow, theta: Params, task: Task) -> View:
     made = _kept("fit", [task.data["scene"], *theta.values()], lambda: _traced(flow, theta, task))
     reference = made[REFERENCE]
     unit = reference.mean().clamp_min(1e-20)  # pictures hold radiance of any unit then
-    shots = {
-        name: Progress(made[name], made[f"{name} seconds"], made[f"{name} errors"], int(made[f"{name} spp"]))
-        for name in (REGULAR, GUIDED)
-    }
-    arrays = {name: (made[name] / unit).permute(1, 2, 0).clamp(0, HALF).half() for name in (REFERENCE, *shots)}
+    shots = {name: Progress(*(made[f"{name} {field}"] for field in Progress._fields)) for name in (REGULAR, GUIDED)}
+    pictures = {REFERENCE: reference, **{name: shot.picture for name, shot in shots.items()}}
+    arrays = {name: (picture / unit).permute(1, 2, 0).clamp(0, HALF).half() for name, picture in pictures.items()}
     region = worst_region(shots[GUIDED].picture, reference)
     told = {
         name: f"{shot.spp} spp, {shot.seconds[-1]:.2g} s, MAPE {shot.errors[-1]:.3g}" for name, shot in shots.items()
@@ -113,8 +111,7 @@ def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
     # a half is as far from the mean of both as that is from the truth
     made = {REFERENCE: reference, "own error": mape(halves[:1], reference[None])}
     for name, shot in shots.items():
-        made |= {name: shot.picture, f"{name} seconds": shot.seconds, f"{name} errors": shot.errors}
-        made[f"{name} spp"] = torch.tensor(shot.spp)
+        made |= {f"{name} {field}": value for field, value in shot._asdict().items()}
     return made
 
 
@@ -144,7 +141,7 @@ def progress(shoot: Shoot, reference: Tensor, before: float) -> Progress:
         points.append((spent, float(mape(total[None] / count, reference[None]))))
         part = min(count, int((SECONDS - spent) / max(seconds / part, 1e-9)))
     taken, errors = torch.tensor(points).unbind(1)
-    return Progress(total / count, taken, errors, count)
+    return Progress(total / count, taken, errors, torch.tensor(count))
 
 
 def equal_error(regular: Progress, guided: Progress) -> tuple[str, float]:
@@ -160,15 +157,9 @@ def equal_error(regular: Progress, guided: Progress) -> tuple[str, float]:
 
 def _time_to(level: float, shot: Progress) -> tuple[float, bool]:
     """Seconds to an error that a picture reaches, between measurements on a log scale; whether that is within them."""
-    points = [
-        (math.log(s), math.log(max(e, 1e-9))) for s, e in zip(shot.seconds.tolist(), shot.errors.tolist(), strict=True)
-    ]
-    wanted = math.log(max(level, 1e-9))
-    for (s0, e0), (s1, e1) in itertools.pairwise(points):
-        if e1 <= wanted < e0:
-            return math.exp(s0 + (s1 - s0) * (e0 - wanted) / (e0 - e1)), True
-    within = wanted < points[0][1]
-    return math.exp(points[-1 if within else 0][0]), within
+    errors = shot.errors.cummin(0).values.clamp_min(1e-9).log().numpy()
+    seconds = np.interp(-math.log(max(level, 1e-9)), -errors, shot.seconds.log().numpy())
+    return math.exp(seconds), level < float(shot.errors[0])
 
 
 def worst_region(picture: Tensor, reference: Tensor) -> list[int]:

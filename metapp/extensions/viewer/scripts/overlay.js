@@ -22,33 +22,19 @@ class Overlay {
 
   _made(index) {
     const { viewer } = this, label = make("div", { className: "label" }), legend = make("canvas", { className: "plot scale" });
-    const wipe = make("div", { className: "wipe", tabIndex: 0, title: "Drag, or left and right keys" }), lamp = make("button", { type: "button", className: "lamp", title: "Drag the lamp, or arrow keys" });
-    wipe.setAttribute("role", "slider"); wipe.setAttribute("aria-label", "Wipe"); lamp.setAttribute("aria-label", "Lamp: arrow keys move it");
+    const lamp = make("button", { type: "button", className: "lamp", title: "Drag the lamp, or arrow keys" });
+    lamp.setAttribute("aria-label", "Lamp: arrow keys move it");
+    const moving = (on) => viewer.moving(on), share = (event) => { const { x, width } = viewer.paneAt(event); return x / width; };
+    const wipe = wipeHandle(() => viewer.settings.wipe, (to) => viewer.set("wipe", to), share, moving);
     viewer.element.append(label, legend, lamp, wipe);
-    this._drag(lamp, (event) => this._lampTo(event));
-    this._drag(wipe, (event) => {
-      const { x, width } = viewer.paneAt(event);
-      viewer.set("wipe", clamp(x / width, 0, 1));
-    });
+    draggable(lamp, (event) => this._lampTo(event), moving);
     lamp.addEventListener("keydown", (event) => {
       const by = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
       if (!by) return;
       event.preventDefault();
       this.moveLamp(...by.map((each) => each * STEP / (event.shiftKey ? 5 : 1)));
     });
-    wipe.addEventListener("keydown", (event) => {
-      const to = wipeBy(event, viewer.settings.wipe);
-      if (to === undefined) return;
-      event.preventDefault();
-      viewer.set("wipe", to);
-    });
     return { label, legend, lamp, wipe };
-  }
-
-  _drag(element, move) {
-    element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); element.focus({ preventScroll: true }); this.viewer.moving(true); event.preventDefault(); });
-    element.addEventListener("pointermove", (event) => { if (element.hasPointerCapture(event.pointerId)) move(event); });
-    element.addEventListener("lostpointercapture", () => this.viewer.moving(false));
   }
 
   _pointers(canvas) {
@@ -123,9 +109,23 @@ class Overlay {
 // The radius at which a lamp's handle is seen from aside.
 const halfOf = (width, height) => Math.min(width, height) * 0.46;
 
-// Where keys put a wipe; undefined for others.
-function wipeBy({ key, shiftKey }, wipe) {
-  const step = shiftKey ? 0.1 : 0.01;
-  const to = { ArrowLeft: wipe - step, ArrowRight: wipe + step, Home: 0, End: 1 }[key];
-  return to === undefined ? undefined : clamp(to, 0, 1);
+// Have `move(event)` called while an element is dragged, and `moving(on)` where that begins and ends.
+function draggable(element, move, moving = () => {}) {
+  element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); element.focus({ preventScroll: true }); moving(true); event.preventDefault(); });
+  element.addEventListener("pointermove", (event) => { if (element.hasPointerCapture(event.pointerId)) move(event); });
+  element.addEventListener("lostpointercapture", () => moving(false));
+}
+
+// The handle of a wipe, by pointer and keys: `get()` and `put(share)` of its setting, `share(event)` that a pointer means.
+function wipeHandle(get, put, share, moving) {
+  const wipe = make("div", { className: "wipe", tabIndex: 0, title: "Drag, or left and right keys" });
+  wipe.setAttribute("role", "slider"); wipe.setAttribute("aria-label", "Wipe");
+  draggable(wipe, (event) => put(clamp(share(event), 0, 1)), moving);
+  wipe.addEventListener("keydown", (event) => {
+    const step = event.shiftKey ? 0.1 : 0.01, to = { ArrowLeft: get() - step, ArrowRight: get() + step, Home: 0, End: 1 }[event.key];
+    if (to === undefined) return;
+    event.preventDefault();
+    put(clamp(to, 0, 1));
+  });
+  return wipe;
 }

@@ -281,19 +281,8 @@ class PicturesViewer extends Viewer {
 
   _made(index) {
     const label = make("div", { className: "label" }), legend = make("canvas", { className: "plot scale" });
-    const wipe = make("div", { className: "wipe", tabIndex: 0, title: "Drag, or left and right keys" });
-    wipe.setAttribute("role", "slider"); wipe.setAttribute("aria-label", "Wipe");
-    wipe.addEventListener("pointerdown", (event) => { wipe.setPointerCapture(event.pointerId); wipe.focus({ preventScroll: true }); event.preventDefault(); });
-    wipe.addEventListener("pointermove", (event) => {
-      const panel = this.panels[index];
-      if (wipe.hasPointerCapture(event.pointerId)) this._put({ wipe: clamp((this._at(event)[0] - panel.x) / panel.width, 0, 1) });
-    });
-    wipe.addEventListener("keydown", (event) => {
-      const to = wipeBy(event, this.settings.wipe);
-      if (to === undefined) return;
-      event.preventDefault();
-      this._put({ wipe: to });
-    });
+    const share = (event) => { const { x, width } = this.panels[index]; return (this._at(event)[0] - x) / width; };
+    const wipe = wipeHandle(() => this.settings.wipe, (to) => this._put({ wipe: to }), share);
     this.element.append(label, legend, wipe);
     return { label, legend, wipe };
   }

@@ -10,7 +10,7 @@ class Raster {
       made.levels = [image];
       return made;
     }
-    const { shape, values } = await numbersOf(fit.arrays[name]).then((array) => ({ shape: array.shape, values: floatsOf(array) }));
+    const array = await numbersOf(fit.arrays[name]), { shape } = array, values = floatsOf(array);
     const made = new Raster(shape[1], shape[0], fit.arrays[name].data);
     return Object.assign(made, { radiance: values, channels: shape[2], mean: Math.max(values.reduce((sum, x) => sum + x, 0) / values.length, 1e-20) });
   }
