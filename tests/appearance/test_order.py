@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import order
-from metapp.appearance.quilting import origins, quilted
+from metapp.appearance.quilting import quilted
 
 SIZE = 128
 Vectors = tuple[tuple[float, float], tuple[float, float]]
@@ -113,15 +113,12 @@ def steepest(picture: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("tiles", [False, True])
-def test_a_picture_is_the_pixels_of_the_exemplar_that_it_comes_of(tiles: bool) -> None:
+def test_a_picture_is_made_of_pixels_of_the_exemplar(tiles: bool) -> None:
     exemplar = np.random.default_rng(1).random((20, 24, 3)).astype(np.float32)
-    made, used = (
-        function(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
-        for function in (quilted, origins)
-    )
+    made = quilted(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
     assert made.shape == (33, 41, 3)
     assert made.dtype == np.float32
-    assert np.array_equal(made, exemplar.reshape(-1, 3)[used])
+    assert {*map(tuple, made.reshape(-1, 3).tolist())} <= {*map(tuple, exemplar.reshape(-1, 3).tolist())}
 
 
 @pytest.mark.parametrize("size", [(48, 48), (64, 32), (40, 56)])

@@ -13,7 +13,6 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import Maps, positions, unpack
 from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.encoder import PARTS
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, inputs_of
 from metapp.extensions.pretrained.app import SHALLOW, SHARE, STEEPER, FromFeatures
 from metapp.extensions.pretrained.augmentation import variants
@@ -22,6 +21,7 @@ from metapp.extensions.pretrained.encoder import (
     FULL_APP,
     GUESS,
     OVERVIEW,
+    PARTS,
     _balanced,
     full_encoder,
     init_decoder,
