@@ -123,18 +123,13 @@ def parse(options: type[Options], values: Mapping[str, object], **checked: objec
 
     Args:
         options: the dataclass.
-        values: by name, as a command line or a program gives them; those of None are left out.
+        values: by name of its options, as a command line or a program gives them; those of None are left out.
         checked: further fields, taken as they are.
 
     Raises:
-        BadOption: an option that the class does not have, or a value that it cannot have.
+        BadOption: a value that an option cannot have.
     """
     known = declared(options)
-    for name in values:
-        if name not in known:
-            raise BadOption(
-                f"{name}: not an option, expected one of {', '.join(sorted(known))}.{did_you_mean(name, known)}"
-            )
     given = {name: known[name].value(value) for name, value in values.items() if value is not None}
     return options(**given, **checked)
 

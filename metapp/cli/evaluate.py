@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli import completion
-from metapp.cli.options import Json, Overwrite, check_new, takes
+from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
 from metapp.options import Option
 from metapp.registry import WITHOUT, app_names, did_you_mean, left_out_with, protocols_of, recipe_entries, registry
 from metapp.runs.options import MOST_SEEDS, check_name, check_protocol, fit_options
@@ -25,9 +24,7 @@ FORMATS = ("rich", "markdown", "latex", "csv", "json")
 SHARED = ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")  # options of fits
 Apps = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all there are."
-    ),
+    typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all there are."),
 ]
 
 

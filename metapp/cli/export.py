@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, check_folder
+from metapp.cli.options import FittedData, Json, check_folder, export_words
 from metapp.registry import app_names, exports_of, registry
 from metapp.runs.reporter import say
 
@@ -36,7 +35,7 @@ def command(
         Path,
         typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it; or one of the files below."),
     ],
-    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=completion.kinds, help=f"{_kinds()}.")],
+    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=export_words, help=f"{_kinds()}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(

@@ -1,27 +1,59 @@
-"""Arguments and options of commands, made of dataclasses of options."""
+"""Arguments and options of commands, made of dataclasses of options, and the words that shells complete.
+
+Nothing large is imported, since shells wait for words.
+"""
 
 from __future__ import annotations
 
 import enum
 import inspect
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from metapp.cli import completion
 from metapp.options import Option, declared, parse
+from metapp.registry import app_names, exports_of, protocols_of, recipe_names, registry, rule_words
 
-COMPLETIONS = {
-    "observe": completion.observations,
-    "recipe": completion.recipes,
-    "rule": completion.rules,
-    "export": completion.exports,
-    "device": completion.devices,
-    "which": completion.tables,
+LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
+Words = Callable[[str], list[str]]
+
+
+def _words(names: Callable[[], Iterable[str]], between: str = "") -> Words:
+    """The function that typer asks for names that begin as a word does; `between` may stand between several."""
+
+    def complete(incomplete: str) -> list[str]:
+        before, mark, last = incomplete.rpartition(between) if between else ("", "", incomplete)
+        return [before + mark + name for name in dict.fromkeys(names()) if name.startswith(last)]
+
+    return complete
+
+
+def _of_apps(names: Callable[[str], Iterable[str]]) -> Callable[[], Iterable[str]]:
+    """Names that belong to the applications which the line has so far, also as a part of a run's path; else to all."""
+
+    def of_line() -> Iterable[str]:
+        # by the whole line: typer parses none whose last option has no value yet
+        line, apps = " ".join(os.environ.get(name, "") for name in LINE), app_names()
+        named = [app for app in apps if re.search(rf"(?<![\w-]){app}(?![\w-])", line)]
+        return (name for app in named or apps for name in names(app))
+
+    return of_line
+
+
+app_words = _words(app_names)
+export_words = _words(lambda: (*_of_apps(exports_of)(), *registry().file_exports))
+baseline_words = _words(_of_apps(lambda app: registry().baselines.of(app)))
+COMPLETIONS = {  # of options by name
+    "observe": _words(_of_apps(protocols_of)),
+    "recipe": _words(_of_apps(recipe_names)),
+    "rule": _words(rule_words, "+"),
+    "export": _words(_of_apps(exports_of), ","),
+    "which": _words(lambda: (*registry().tables, "all")),
 }
 
 
@@ -101,7 +133,8 @@ def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
     default = option.default or None  # 0 and "" say that an option is not given
     shown: dict[str, Any] = {"help": option.help, "show_default": bool(default)}
     shown |= {"metavar": option.metavar} if option.metavar else {}
-    shown |= {"autocompletion": COMPLETIONS[option.name]} if option.name in COMPLETIONS else {}
+    if words := COMPLETIONS.get(option.name, _words(lambda: option.choices) if option.choices else None):
+        shown["autocompletion"] = words
     names = [option.flag, *([f"-{option.short}"] if option.short else [])]
     kind = option.kinds[0]
     if get_origin(kind) is tuple:  # of paths, or what the option parses

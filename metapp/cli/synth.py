@@ -9,9 +9,8 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import completion
 from metapp.cli.data import report
-from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, Split, check_folder, check_new, takes
+from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, Split, app_words, check_folder, check_new, takes
 from metapp.options import Converter, Option
 from metapp.registry import did_you_mean, registry
 from metapp.runs.inputs.convert import Converted, converted
@@ -52,7 +51,7 @@ def synth(
     options: SynthOptions,
     name: Annotated[
         str,
-        typer.Argument(metavar="APP", autocompletion=completion.applications, help=f"{', '.join(embedded_apps())}."),
+        typer.Argument(metavar="APP", autocompletion=app_words, help=f"{', '.join(embedded_apps())}."),
     ],
     folder: Annotated[
         Path | None,

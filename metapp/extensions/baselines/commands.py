@@ -9,10 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from metapp.cli import completion
 from metapp.cli.commands import app_group
 from metapp.cli.console import out, print_json
-from metapp.cli.options import parameter, parameter_of, signed
+from metapp.cli.options import baseline_words, parameter, parameter_of, signed
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared, options_of
 from metapp.registry import did_you_mean, protocols_of, registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
@@ -36,7 +35,7 @@ def command_of(app: str) -> Callable[..., None]:
     methods = typer.Option(
         metavar="NAME",
         rich_help_panel=FIT,
-        autocompletion=completion.methods,
+        autocompletion=baseline_words,
         help=f"{names}; default: nearest.",
     )
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")

@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import completion
 from metapp.cli.console import out, print_json
-from metapp.cli.options import Json, check_folder
+from metapp.cli.options import Json, app_words, check_folder
 from metapp.registry import did_you_mean, left_out_with, registry
 from metapp.runs.reporter import say
 
@@ -36,7 +35,7 @@ def command(
         str,
         typer.Argument(
             metavar="[APP]",
-            autocompletion=completion.applications,
+            autocompletion=app_words,
             help="An application; default: two commands of each.",
         ),
     ] = "",

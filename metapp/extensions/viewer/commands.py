@@ -10,9 +10,8 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import completion
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, Overwrite, check_new, takes
+from metapp.cli.options import FittedData, Json, Overwrite, app_words, check_new, takes
 from metapp.runs.reporter import number, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
@@ -71,7 +70,7 @@ def view(options: Options) -> None:
 def try_all(
     apps: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all."),
+        typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all."),
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the inputs, fits and page.")] = Path("try"),
     recipe: Annotated[str, typer.Option(help="quick or full; default: full.")] = "",
