@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING
 
-from metapp.registry import Entry, registry
+from metapp.registry import registry
 
 if TYPE_CHECKING:
     from metapp.learning.rules import LearnedRule, Part
 
 
+@cache
 def rule_of(name: str) -> LearnedRule:
     """The learned rule of a name, or of a composition of names with "+" between them.
 
@@ -23,11 +25,10 @@ def rule_of(name: str) -> LearnedRule:
     from metapp.learning.rules import compose
 
     tables = registry()
-    parts = {part: _part(entry) for part, entry in tables.parts.items()}
+    parts = {part: _part(kind) for part, kind in tables.loaded("parts").items()}
     return compose(name, parts, tables.rules, tables.compositions)
 
 
 @cache  # compiled steps are found by the part
-def _part(entry: Entry) -> Part:
-    part: Part = entry.load()()
-    return part
+def _part(kind: Callable[[], Part]) -> Part:
+    return kind()

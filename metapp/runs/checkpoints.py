@@ -55,7 +55,7 @@ def with_checkpoint(run: Run) -> Run:
             raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
         raise
     checkpoint = Checkpoint(prepared, str(path), digest(path))
-    if path == _shipped(run, needed) and not run.options.checkpoint:
+    if not run.options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if run.options.data else ""
         checkpoint = checkpoint._replace(source=f"the checkpoint that ships{note}")
     for name in tuned:
@@ -75,9 +75,11 @@ def checkpoint_name(app: App, name: str) -> str:
 
     General's is without it, too, if the network is one of the first protocol's: it learns nothing of the protocol.
     """
+    if is_first_protocol(app):
+        return name
     plain = replace(app, protocol="", size=None)
     shared = name == "general" and any(plain == recipe.app for recipe in recipes_of(app.name).values())
-    return name if is_first_protocol(app) or shared else f"{name}-{app.protocol}"
+    return name if shared else f"{name}-{app.protocol}"
 
 
 def ships_general(run: Run) -> bool:

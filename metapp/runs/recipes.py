@@ -8,6 +8,7 @@ set holds. A recipe is for one kind, and no two of an application and protocol a
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Sequence
 from importlib import resources
 from pathlib import Path
@@ -71,17 +72,15 @@ def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]])
     """The kind of all inputs, "" for none; BadOption if they are of several and a recipe is for one of them."""
     # of what is neither a file nor a folder, whatever reads it says so
     paths = [path for path in options.paths if path.is_file() or path.is_dir()]
+    forms = [(form, form.load()) for form in inputs_of(options.app).values()]
     kinds = [
-        (_kind_of_path(form, path), form, path)
-        for form in inputs_of(options.app).values()
-        for path in paths
-        if form.load().recognises(path)
+        (_kind_of_path(form, path), reader, path) for form, reader in forms for path in paths if reader.recognises(path)
     ]
     chosen = next((each for kind in by_kind for each in kinds if each[0] == kind), None)
     if chosen is None:
         return ""
     if other := next((each for each in kinds if each[0] != chosen[0]), None):
-        (first, *_), (second, *_) = (form.load().find([path])[0] or [path] for _, form, path in (chosen, other))
+        (first, *_), (second, *_) = (reader.find([path])[0] or [path] for _, reader, path in (chosen, other))
         name, recipe = by_kind[chosen[0]]
         raise BadOption(
             f"{options.app}: {first} has {recipe.help}, {second} has not, and recipes for these differ; fit them by "
@@ -143,6 +142,7 @@ def ships(app: str, recipe: str, protocol: str = "") -> bool:
     return own or (recipe == FULL and full_fits_as_quick(app))
 
 
+@functools.cache
 def full_fits_as_quick(app: str) -> bool:
     """True if networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
     return recipe_of(app, FULL).app == recipe_of(app, QUICK).app
