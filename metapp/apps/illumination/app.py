@@ -141,12 +141,13 @@ class Illumination(CodedApp):
         return of_mean_1(completed(maps, data) if "seen" in data else maps)
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the map or of the photograph, by the protocol, [T]."""
+        """Of the photograph, or of the map, [T]: of the log of radiance, of what surfaces send out, and of its log."""
         maps = self.radiance_of(theta)
         if self.protocol == "photo":
             return self._visible_loss(theta, maps, batch, learned)
         light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT
-        return self._map_loss(maps, batch, learned, light)
+        sent, logs = self._sent_apart(maps, batch["sent"], learned)
+        return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map, whatever fits see, [T]: above all of what diffuse surfaces send out under it."""
@@ -162,11 +163,6 @@ class Illumination(CodedApp):
         """Differences of what surfaces send out from the target, and of its log, [T, 3, S] each."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
         return norm(sent - target, learned), norm((sent + SENT_FLOOR).log() - (target + SENT_FLOOR).log(), learned)
-
-    def _map_loss(self, maps: Tensor, batch: Batch, learned: Params, light: Tensor | float) -> Tensor:
-        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
-        sent, logs = self._sent_apart(maps, batch["sent"], learned)
-        return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
 
     def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
         """Of what the mirror shows, else of the photograph, [T]."""

@@ -45,13 +45,13 @@ def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[
     return develop(balls, camera).clamp_max(1), {"seen": srgb_to_linear(texels), "certain": shares}
 
 
-def in_view(height: int, width: int, across: int = BALL_PX) -> Tensor:
-    """The share of each texel of a map that can be read off a ball of so many px, [height, width] in [0, 1].
+def in_view(height: int, width: int) -> Tensor:
+    """The share of each texel of a map that can be read off a ball of BALL_PX, [height, width] in [0, 1].
 
-    A texel of the angle pi / height is `across / 4 cos(angle / 2)` times as many px deep at an angle to the camera.
+    A texel of the angle pi / height is `BALL_PX / 4 cos(angle / 2)` times as many px deep at an angle to the camera.
     """
     away = ((1 + directions(height, width)[2]) / 2).clamp_min(0).sqrt()
-    return (across / 4 * math.pi / height * away - 0.5).clamp(0, 1)
+    return (BALL_PX / 4 * math.pi / height * away - 0.5).clamp(0, 1)
 
 
 def resampled(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[str, Tensor]:

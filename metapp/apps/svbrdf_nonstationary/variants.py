@@ -40,14 +40,14 @@ def varied(maps: Tensor, side: int, rng: Generator) -> Tensor:
     return some(restyled, mixed(recoloured(maps, rng), rng), RESTYLED[1], rng)
 
 
-def photographs(maps: Tensor, rng: Generator, place: Tensor | None = None) -> Tensor:
-    """Linear photographs [T, 3, S, S] of 8 bits, or of their part `place`: any flash and exposure, with noise."""
+def photographs(maps: Tensor, rng: Generator) -> Tensor:
+    """Linear photographs [T, 3, S, S] of 8 bits: any flash and exposure, with noise."""
     uniform, normal = draws_of(len(maps), rng)
     flash = normal(FLASH) * maps.new_tensor(JITTER) * (uniform(1) > BESIDE_LENS)
     stops = STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / BRIGHT]) * stops
     tint = torch.exp(TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED))
-    display = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash), place)).clamp(0, 1))
+    display = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash))).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
 
