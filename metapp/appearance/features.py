@@ -26,19 +26,13 @@ IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class Features(nn.Module):
-    """Maps of features of images, at several depths.
-
-    Attributes:
-        name: what outputs call the features.
-        stages: the layers up to each tap, from the one before.
-    """
+    """Maps of features of images, at several depths; `stages` are the layers up to each tap, from the one before."""
 
     mean: Tensor
     deviation: Tensor
 
-    def __init__(self, name: str, stages: Sequence[nn.Module]) -> None:
+    def __init__(self, stages: Sequence[nn.Module]) -> None:
         super().__init__()
-        self.name = name
         self.stages = nn.ModuleList(stages)
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).reshape(3, 1, 1))
         self.register_buffer("deviation", torch.tensor(IMAGENET_DEVIATION).reshape(3, 1, 1))
@@ -172,7 +166,7 @@ def _vgg(taps: Sequence[str], path: str) -> Features:
         raise ValueError(
             f"{path}: {name} missing or of another shape, expected VGG-16; fetch it again: metapp data vgg."
         ) from None
-    return Features(describe_features(), [nn.Sequential(*stage) for stage in stages[:-1]])
+    return Features([nn.Sequential(*stage) for stage in stages[:-1]])
 
 
 def _layers() -> Iterator[tuple[str, str, int, int]]:
@@ -196,7 +190,7 @@ def _random(scales: int) -> Features:
         convolution.weight.data = torch.randn(convolution.weight.shape, generator=rng) / (3 * FILTER_PX**2) ** 0.5
         convolution.bias.data = torch.randn(RANDOM_FILTERS, generator=rng) * 0.5  # type: ignore[union-attr]
         stages.append(nn.Sequential(convolution, nn.ReLU(inplace=True)))
-    return RandomFilters("random filters", stages)
+    return RandomFilters(stages)
 
 
 def channels_of(taps: Sequence[str]) -> list[int]:

@@ -90,7 +90,7 @@ def softly_pooled(features: Features) -> Features:
         nn.Sequential(*(L2Pooling() if isinstance(layer, nn.MaxPool2d) else layer for layer in stage.children()))
         for stage in features.stages
     ]
-    return Features(features.name, stages).to(features.mean)
+    return Features(stages).to(features.mean)
 
 
 @functools.lru_cache(maxsize=2)
