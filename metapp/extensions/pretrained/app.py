@@ -26,10 +26,10 @@ from metapp.extensions.pretrained.encoder import (
     PARTS,
     full_encoder,
     init_decoder,
+    laplace_scales,
+    negative_log_likelihood,
     read_photos,
-    scales,
-    surprise,
-    unknown,
+    unknown_deviation,
 )
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -38,7 +38,7 @@ from metapp.networks.field import LocalField
 
 WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures say nothing of normals
 SHALLOW, STEEPER = 0.1, 1.5  # the slope that is halved, how many times as steep others are: by validation materials
-SURE = 0.03  # weight of the likelihood of the predicted errors, which moves nothing but these
+LIKELIHOOD = 0.03  # weight of the likelihood of the predicted errors, which moves nothing but these
 FLAT = 0.05  # of the slopes of untrained fields
 OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
 DECODER = "decoder."
@@ -104,7 +104,7 @@ class FromFeatures(SvbrdfNonstationary):
 
     def init(self, rng: Generator, count: int) -> Params:
         """Of maps that are nearly flat: fits hold their normals."""
-        return _flat(super().init(rng, count)) | unknown(count, rng.device)
+        return _flat(super().init(rng, count)) | unknown_deviation(count, rng.device)
 
     def init_encoder(self, rng: Generator) -> Params:
         """Its own field, of maps that are nearly flat: training begins where nothing is known of relief."""
@@ -166,7 +166,7 @@ class FromFeatures(SvbrdfNonstationary):
         batch = batch | {"place": inputs[:, -2:]}
         maps = self._made_of(theta, inputs)
         apart = differences(maps, target)
-        scale = scales(theta)[:, -1:].detach()
+        scale = laplace_scales(theta)[:, -1:].detach()
         squared = apart[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
         off = torch.stack([part.abs().mean((1, 2, 3)) for part in (*apart[:-1], squared)], 1)
         wanted = (off * known * off.new_tensor(WEIGHTS)).sum(1)
@@ -179,8 +179,8 @@ class FromFeatures(SvbrdfNonstationary):
         logs, references = (self._logs(each, batch["pairs"], batch["place"]) for each in (seen, target))
         pictures = (logs - references).abs().mean((1, 2, 3, 4))
         loss = known[:, 3] * (pictures + SEEN * self._photo_loss(theta, seen, batch, {}))
-        sure = surprise(apart, theta) * known.amin(1)
-        return loss + WANTED * wanted + HIDDEN * hidden + SURE * sure
+        likelihood = negative_log_likelihood(apart, theta) * known.amin(1)
+        return loss + WANTED * wanted + HIDDEN * hidden + LIKELIHOOD * likelihood
 
     def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
         """The maps [T, C, h, w] of a code in each texel, of the field's inputs [T, 8, h, w]."""

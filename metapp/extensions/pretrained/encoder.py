@@ -192,22 +192,22 @@ def _features(balanced: Tensor) -> list[Tensor]:
     return features
 
 
-def unknown(count: int, device: torch.device) -> Params:
+def unknown_deviation(count: int, device: torch.device) -> Params:
     """`deviation` [count, 4, BASE, BASE] of fits whose maps' errors nothing is known of; no step moves it."""
     return {"deviation": torch.full((count, len(PARTS), BASE, BASE), UNKNOWN_LOG, device=device)}
 
 
-def scales(theta: Params) -> Tensor:
+def laplace_scales(theta: Params) -> Tensor:
     """Laplace's scale of the error of each map, mean over its channels, as large as `deviation`."""
     return LEAST_SCALE + theta["deviation"].exp()
 
 
-def surprise(apart: Sequence[Tensor], theta: Params) -> Tensor:
+def negative_log_likelihood(apart: Sequence[Tensor], theta: Params) -> Tensor:
     """Negative log-likelihood of errors of maps, as of `differences`, but for a constant, [T] (Kendall & Gal 2017).
 
     Only `deviation` has a gradient of it.
     """
-    scale = scales(theta)
+    scale = laplace_scales(theta)
     size = (scale.shape[-2], scale.shape[-1])
     off = [adaptive_avg_pool2d(part.detach(), size).abs().mean(1, keepdim=True) for part in apart]
     return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))

@@ -9,7 +9,7 @@ from torch import Generator
 from metapp.apps.svbrdf_nonstationary.encoder import BASE
 from metapp.extensions.pretrained import app as pretrained
 from metapp.extensions.pretrained.app import FromFeatures
-from metapp.extensions.pretrained.encoder import PARTS, scales, surprise
+from metapp.extensions.pretrained.encoder import PARTS, laplace_scales, negative_log_likelihood
 from metapp.learning.task import Tasks
 
 CHANNELS = (3, 3, 1, 3)  # of each map
@@ -23,12 +23,12 @@ def test_the_likelihood_is_greatest_at_the_scale_of_the_differences(rng: Generat
     adam = torch.optim.Adam([log], 0.05)
     for _ in range(200):
         theta = {"deviation": log.expand(1, len(PARTS), BASE, BASE)}
-        loss = surprise(off.split(CHANNELS, 1), theta).sum()
+        loss = negative_log_likelihood(off.split(CHANNELS, 1), theta).sum()
         adam.zero_grad()
         loss.backward()
         adam.step()
     theta = {"deviation": log.detach().expand(1, len(PARTS), BASE, BASE)}
-    torch.testing.assert_close(scales(theta), torch.full_like(scales(theta), 0.1), rtol=0.05, atol=0)
+    torch.testing.assert_close(laplace_scales(theta), torch.full_like(laplace_scales(theta), 0.1), rtol=0.05, atol=0)
 
 
 @pytest.mark.usefixtures("weights")
@@ -39,8 +39,8 @@ def test_the_likelihood_moves_the_predicted_error_alone(
     start = app.encode(app.init_encoder(rng), app.condition(windows, rng))
     theta = {key: value.detach().requires_grad_() for key, value in start.items()}
     batch, grads = app.sample(windows, rng, 1), []
-    for weight in (pretrained.SURE, 0.0):
-        monkeypatch.setattr(pretrained, "SURE", weight)
+    for weight in (pretrained.LIKELIHOOD, 0.0):
+        monkeypatch.setattr(pretrained, "LIKELIHOOD", weight)
         loss = app.outer_loss(theta, batch, {}).sum()
         grads.append(torch.autograd.grad(loss, list(theta.values()), materialize_grads=True))
     for key, grad, other in zip(theta, *grads, strict=True):
