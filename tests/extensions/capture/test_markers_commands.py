@@ -45,6 +45,7 @@ def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: P
     assert [photo["file"] for photo in document["photos"]] == ["00.png", "01.png", "02.png"]
     assert document["skipped"] == []
     assert document["focal_mm"] is None
+    assert document["size"] == pytest.approx(10 * 26 / 43.27 * 2000 / 26, rel=0.02)  # as fine as the first photo
     lines = result.err.splitlines()
     assert lines[0].startswith("00.png: b.jpg, 12 markers, error 0.")
     assert "camera 26.0 cm away, 1 degrees aside" in lines[0]

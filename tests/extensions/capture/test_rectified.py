@@ -15,7 +15,7 @@ from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograp
 
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import field_of_view
-from metapp.extensions.capture.markers.rectified import PhotoSet, find_cameras, rectified, write_set
+from metapp.extensions.capture.markers.rectified import find_cameras, rectified, write_set
 from metapp.extensions.capture.markers.sighting import Camera as Found
 from metapp.extensions.capture.markers.sighting import camera_of, common_focal, find_sheet
 from metapp.extensions.several import photos as placed_photos
@@ -92,8 +92,8 @@ def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> No
 def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
     cameras = [tilted(0, distance=26), tilted(5, 40)]
     paths = [take(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
-    placed = find_cameras(paths, fov_rad=field_of_view(26, 1200, 1600))
-    for photo, camera in zip(placed.cameras, cameras, strict=True):
+    found, _, _ = find_cameras(paths, field_of_view(26, 1200, 1600))
+    for photo, camera in zip(found, cameras, strict=True):
         assert off_by(photo.place_cm, camera) < 0.002
     with pytest.raises(ValueError, match="--fov"):
         find_cameras(paths)
@@ -126,19 +126,18 @@ def test_colours_are_what_they_were(photos: Path, dtype: type) -> None:
     assert back.std() < 0.02
 
 
-def written(folder: Path, paths: list[Path], **settings: Any) -> PhotoSet:
-    placed = find_cameras(paths, **settings)
-    write_set(placed, folder)
-    return placed
+def written(folder: Path, paths: list[Path], size: int, **settings: Any) -> list[Found]:
+    cameras, _, _ = find_cameras(paths, **settings)
+    write_set(cameras, [camera.place_cm for camera in cameras], size, folder)
+    return cameras
 
 
 def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: Path) -> None:
     names = ["steep", "aside", "above", "turned"]
-    placed = written(tmp_path / "leaf", [photos / f"{name}.jpg" for name in names])
+    placed = written(tmp_path / "leaf", [photos / f"{name}.jpg" for name in names], 400)
     order = ["above", "aside", "turned", "steep"]  # that from straight above first
-    assert [photo.sighting.path.stem for photo in placed.cameras] == order
-    assert placed.side_cm == 10
-    assert placed.size == int(10 * placed.cameras[0].sighting.scales()[0])
+    assert [photo.sighting.path.stem for photo in placed] == order
+    assert placed[0].sighting.opening_cm == 10
     task = placed_photos.read_task(tmp_path / "leaf")
     assert task.data["photo"].shape == (3, 256, 256)
     assert task.data["others"].shape == (3, 3, 256, 256)
@@ -153,8 +152,9 @@ def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: P
 
 def test_the_flash_is_beside_the_lens_in_the_photograph(photos: Path) -> None:
     paths = [photos / "aside.jpg", photos / "turned.jpg"]
-    found = find_cameras(paths, flash_cm=(1.5, -0.5))
-    for photo, light_cm in zip(found.cameras, found.lights_cm(), strict=True):
+    found, _, _ = find_cameras(paths)
+    for photo in found:
+        light_cm = photo.beside_cm(1.5, -0.5)
         seen = photo.axes @ (light_cm - photo.place_cm)  # right, down, forward
         np.testing.assert_allclose(seen, [1.5, 0.5, 0], atol=1e-9)
         # what is to the right in the photograph is where its homography says
@@ -170,14 +170,14 @@ def foot(photo: Found, light_cm: np.ndarray, share: float) -> np.ndarray:
 
 def test_a_page_that_was_printed_smaller_is_all_smaller(photos: Path, tmp_path: Path) -> None:
     paths = [photos / "aside.jpg", photos / "turned.jpg"]
-    placed = written(tmp_path / "leaf", paths, ruler_cm=9.7)
-    assert placed.side_cm == pytest.approx(9.7)
-    for photo in placed.cameras:
+    placed = written(tmp_path / "leaf", paths, 400, ruler_cm=9.7)
+    assert placed[0].sighting.opening_cm == pytest.approx(9.7)
+    for photo in placed:
         assert off_by(photo.place_cm / 0.97, CAMERAS[photo.sighting.path.stem]) < 0.003
-    before = find_cameras(paths)
+    before, _, _ = find_cameras(paths)
     places = read_places(tmp_path / "leaf", 2)
     assert places is not None
-    np.testing.assert_allclose(places[:, 0] * 5, np.stack([photo.place_cm for photo in before.cameras]), atol=1e-3)
+    np.testing.assert_allclose(places[:, 0] * 5, np.stack([photo.place_cm for photo in before]), atol=1e-3)
 
 
 def hidden(path: Path, camera: Camera, *boxes: tuple[float, float, float, float]) -> Path:
@@ -223,9 +223,8 @@ def test_a_cropped_photograph_or_another_lens_is_refused(photos: Path, tmp_path:
     cropped = write(tmp_path / "cropped.png", np.ascontiguousarray(values), Exif_FocalLengthIn35mmFilm=26)
     find_sheet(cropped)
     paths = [photos / "above.jpg", photos / "aside.jpg", cropped]
-    placed = find_cameras(paths)
-    assert len(placed.cameras) == 2
-    (line,) = placed.skipped
+    cameras, _, (line,) = find_cameras(paths)
+    assert len(cameras) == 2
     assert line.startswith(f"{cropped}: markers are ")
     assert "from where a lens of 26 mm sees them" in line
     with pytest.raises(ValueError, match=r"1 of 2 photos can be used \(.* mm sees them\), expected two or more"):

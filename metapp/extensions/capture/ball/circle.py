@@ -11,6 +11,7 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 from scipy.optimize import minimize
+from scipy.signal import fftconvolve
 
 from data_tools.readers.photos import Floats
 from metapp.extensions.capture.ball.geometry import TELESCOPE, Ball, Lens
@@ -83,12 +84,8 @@ def _slopes(gray: Floats, share: float) -> Floats:
     return np.stack([x, y, np.maximum(around, _NOISE)])
 
 
-def _scored(slopes: Floats, ball: Ball) -> Ball:
-    return ball._replace(score=_support(slopes, ball))
-
-
-def _support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
-    """Agreement of edges with a ball, up to about 1: -1 where less than half of its contour is in the picture.
+def _scored(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> Ball:
+    """A ball whose score is how edges agree with it, up to about 1: -1 where half of the contour is not in the picture.
 
     The share of the contour that lies on edges along it; more where edges just inside run along it, too, as a mirror
     presses all that is around into its rim, and less where edges just outside do, as if it was inside a larger one.
@@ -97,7 +94,7 @@ def _support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
     _, height, width = slopes.shape
     inside = np.all((px > 1) & (px < np.array([width - 1, height - 1])[:, None, None]), axis=0)
     if inside[0].mean() < _VISIBLE:
-        return -1.0
+        return ball._replace(score=-1.0)
     tangent = np.roll(px, -1, 2) - np.roll(px, 1, 2)
     tangent /= np.linalg.norm(tangent, axis=0)
     x, y, half = sampled(slopes, px)
@@ -105,7 +102,7 @@ def _support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
     length = np.hypot(x, y)
     straight = (2 * (through / np.maximum(length, 1e-12)) ** 2 - 1) * through / (through + half) * inside
     found = straight.sum(1) / np.maximum(inside.sum(1), 0.2 * inside.shape[1])
-    return float(found @ _WEIGHTS[:rings])
+    return ball._replace(score=float(found @ _WEIGHTS[:rings]))
 
 
 def _moved(slopes: Floats, ball: Ball, rings: int = len(_RINGS), step: float = 0.02) -> Ball:
@@ -117,10 +114,13 @@ def _moved(slopes: Floats, ball: Ball, rings: int = len(_RINGS), step: float = 0
 
     simplex = np.concatenate([np.zeros((1, 3)), np.diag([step] * 3)]) - step / 4
     options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 120}
-    done = minimize(
-        lambda change: -_support(slopes, changed(change), rings), np.zeros(3), method="Nelder-Mead", options=options
+    moves = minimize(
+        lambda change: -_scored(slopes, changed(change), rings).score,
+        np.zeros(3),
+        method="Nelder-Mead",
+        options=options,
     )
-    return _scored(slopes, changed(done.x))
+    return _scored(slopes, changed(moves.x))
 
 
 def _candidates(slopes: Floats) -> list[tuple[float, float, float]]:
@@ -141,14 +141,11 @@ def _candidates(slopes: Floats) -> list[tuple[float, float, float]]:
     along = np.arange(-reach, reach + 1)
     away = np.hypot(along, along[:, None])
     angles = ((along - 1j * along[:, None]) / np.maximum(away, 1)) ** 2
-    size = height + 2 * reach, width + 2 * reach
-    centres = tuple(slice(reach - margin, reach + side + margin) for side in (height, width))
-    edges_, picture = np.fft.fft2(edges, size), np.fft.fft2(np.ones((height, width)), size)
+    edges, picture = np.pad(edges, margin), np.pad(np.ones((height, width)), margin)
     votes = []
     for radius in radii:
         ring = np.exp(-(((away - radius) / (1 / _BIN + _STEP * radius / 2)) ** 2) / 2)
-        found = np.fft.ifft2(edges_ * np.fft.fft2(ring * angles, size)).real[centres]
-        inside = np.fft.ifft2(picture * np.fft.fft2(ring, size)).real[centres]
+        found, inside = fftconvolve(edges, ring * angles, "same").real, fftconvolve(picture, ring, "same")
         votes.append(np.where(inside > _VISIBLE * ring.sum(), found / np.sqrt(np.maximum(inside, 1)), 0))
     peaks = np.nonzero((votes == maximum_filter(votes, (3, 3, 3))) & (np.stack(votes) > 1e-6))
     best = np.argsort(-np.stack(votes)[peaks])[:_CANDIDATES]

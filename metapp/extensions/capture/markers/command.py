@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,9 +14,6 @@ from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
 from metapp.networks.options import fov
 from metapp.options import Option
 from metapp.runs.reporter import progress, say
-
-if TYPE_CHECKING:
-    from metapp.extensions.capture.markers.rectified import PhotoSet
 
 
 @dataclass(frozen=True)
@@ -114,33 +111,18 @@ def rectify(
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
     names, others = find_photos(paths)
     with progress("photos", len(names), quiet=quiet) as bar:
-        fov_rad, flash_cm = math.radians(options.fov), options.flash or (0.0, 0.0)
-        photos = find_cameras(names, options.size, fov_rad, flash_cm, options.ruler, bar.advance)
-    document = _document(folder, photos, others)
-    for line in document["skipped"]:
+        cameras, focal_mm, skipped = find_cameras(names, math.radians(options.fov), options.ruler, bar.advance)
+    skipped = [*others, *skipped]
+    for line in skipped:
         say(f"warning: skipped: {line}")
-    sightings = [camera.sighting for camera in photos.cameras]
-    if any(photos.flash_cm) and len({each.height > each.width for each in sightings}) > 1:
+    right, up = options.flash or (0.0, 0.0)
+    if (right or up) and len({sighting.height > sighting.width for sighting, *_ in cameras}) > 1:
         say("warning: some photos are upright, some across: --flash is right and up in each as it is shown.")
-    with progress("pictures", len(photos.cameras), quiet=quiet) as bar:
-        write_set(photos, folder, bar.advance)
-    if not quiet:
-        for photo in document["photos"]:
-            found = f"{Path(photo['source']).name}, {photo['markers']} markers, error {photo['error_px']:.2f} px"
-            away = f"camera {math.hypot(*photo['camera_cm']):.1f} cm away, {photo['tilt_degrees']:.0f} degrees aside"
-            say(f"{photo['file']}: {found}, {away}")
-        if photos.focal_mm:
-            say(f"focal length: {photos.focal_mm:.1f} mm as of 35 mm film, found by the markers, as EXIF has none")
-        side = f"{photos.side_cm:g} cm, {photos.size} px"
-        say(f"{folder}: {len(photos.cameras)} photos of {side} a side; look at what was found: {folder / FOUND}")
-    if as_json:
-        print_json(document)
-
-
-def _document(folder: Path, photos: PhotoSet, others: list[str]) -> dict[str, Any]:
-    """The document for scripts."""
-    sizes = {"side_cm": photos.side_cm, "size": photos.size, "focal_mm": photos.focal_mm or None}
-    rows = [
+    lights_cm, first = [camera.beside_cm(right, up) for camera in cameras], cameras[0].sighting
+    size = min(options.size, int(first.opening_cm * first.scales()[0]))  # no finer than the one with most detail
+    with progress("pictures", len(cameras), quiet=quiet) as bar:
+        write_set(cameras, lights_cm, size, folder, bar.advance)
+    photos: list[dict[str, Any]] = [
         {
             "file": f"{number:02}.png",
             "source": str(camera.sighting.path),
@@ -150,6 +132,17 @@ def _document(folder: Path, photos: PhotoSet, others: list[str]) -> dict[str, An
             "camera_cm": camera.place_cm.tolist(),
             "light_cm": light_cm.tolist(),
         }
-        for number, (camera, light_cm) in enumerate(zip(photos.cameras, photos.lights_cm(), strict=True))
+        for number, (camera, light_cm) in enumerate(zip(cameras, lights_cm, strict=True))
     ]
-    return {"out": str(folder), **sizes, "photos": rows, "skipped": [*others, *photos.skipped]}
+    if not quiet:
+        for photo in photos:
+            found = f"{Path(photo['source']).name}, {photo['markers']} markers, error {photo['error_px']:.2f} px"
+            away = f"camera {math.hypot(*photo['camera_cm']):.1f} cm away, {photo['tilt_degrees']:.0f} degrees aside"
+            say(f"{photo['file']}: {found}, {away}")
+        if focal_mm:
+            say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the markers, as EXIF has none")
+        side = f"{first.opening_cm:g} cm, {size} px"
+        say(f"{folder}: {len(photos)} photos of {side} a side; look at what was found: {folder / FOUND}")
+    if as_json:
+        sizes = {"side_cm": first.opening_cm, "size": size, "focal_mm": focal_mm or None}
+        print_json({"out": str(folder), **sizes, "photos": photos, "skipped": skipped})

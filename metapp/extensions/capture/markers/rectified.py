@@ -9,7 +9,6 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,62 +16,32 @@ from numpy.typing import NDArray
 
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import FRAME_MM, linear_light
+from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
-from metapp.extensions.capture.markers.sighting import Camera, Sighting, common_focal, find_sheet, fitting_camera
+from metapp.extensions.capture.markers.sighting import MAX_ERROR, Camera, Sighting, camera_of, common_focal, find_sheet
 from metapp.extensions.capture.photos import FOUND, opencv, write_found
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
 
-LARGEST_PX = 1024
-
-
-class PhotoSet(NamedTuple):
-    """Photographs to write, the one from nearest to straight above first.
-
-    Attributes:
-        cameras: of each.
-        flash_cm: where the flash is beside the lens: right and up in the photograph.
-        size: side of the pictures in px: no more than the first photograph resolves, which shows most detail.
-        focal_mm: as of 35 mm film, where it was found by how photographs without EXIF fit best; else 0.
-        skipped: a line for each photograph that is left out.
-    """
-
-    cameras: Sequence[Camera]
-    flash_cm: Sequence[float]
-    size: int
-    focal_mm: float
-    skipped: Sequence[str]
-
-    @property
-    def side_cm(self) -> float:
-        """Side of the opening."""
-        return self.cameras[0].sighting.opening_cm
-
-    def lights_cm(self) -> list[Floats]:
-        """Places of the flash, [3] each."""
-        right, up = self.flash_cm
-        return [camera.place_cm + right * camera.axes[0] - up * camera.axes[1] for camera in self.cameras]
-
 
 def find_cameras(
     paths: Sequence[Path],
-    size: int = LARGEST_PX,
     fov_rad: float = 0.0,
-    flash_cm: Sequence[float] = (0.0, 0.0),
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
-) -> PhotoSet:
+) -> tuple[list[Camera], float, list[str]]:
     """Find sheet and camera in photographs.
 
     Args:
         paths: the photographs, of one sheet.
-        size: greatest side of the pictures in px.
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
-        flash_cm: where the flash is beside the lens: right and up in the photograph.
         ruler_cm: measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
+
+    Returns:
+        Cameras, the one from nearest to straight above first; the focal length in mm as of 35 mm film, if photographs
+        without EXIF tell it, else 0; a line for each photograph that is left out.
 
     Raises:
         ValueError: fewer than two can be used; they show sheets of several sizes; no focal length is known, and none
@@ -83,14 +52,9 @@ def find_cameras(
     cameras, skipped = [], []
     for path in paths:
         try:
-            sighting = find_sheet(path, ruler_cm)
+            sightings.append(find_sheet(path, fov_rad, ruler_cm))
         except (ValueError, OSError) as error:
             skipped.append(str(error))
-        else:
-            if fov_rad:  # the inverse of `data_tools.readers.photos.field_of_view`
-                share = min(sighting.height, sighting.width) / math.hypot(sighting.height, sighting.width)
-                sighting = sighting._replace(focal_mm=FRAME_MM * share / 2 / math.tan(fov_rad / 2))
-            sightings.append(sighting)
         done(path.name)
     for sighting in sightings[1:]:
         if sighting.opening_cm != sightings[0].opening_cm:
@@ -102,43 +66,53 @@ def find_cameras(
     without = [sighting for sighting in sightings if not sighting.focal_mm]
     found_mm = common_focal(without) if without else 0.0
     for sighting in sightings:
-        try:
-            cameras.append(fitting_camera(sighting, sighting.focal_mm or found_mm))
-        except ValueError as error:
-            skipped.append(str(error))
+        focal_mm = sighting.focal_mm or found_mm
+        camera, limit_px = camera_of(sighting, focal_mm), MAX_ERROR * sighting.opening_cm * sighting.scales()[1]
+        if camera.error_px <= limit_px:
+            cameras.append(camera)
+        else:
+            skipped.append(
+                f"{sighting.path}: markers are {camera.error_px:.1f} px from where a lens of {focal_mm:.0f} mm sees "
+                f"them, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
+            )
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
             f"{len(cameras)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{why}, expected two or more of "
             "one material; take more from other places, with the whole sheet in view."
         )
-    cameras.sort(key=lambda camera: camera.tilt_degrees)
-    first = cameras[0].sighting
-    return PhotoSet(cameras, flash_cm, min(size, int(first.opening_cm * first.scales()[0])), found_mm, skipped)
+    return sorted(cameras, key=lambda camera: camera.tilt_degrees), found_mm, skipped
 
 
-def write_set(photos: PhotoSet, folder: Path, done: Callable[[str], object] = str) -> None:
+def write_set(
+    cameras: Sequence[Camera],
+    lights_cm: Sequence[Floats],
+    size: int,
+    folder: Path,
+    done: Callable[[str], object] = str,
+) -> None:
     """Write pictures 00.png, ..., what was found in each, and the texts.
 
     Args:
-        photos: the photographs.
+        cameras: of the photographs.
+        lights_cm: places of the flash, [3] each.
+        size: side of the pictures in px.
         folder: made if missing; the texts, by which readers know it, are written last.
         done: called with the name of each picture that was written.
 
     Raises:
         OSError: a file cannot be written.
     """
-    for number, camera in enumerate(photos.cameras):
-        sighting, name = camera.sighting, f"{number:02}.png"
-        pixels = read_pixels(sighting.path)
+    for number, (sighting, *_) in enumerate(cameras):
+        pixels, name = read_pixels(sighting.path), f"{number:02}.png"
         bits = 8 if pixels.values.dtype == np.uint8 else 16
-        picture = torch.from_numpy(rectified(pixels, sighting, photos.size))
+        picture = torch.from_numpy(rectified(pixels, sighting, size))
         write_png(picture, {"encoding": "sRGB"}, folder / name, bits)
         outlines = [*((marker, "lime") for marker in sighting.markers), (sighting.corners_px(), "magenta")]
         write_found(pixels, [(points + 0.5, colour) for points, colour in outlines], folder / FOUND / name)
         done(name)
-    places = [camera.place_cm for camera in photos.cameras]
-    for name, rows in ((SIZE, [[photos.side_cm]]), (LIGHT, photos.lights_cm()), (CAMERA, places)):
+    sizes, places = np.array([cameras[0].sighting.opening_cm]), np.stack([camera.place_cm for camera in cameras])
+    for name, rows in ((SIZE, sizes), (LIGHT, np.stack(lights_cm)), (CAMERA, places)):
         write_atomically(folder / name, functools.partial(np.savetxt, X=rows, fmt="%.4f", delimiter=","))
 
 

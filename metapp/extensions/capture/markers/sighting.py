@@ -16,7 +16,7 @@ from metapp.extensions.capture.photos import display, opencv
 
 FEWEST = 4  # markers
 
-_LIMIT = 1 / 256  # of the opening's side, that markers may be off on average: a texel of a fit
+MAX_ERROR = 1 / 256  # of the opening's side, that markers may be off on average: a texel of a fit
 _FOCALS_MM = (10.0, 150.0)  # where a lens is looked for
 _OFF = 1.1  # a focal length so much longer or shorter must fit visibly worse
 _REMEDY = "photograph the whole sheet, sharp and well lit"
@@ -78,17 +78,23 @@ class Camera(NamedTuple):
     axes: Floats
     error_px: float
 
+    def beside_cm(self, right: float, up: float) -> Floats:
+        """The place [3] so many cm right and up of the camera as its photograph is shown."""
+        result: Floats = self.place_cm + right * self.axes[0] - up * self.axes[1]
+        return result
+
     @property
     def tilt_degrees(self) -> float:
         """Angle between the direction to the camera and the sheet's normal."""
         return math.degrees(math.acos(self.place_cm[2] / float(np.linalg.norm(self.place_cm))))
 
 
-def find_sheet(path: Path, ruler_cm: float = RULER_CM) -> Sighting:
+def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> Sighting:
     """Find the sheet in a photograph.
 
     Args:
         path: the photograph.
+        fov_rad: of its camera along the shorter side; 0: as EXIF says, if it does.
         ruler_cm: measured length of the printed ruler.
 
     Raises:
@@ -115,7 +121,7 @@ def find_sheet(path: Path, ruler_cm: float = RULER_CM) -> Sighting:
         )
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
     points_px, side = np.concatenate(list(markers.values())), scale * opening
-    _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * _LIMIT * side)
+    _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_ERROR * side)
     kept = np.zeros(len(points_cm), bool) if mask is None else mask[:, 0].astype(bool)
     if kept.mean() < 0.75:
         raise ValueError(
@@ -126,8 +132,10 @@ def find_sheet(path: Path, ruler_cm: float = RULER_CM) -> Sighting:
     if cv2.contourArea(cv2.convexHull(points_cm.astype(np.float32))) < side**2:
         raise ValueError(f"{path}: markers on one side of the opening alone, expected them all round; {_REMEDY}.")
     to_px, _ = cv2.findHomography(points_cm, points_px)
-    every = np.stack(list(markers.values()))
-    sighting = Sighting(path, height, width, pixels.focal_mm, side, every, points_cm, points_px, to_px)
+    # the inverse of `data_tools.readers.photos.field_of_view`
+    focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
+    focal_mm, every = FRAME_MM * focal or pixels.focal_mm, np.stack(list(markers.values()))
+    sighting = Sighting(path, height, width, focal_mm, side, every, points_cm, points_px, to_px)
     corners = sighting.corners_px()
     if (corners < -0.5).any() or (corners > np.array([width, height]) - 0.5).any():
         raise ValueError(f"{path}: the opening is not wholly in the picture, expected all of it; {_REMEDY}.")
@@ -151,17 +159,6 @@ def camera_of(sighting: Sighting, focal_mm: float) -> Camera:
     axes = cv2.Rodrigues(turn)[0]
     error_px = float(np.sqrt((off**2).sum(-1).mean()))
     return Camera(sighting._replace(focal_mm=focal_mm), -axes.T @ shift[:, 0], axes, error_px)
-
-
-def fitting_camera(sighting: Sighting, focal_mm: float) -> Camera:
-    """The camera, as `camera_of`; ValueError where markers are far from where it sees them."""
-    camera, limit_px = camera_of(sighting, focal_mm), _LIMIT * sighting.opening_cm * sighting.scales()[1]
-    if camera.error_px > limit_px:
-        raise ValueError(
-            f"{sighting.path}: markers are {camera.error_px:.1f} px from where a lens of {focal_mm:.0f} mm sees them, "
-            f"expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
-        )
-    return camera
 
 
 def common_focal(sightings: Sequence[Sighting]) -> float:
