@@ -142,11 +142,14 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.evaluation.rows import warned
     from metapp.runs.naming import caption_of, factor_of, title_of
     from metapp.storage.fits import guarded, summary
 
-    remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
+    remarks = []
+    if count := guarded(records):
+        from metapp.evaluation.rows import warned  # here: it imports more than a table of fits needs
+
+        remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
     listed = records
     if most is not None and len(records) > most:
         listed = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]

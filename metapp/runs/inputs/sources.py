@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT, inputs_of, registry
@@ -183,8 +182,12 @@ def _arguments(run: Run) -> dict[str, object]:
 
     `size` is px a side, or `rows`; `least` px of photos.
     """
-    reads = run.app.read_size
-    return ({"size": reads, "rows": reads, "least": min(reads, SIZE)} if reads else {}) | run.options.own.reading()
+    arguments = run.options.own.reading()
+    if reads := run.app.read_size:
+        from data_tools.readers.photos import SIZE  # here: fits of BRDFs need no readers of pictures
+
+        arguments = {"size": reads, "rows": reads, "least": min(reads, SIZE)} | arguments
+    return arguments
 
 
 def _merged(run: Run, option: str) -> Source:
