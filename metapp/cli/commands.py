@@ -14,7 +14,6 @@ from metapp.registry import (
     SHIPPED,
     WITHOUT,
     app_names,
-    application_of,
     did_you_mean,
     left_out_with,
     reason_of,
@@ -116,11 +115,10 @@ def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> t
         function: name of an application -> function whose parameters typer reads.
         summary: help of the group.
     """
-    names = app_names()
 
     class Apps(Group):
         def list_commands(self, ctx: Any) -> list[str]:
-            return names
+            return app_names()
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args and not args[0].startswith("-"):
@@ -128,10 +126,11 @@ def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> t
             return super().resolve_command(ctx, args)
 
         def get_command(self, ctx: Any, name: str) -> Any:
-            if name not in names:
+            tables = registry()
+            if name not in tables.applications:
                 return None
-            epilog = f"Commands to try: metapp examples {name}" if name in registry().examples else None
-            return _typed(function(name), name, help=application_of(name).help, epilog=epilog)
+            epilog = f"Commands to try: metapp examples {name}" if name in tables.examples else None
+            return _typed(function(name), name, help=tables.applications[name].help, epilog=epilog)
 
     return typer.Typer(cls=Apps, no_args_is_help=True, help=summary)
 
