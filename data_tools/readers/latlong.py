@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
-from data_tools.readers.image_files import check_exists, opened, opens, turn_upright
+from data_tools.readers.image_files import check_exists, check_memory, error_of, opened, opens, reason_of, turn_upright
 from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.photos import fault_of
 from metapp.appearance.colorimetry import colour_science
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
-from metapp.storage.images import check_memory, error_of, reason_of
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio

@@ -1,18 +1,11 @@
-"""Images: files, written whole or not at all, as PNG of 8 or 16 bits or EXR; pictures of 8 bits that pages hold.
-
-Before others' files are decoded: the number of pixels they may have, and errors of OpenImageIO.
-"""
+"""Images: files, written whole or not at all, as PNG of 8 or 16 bits or EXR; pictures of 8 bits that pages hold."""
 
 from __future__ import annotations
 
 import base64
-import contextlib
 import io
-import os
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,14 +14,10 @@ from torch import Tensor
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
-    import OpenImageIO as oiio
     from PIL.Image import Image
 
 LEVEL = 2  # of 9, of deflation
 AVERAGE = 64  # libpng's filter by the average of the pixels left and above
-_MAX_PIXELS = 2**28
-_ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
-_REASON = 120  # characters of a library's message
 
 
 def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 8) -> None:
@@ -103,60 +92,3 @@ def png_address(image: Image) -> str:
     buffer = io.BytesIO()
     image.save(buffer, "PNG")
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
-
-
-@contextlib.contextmanager
-def silent() -> Iterator[None]:
-    """Keep messages that libraries such as libpng write to standard error off the user's screen."""
-    try:
-        kept = os.dup(2)
-    except OSError:  # there is none
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-
-
-def check_pixels(width: int, height: int, path: Path | str) -> None:
-    """Refuse a picture of more pixels than memory should hold.
-
-    Raises:
-        ValueError: it has more.
-
-    >>> check_pixels(100_000, 100_000, "photo.jpg")
-    Traceback (most recent call last):
-    ValueError: photo.jpg: 100000x100000 px, expected 268,435,456 px or fewer; scale it down.
-    """
-    if width * height > _MAX_PIXELS:
-        raise ValueError(f"{path}: {width}x{height} px, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
-
-
-def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
-    """Refuse a small file that would take gigabytes: its header is damaged, or made for that."""
-    held = spec.image_bytes()
-    if held > max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size):
-        raise ValueError(
-            f"{path}: {spec.width}x{spec.height} px of {spec.nchannels} channels in {path.stat().st_size:,} bytes, "
-            "expected a whole image; copy or download it again."
-        )
-
-
-def error_of(source: oiio.ImageInput | ModuleType) -> str:
-    """The error message of OpenImageIO, or of an open file of its; "" for none."""
-    try:
-        return str(source.geterror())
-    except UnicodeDecodeError as error:  # it repeats bytes of the file
-        return error.object.decode("ascii", "replace")
-
-
-def reason_of(message: str, path: Path) -> str:
-    """The first sentence of OpenImageIO's message, without the path, which the line has already."""
-    without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
-    first = next(iter(without.splitlines()), "").partition(". ")[0]
-    return "".join(c if c.isprintable() else "?" for c in first)[:_REASON].strip(" :.") or "unknown reason"

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from data_tools.readers.image_files import check_memory, check_pixels, error_of, reason_of, silent
 from metapp.rendering.scenes.rules import Files, snake_case
 from metapp.storage.files import open_regular
-from metapp.storage.images import check_memory, check_pixels, error_of, reason_of, silent
 
 TEXT_BYTES = 2**24  # of a scene file or an include
 _DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
