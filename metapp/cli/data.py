@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import Exit, out, print_json
-from metapp.cli.options import Json, Out, Overwrite, Quiet, Split, parameters_of, signed
-from metapp.options import Converter, parse
+from metapp.cli.options import Json, Out, Overwrite, Quiet, Split, takes
+from metapp.options import Converter
 from metapp.runs.inputs.convert import Converted, convert, converted
 from metapp.runs.reporter import progress, say
 
@@ -22,6 +22,7 @@ def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
     """The command that converts files of the format of that name, with the converter's help and options."""
 
     def command(
+        options: Converter,
         paths: Annotated[
             list[Path], typer.Argument(metavar="PATHS...", help="Files, and folders that are searched at any depth.")
         ],
@@ -30,16 +31,16 @@ def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
         overwrite: Overwrite = False,
         quiet: Quiet = False,
         as_json: Json = False,
-        **own: object,
     ) -> None:
-        options = parse(converter, own).arguments()
-        done = convert(name, paths, folder, split.value, options, overwrite=overwrite, quiet=quiet)
+        own = options.arguments()
+        done = convert(name, paths, folder, split.value, own, overwrite=overwrite, quiet=quiet)
         report(done, quiet, as_json)
 
-    command.__annotations__ |= {
-        "split": Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=converter.split_help)],
-    }
-    return signed(command, converter, [*parameters_of(command), *parameters_of(converter)])
+    command.__doc__ = converter.__doc__
+    command.__annotations__["split"] = Annotated[
+        Split, typer.Option("--split", metavar="train|test|auto", help=converter.split_help)
+    ]
+    return takes(converter)(command)
 
 
 def report(done: Converted, quiet: bool, as_json: bool) -> None:

@@ -84,7 +84,7 @@ def _label(param: Any) -> Text:
 
     if isinstance(param, TyperArgument):
         return Text(_place(param), NAME)
-    names = ", ".join(sorted(param.opts, key=len))
+    names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
     return Text.assemble((names, NAME), *([] if param.is_flag else [(f" {_place(param)}", "yellow")]))
 
 
@@ -96,6 +96,11 @@ def _text(param: Any) -> str:
     default = getattr(param.default, "value", param.default)
     if isinstance(param.show_default, str):
         return f"{text} Default: {param.show_default}."
-    if param.show_default and default is not False and default not in (None, "", (), []) and not callable(default):
+    if (
+        param.show_default
+        and default not in (None, "", (), [])
+        and not isinstance(default, bool)
+        and not callable(default)
+    ):
         return f"{text} Default: {default}."
     return text

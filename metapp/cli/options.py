@@ -10,7 +10,6 @@ import inspect
 import os
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -91,31 +90,19 @@ Out = Annotated[
 
 
 def takes(kind: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a command of a function whose first parameter is an instance of a dataclass of options.
-
-    Args:
-        kind: a dataclass of `metapp.options`, or whose fields are annotated by `typer.Argument` and `typer.Option`.
-    """
+    """Make a command of a function whose first parameter is an instance of this dataclass of options."""
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
-            options = {one.name: values.pop(one.name) for one in fields(kind)}
-            function(parse(kind, options) if declared(kind) else kind(**options), **values)
+            options = {name: values.pop(name) for name in declared(kind)}
+            function(parse(kind, options), **values)
 
-        return signed(command, function, [*parameters_of(kind), *parameters_of(function)[1:]])
+        own = [parameter_of(option) for option in declared(kind).values()]
+        hints = get_type_hints(function, include_extras=True)
+        others = list(inspect.signature(function).parameters.values())[1:]
+        return signed(command, function, own + [parameter(one.name, hints[one.name], one.default) for one in others])
 
     return decorate
-
-
-def parameters_of(source: Callable[..., object]) -> list[inspect.Parameter]:
-    """The parameters of a function or of a dataclass, as typer reads them."""
-    options = declared(source) if isinstance(source, type) else {}
-    hints = get_type_hints(source, include_extras=True)
-    return [
-        parameter_of(options[name]) if name in options else parameter(name, hints[name], old.default)
-        for name, old in inspect.signature(source).parameters.items()
-        if old.kind is not old.VAR_KEYWORD
-    ]
 
 
 def parameter(name: str, annotation: object, default: object = None) -> inspect.Parameter:

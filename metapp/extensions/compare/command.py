@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from metapp.cli.console import escaped, out, print_json
-from metapp.cli.options import FittedData, Json, Overwrite, RunPath, check_new, takes
+from metapp.cli.options import FittedData, Json, Overwrite, RunPath, check_new
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
@@ -18,47 +17,41 @@ if TYPE_CHECKING:
     from metapp.extensions.compare.compare import Comparison
 
 
-@dataclass(frozen=True)
-class Options:
-    """Of `metapp compare`."""
-
-    first: RunPath
-    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another run of the same application.")]
+def command(
+    first: RunPath,
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another run of the same application.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved; needed for the picture."),
-    ] = None
-    task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = ""
-    data: FittedData = None
+    ] = None,
+    task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
+    data: FittedData = None,
     out_file: Annotated[
         Path | None,
         typer.Option("--out", dir_okay=False, help="Picture to write; default: comparison.png in the first RUN."),
-    ] = None
-    overwrite: Overwrite = False
-    json: Json = False
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
-
-
-@takes(Options)
-def command(options: Options) -> None:
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
+) -> None:
     """Compare two runs: errors and seconds of each task, the ratio of errors with its interval, and a picture.
 
     Example: metapp compare RUN OTHER_RUN
     """
     from metapp.extensions.compare.compare import compare, draw
 
-    check_new(options.out_file, options.overwrite)
-    compared = compare(options.first, options.second, options.task, options.inputs or [], options.data)
-    file = options.out_file or compared.sides[0].folder / "comparison.png"
-    picture, compared = draw(compared, file, quiet=options.quiet)
-    if not (options.quiet or options.json):
+    check_new(out_file, overwrite)
+    compared = compare(first, second, task, inputs or [], data)
+    file = out_file or compared.sides[0].folder / "comparison.png"
+    picture, compared = draw(compared, file, quiet=quiet)
+    if not (quiet or json):
         out().print(_table(compared))
-    if not options.quiet:
+    if not quiet:
         for note in compared.notes:
             say(f"note: {note}")
         missing = "no picture: fits or what was fitted are not there; give what was fitted after the runs."
         say(f"picture: {picture}" if picture else missing)
-    if options.json:
+    if json:
         print_json(compared.document(picture))
 
 

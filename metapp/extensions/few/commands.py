@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Overwrite, Seed, check_new, takes
+from metapp.cli.options import Json, Overwrite, Seed, check_new
 from metapp.registry import did_you_mean
 from metapp.runs.reporter import say
 
 
-@dataclass(frozen=True)
-class Options:
-    """The options of the command."""
-
-    app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="brdf.")]
-    samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16
+def plan(
+    app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="brdf.")],
+    samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16,
     out: Annotated[
         Path, typer.Option(dir_okay=False, help="The CSV file to fill in; a PNG of the directions lies beside it.")
-    ] = Path("plan.csv")
+    ] = Path("plan.csv"),
     after: Annotated[
         Path | None,
         typer.Option(
@@ -31,23 +27,20 @@ class Options:
             dir_okay=False,
             help="CSV file of earlier measurements; its rows are written above the new ones.",
         ),
-    ] = None
+    ] = None,
     grazing: Annotated[
         float, typer.Option(min=10, max=89, help="Maximum angle of light and detector from the normal, degrees.")
-    ] = 80.0
-    apart: Annotated[float, typer.Option(min=0, max=90, help="Minimum angle of light to detector, degrees.")] = 5.0
+    ] = 80.0,
+    apart: Annotated[float, typer.Option(min=0, max=90, help="Minimum angle of light to detector, degrees.")] = 5.0,
     detector: Annotated[
         float | None,
         typer.Option(min=0, max=89, help="Angle of a fixed detector from the normal, degrees; default: not fixed."),
-    ] = None
-    seed: Seed = 0
-    overwrite: Overwrite = False
-    json: Json = False
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False
-
-
-@takes(Options)
-def plan(options: Options) -> None:
+    ] = None,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False,
+) -> None:
     """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
 
     They minimise the expected error of recipe few: first one by one, then jointly by its gradient.
@@ -66,25 +59,24 @@ def plan(options: Options) -> None:
     from metapp.extensions.few.gonio import read_pairs, write_pairs
     from metapp.extensions.few.planning import directions, plan_brdf
 
-    out = options.out
-    if options.app != "brdf":
-        whole = f"expected brdf; of other applications a fit takes whole pictures.{did_you_mean(options.app, ['brdf'])}"
-        raise typer.BadParameter(f"'{options.app}': {whole}")
+    if app != "brdf":
+        whole = f"expected brdf; of other applications a fit takes whole pictures.{did_you_mean(app, ['brdf'])}"
+        raise typer.BadParameter(f"'{app}': {whole}")
     for path in (out, out.with_suffix(".png")):
-        check_new(path, options.overwrite)
-    detector = None if options.detector is None else math.radians(options.detector)
-    limits = Limits(math.radians(options.grazing), math.radians(options.apart), detector)
+        check_new(path, overwrite)
+    detector = None if detector is None else math.radians(detector)
+    limits = Limits(math.radians(grazing), math.radians(apart), detector)
     nothing = torch.zeros(0, 3, dtype=torch.float64)
-    before = read_pairs(options.after) if options.after else Pairs(nothing, nothing, nothing)
-    wi, wo, (first, then) = plan_brdf(options.samples, limits, before, options.seed)
+    before = read_pairs(after) if after else Pairs(nothing, nothing, nothing)
+    wi, wo, (first, then) = plan_brdf(samples, limits, before, seed)
     write_pairs(out, wi, wo, before)
     picture = save(directions(wi, wo, before), out.with_suffix(".png"))
-    if not options.quiet:
-        say(f"{out}: {options.samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
-        pairs = options.samples + len(before.wi)
+    if not quiet:
+        say(f"{out}: {samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
+        pairs = samples + len(before.wi)
         fit = f"metapp meta brdf {out}" if pairs >= LEAST else f"plan more --after {out}; a fit takes {LEAST} pairs"
         say(f"picture: {picture}\nfill in r, g, b; then: {fit}")
-    if options.json:
+    if json:
         expected = {"before": first, "after": then}
         written = {"out": str(out), "picture": str(picture)}
-        print_json({"samples": options.samples, **written, "expected_error": expected})
+        print_json({"samples": samples, **written, "expected_error": expected})

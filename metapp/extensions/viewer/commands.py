@@ -4,64 +4,57 @@ from __future__ import annotations
 
 import time
 import webbrowser
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, Overwrite, app_words, check_new, takes
+from metapp.cli.options import FittedData, Json, Overwrite, app_words, check_new
 from metapp.runs.reporter import number, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 
 
-@dataclass(frozen=True)
-class Options:
-    """Of `metapp view`."""
-
+def view(
     runs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[RUN]...", help="Folders of runs (the newest), of a run or a task; default: runs."),
-    ] = None
+    ] = None,
     inputs: Annotated[
         list[Path] | None,
         typer.Option("--input", metavar="INPUT", help="Original input, if it has moved."),
-    ] = None
-    task: Annotated[str, typer.Option(metavar="NAME", help="Show this task alone; default: all.")] = ""
-    most: Annotated[int, typer.Option(min=1, help="Maximum number of tasks.")] = 20
-    data: FittedData = None
+    ] = None,
+    task: Annotated[str, typer.Option(metavar="NAME", help="Show this task alone; default: all.")] = "",
+    most: Annotated[int, typer.Option(min=1, help="Maximum number of tasks.")] = 20,
+    data: FittedData = None,
     out: Annotated[
         Path | None, typer.Option(dir_okay=False, help="Output file; default: view.html in the first RUN.")
-    ] = None
-    overwrite: Overwrite = False
-    open_page: OpenPage = True
-    json: Json = False
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
-
-
-@takes(Options)
-def view(options: Options) -> None:
+    ] = None,
+    overwrite: Overwrite = False,
+    open_page: OpenPage = True,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+) -> None:
     """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
 
     Example: metapp view runs/brdf/meta runs/brdf/quickft
     """
     from metapp.extensions.viewer.viewing import view_page
 
-    check_new(options.out, options.overwrite)
+    check_new(out, overwrite)
     page = view_page(
-        options.runs or [Path("runs")],
-        options.out,
-        inputs=options.inputs or (),
-        data=options.data,
-        task=options.task,
-        most=options.most,
-        quiet=options.quiet,
+        runs or [Path("runs")],
+        out,
+        inputs=inputs or (),
+        data=data,
+        task=task,
+        most=most,
+        quiet=quiet,
     )
-    if options.open_page:
+    if open_page:
         webbrowser.open(page.resolve().as_uri())
-    if options.json:
+    if json:
         print_json({"page": str(page), "bytes": page.stat().st_size})
     else:
         say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB")
