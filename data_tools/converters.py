@@ -12,7 +12,7 @@ from metapp.options import Converter, Option
 
 Samples = Annotated[
     int,
-    Option("Samples (pairs of directions) per material; the first half is for fits to see.", "N", low=2, high=10**7),
+    Option("Samples (pairs of directions) per material; the first half is for fits to see.", low=2, high=10**7),
 ]
 Size = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
 Normals = Annotated[
@@ -198,4 +198,4 @@ class Laval(Converter):
       metapp data laval office.exr street.hdr --split test --out maps
     """
 
-    rows: Annotated[int, Option("Rows of the maps; the recipe full fits 128.", "N", low=32, high=1024)] = 64
+    rows: Annotated[int, Option("Rows of the maps; the recipe full fits 128.", low=32, high=1024)] = 64

@@ -56,6 +56,9 @@ COMPLETIONS = {  # of options by name
 }
 
 
+METAVARS = {int: "N", str: "NAME", Path: "DIR"}  # of options that name none
+
+
 def check_new(path: Path | None, overwrite: bool) -> None:
     """Refuse to write a file that is there, unless it may be replaced."""
     if path and not overwrite and os.path.lexists(path):
@@ -119,7 +122,7 @@ def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
     """
     default = option.default or None  # 0 and "" say that an option is not given
     shown: dict[str, Any] = {"help": option.help, "show_default": bool(default)}
-    shown |= {"metavar": option.metavar} if option.metavar else {}
+    shown["metavar"] = option.metavar or METAVARS.get(option.kinds[0])
     if words := COMPLETIONS.get(option.name, _words(lambda: option.choices) if option.choices else None):
         shown["autocompletion"] = words
     names = [option.flag, *([f"-{option.short}"] if option.short else [])]

@@ -33,7 +33,7 @@ class SynthOptions:
             high=4096,
         ),
     ] = None
-    rows: Annotated[int | None, Option("Rows of the maps of illumination (64).", "N", low=32, high=1024)] = None
+    rows: Annotated[int | None, Option("Rows of the maps of illumination (64).", low=32, high=1024)] = None
     photos: Annotated[
         int | None,
         Option(

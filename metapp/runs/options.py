@@ -33,30 +33,20 @@ class FitOptions:
     paradigm: str = "meta"
     inputs: Sequence[object] = ()
     own: AppOptions = field(default_factory=AppOptions)
-    data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.", "DIR", panel=INPUT)] = None
-    observe: Annotated[
-        str,
-        Option(
-            "What fits see: reference, or photo for INPUT photos.",
-            "NAME",
-            panel=INPUT,
-        ),
-    ] = ""
-    recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", "NAME", panel=FIT)] = ""
+    data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.")] = None
+    observe: Annotated[str, Option("What fits see: reference, or photo for INPUT photos.")] = ""
+    recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", panel=FIT)] = ""
     rule: Annotated[
         str,
         Option(
             "Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.",
-            "NAME",
             panel=FIT,
             unused_by=("general", "overfit", "finetune", "quickft"),
         ),
     ] = ""
     steps: Annotated[
         int | None,
-        Option(
-            "Gradient steps; default: the recipe's.", "N", low=0, high=MOST_STEPS, panel=FIT, unused_by=("general",)
-        ),
+        Option("Gradient steps; default: the recipe's.", low=0, high=MOST_STEPS, panel=FIT, unused_by=("general",)),
     ] = None
     checkpoint: Annotated[
         Path | None,
@@ -67,31 +57,18 @@ class FitOptions:
     )
     train_steps: Annotated[
         int | None,
-        Option(
-            "Outer training steps; default: the recipe's.",
-            "N",
-            low=1,
-            high=MOST_STEPS,
-            panel=FIT,
-            unused_by=UNTRAINED,
-        ),
+        Option("Outer training steps; default: the recipe's.", low=1, high=MOST_STEPS, panel=FIT, unused_by=UNTRAINED),
     ] = None
-    seed: Annotated[int, Option("Random seed; default: 0.", "N", low=0, high=MOST_SEEDS, panel=FIT)] = 0
-    device: Annotated[
-        str, Option("auto, cpu, cuda; default: auto.", "NAME", choices=("auto", "cpu", "cuda"), panel=FIT)
-    ] = "auto"
-    batch: Annotated[
-        int | None,
-        Option("Fit N inputs in parallel.", "N", low=1, panel=FIT),
-    ] = None
-    resume: Annotated[
-        bool,
-        Option("Skip inputs that have a fit of the same settings.", panel=FIT),
-    ] = False
+    seed: Annotated[int, Option("Random seed; default: 0.", low=0, high=MOST_SEEDS, panel=FIT)] = 0
+    device: Annotated[str, Option("auto, cpu, cuda; default: auto.", choices=("auto", "cpu", "cuda"), panel=FIT)] = (
+        "auto"
+    )
+    batch: Annotated[int | None, Option("Fit N inputs in parallel.", low=1, panel=FIT)] = None
+    resume: Annotated[bool, Option("Skip inputs that have a fit of the same settings.", panel=FIT)] = False
     export: Annotated[
         str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)
     ] = ""
-    out: Annotated[Path, Option("Folder for runs and checkpoints; default: runs.", "DIR", panel=OUTPUT)] = Path("runs")
+    out: Annotated[Path, Option("Folder for runs and checkpoints; default: runs.", panel=OUTPUT)] = Path("runs")
     quiet: Annotated[bool, Option("No progress bar, no table.", short="q", panel=OUTPUT)] = False
 
     @property
