@@ -227,7 +227,7 @@ class Registry:
         self.plugins = Table(Entry)  # of Mitsuba: a function that registers it; `help` is of integrators like `path`
         self.measures = Table(Entry)  # of pictures: a `metapp.appearance.picture_measures.Measure`
         self.baselines = Table(Entry, 2)  # by application and method: `baselines(app)`, several that have this one
-        self.tables = Table(Entry)  # of `metapp evaluate`: a `metapp.evaluation.rows.Table`
+        self.tables = Table(Entry)  # of `metapp evaluate`: `results(subject) -> metapp.evaluation.table.Table`
         self.commands = Table(Entry)  # a function that typer reads, a group of typer; "data FORMAT": a Converter
         self.examples = Table(Entry)  # by application: words after `metapp`, {} the folder of inputs; what they make
         self.methods = Table(Entry)  # of fits in the Python API: functions of a Fit

@@ -153,7 +153,7 @@ def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:
     errors = ", ".join(f"{row['paradigm']} {row['shared_error']:.3f}" for row in known)
     where = f", where mean errors are {errors}" if errors else ""
     few = f"{len(subject.tasks_of(names[0]))} of the {len(subject.tasks)} tasks, evenly spaced"
-    return [f"* {', '.join(names)}: of {few}{where}; --whole measures all tasks"]
+    return [f"{', '.join(f'{name}*' for name in names)}: of {few}{where}; --whole measures all tasks"]
 
 
 def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:

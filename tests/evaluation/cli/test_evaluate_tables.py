@@ -125,9 +125,7 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, m
     table = short.table("results")
     notes = table.notes
     assert notes[0].startswith(f"gap closed {gap:.2f}* (paper")
-    assert f"overfit {few['overfit']['error']:.3f}" in next(
-        note for note in notes if note.startswith("* overfit: of 2")
-    )
+    assert f"overfit {few['overfit']['error']:.3f}" in next(note for note in notes if note.startswith("overfit*: of 2"))
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
     assert not any("*" in note for note in subject.table("results").notes)
     # what is measured for one table counts for the other
