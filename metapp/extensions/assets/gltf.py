@@ -24,7 +24,7 @@ from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import as_text, read_bytes, suffixed, write_bytes
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC
-BITS = 8  # more is not decoded by browsers
+PNG_BITS = 8  # more is not decoded by browsers
 PICTURES = ("diffuse", "specular", "orm", "normal_gl")
 REPEAT, CLAMP = 10497, 33071
 LINEAR, MIPMAPS = 9729, 9987
@@ -130,6 +130,6 @@ def _encoded(surface: Surface) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         for key in PICTURES:
             file = Path(folder) / f"{key}.png"
-            write_plane(planes[key], file, BITS)
+            write_plane(planes[key], file, PNG_BITS)
             pictures[key] = read_bytes(file)
     return pictures

@@ -17,7 +17,7 @@ from metapp.storage.files import write_bytes
 if TYPE_CHECKING:
     from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-BITS = 8
+PNG_BITS = 8
 TEXTURES = "textures"
 INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
     "diffuseColor": ("diffuse", "rgb", "Color3f"),
@@ -34,7 +34,7 @@ def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
 
     planes = all_planes(surface)
     for key, _, _ in INPUTS.values():
-        write_plane(planes[key], path / TEXTURES / f"{path.name}_{key}.png", BITS)
+        write_plane(planes[key], path / TEXTURES / f"{path.name}_{key}.png", PNG_BITS)
     text = stage_text(surface, path.name, provenance)
     layer = path / f"{path.name}.usda"
     write_bytes(layer, text.encode())

@@ -26,7 +26,7 @@ from metapp.paradigms.training import split_validation
 COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
 SOLVES = (1, 2)
-FEWEST = 4  # groups of training materials: of fewer none is kept for validation
+FEWEST_GROUPS = 4  # groups of training materials: of fewer none is kept for validation
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
@@ -92,7 +92,7 @@ def _learned(training: Training) -> tuple[Tensor, Components, Components, Tasks]
         ValueError: they are not at the same angles.
     """
     known = chosen_on = tasks = training.stacked
-    if len({task.group or task.name for task in training.tasks}) >= FEWEST:
+    if len({task.group or task.name for task in training.tasks}) >= FEWEST_GROUPS:
         known, chosen_on = split_validation(tasks)
     where = tasks.data["where"]
     if where.stride(0):

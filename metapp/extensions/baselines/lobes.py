@@ -17,11 +17,11 @@ Floats = NDArray[np.float64]
 
 LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
 ALPHAS = ((0.03, 0.3), (0.1, 0.5))  # of two lobes, at which fits begin
-FEW = 1024  # samples of the fits that choose where to begin
+FIRST_SAMPLES = 1024  # samples of the fits that choose where to begin
 NARROWEST, WIDEST = 0.005, 1.5
-SMALL = 0.003  # errors below it count as squares, those above as they are
-STEP = 1e-5  # of log alpha, for its slope: forward differentiation takes ten times as long
-ENOUGH = 1e-5  # of change, of numbers and of the cost, to stop at
+SMALL_ERROR = 0.003  # errors below it count as squares, those above as they are
+LOG_ALPHA_STEP = 1e-5  # of log alpha, for its slope: forward differentiation takes ten times as long
+TOLERANCE = 1e-5  # of change, of numbers and of the cost, to stop at
 
 
 def reflectance(numbers: Tensor, cosines: Cosines) -> Tensor:
@@ -41,7 +41,8 @@ def slopes(numbers: Tensor, cosines: Cosines) -> Tensor:
     for i, lobe in enumerate(numbers[3:].reshape(-1, LOBE).unbind()):
         first = 3 + LOBE * i
         shape = _shape(lobe[0], cosines)
-        steeper = (_shape(lobe[0] + STEP, cosines) - _shape(lobe[0] - STEP, cosines)) / (2 * STEP)
+        up, down = (_shape(lobe[0] + step, cosines) for step in (LOG_ALPHA_STEP, -LOG_ALPHA_STEP))
+        steeper = (up - down) / (2 * LOG_ALPHA_STEP)
         fresnel = fresnel_schlick(cosines.difference, lobe[1])
         derivatives[:, :, first] = (steeper * fresnel)[:, None] * lobe[2:]
         derivatives[:, :, first + 1] = (shape * (1 - fresnel_schlick(cosines.difference, 0.0)))[:, None] * lobe[2:]
@@ -62,7 +63,7 @@ def fit(cosines: Cosines, target: Tensor, begin: tuple[tuple[float, ...], ...] =
         target: log(1 + f cos theta_i), [n, 3], float64.
         begin: alphas of the lobes, at each of which a descent begins; the best goes on.
     """
-    few = Cosines(*(cosine[:FEW] for cosine in cosines)), target[:FEW]
+    few = Cosines(*(cosine[:FIRST_SAMPLES] for cosine in cosines)), target[:FIRST_SAMPLES]
     fits = [_descend(*few, _first(*few, alphas)) for alphas in begin]
     best = min(fits, key=lambda fit: fit[1])[0]
     return torch.from_numpy(_descend(cosines, target, best)[0])
@@ -90,9 +91,9 @@ def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, f
         bounds=bounds,
         x_scale="jac",
         loss="soft_l1",
-        f_scale=SMALL,
-        ftol=ENOUGH,
-        xtol=ENOUGH,
+        f_scale=SMALL_ERROR,
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
         max_nfev=60,
     )
     return solution.x, float(solution.cost)

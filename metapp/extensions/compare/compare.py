@@ -21,7 +21,8 @@ from metapp.storage import Document
 from metapp.storage.fits import PARAMS, summary
 
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
-TOLD = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "checkpoint")  # tells runs apart, the clearest first
+# settings that tell runs apart, the clearest first
+LABEL_KEYS = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "checkpoint")
 
 
 class Side(NamedTuple):
@@ -181,9 +182,9 @@ def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str
 
 
 def _labels(first: Document, second: Document) -> tuple[str, str]:
-    """Labels that tell two runs apart, a word each; A and B where nothing in TOLD does."""
+    """Labels that tell two runs apart, a word each; A and B where nothing in LABEL_KEYS does."""
     first, second = ({"paradigm": each.get("method"), **each} for each in (first, second))
-    for key in TOLD:
+    for key in LABEL_KEYS:
         if first.get(key) != second.get(key):
             kind = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
             one, other = (f"{kind}{each.get(key)}" for each in (first, second))

@@ -16,10 +16,10 @@ from metapp.extensions.few.network import NETWORK, linear, slope_of
 from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks
 
-MOST = 1024  # samples of which a material has few at most
-SHORT = 512  # samples of shorter batches
-TABLE = 32  # samples of a table, which has more, that a fit sees: the first ones
-FEWEST, SEEN = 4, 256  # samples in training, at least and at most
+MOST_SAMPLES = 1024  # samples of which a material has few at most
+SHORT_BATCH = 512  # samples of shorter batches
+TABLE_SAMPLES = 32  # samples of a table, which has more, that a fit sees: the first ones
+FEWEST_SAMPLES, SEEN_SAMPLES = 4, 256  # samples in training, at least and at most
 NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy, and their most noise
 POLAR = 3  # the power that crowds theta_h around 0
 
@@ -33,14 +33,14 @@ class FewSamples(Brdf):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Put the samples that a fit sees in front, none twice, and say their `count`.
 
-        Of a table, which has more than MOST samples, a fit sees the first TABLE of them.
+        Of a table, which has more than MOST_SAMPLES, a fit sees the first TABLE_SAMPLES of them.
         """
         data = super().prepare(task)
         half = len(data["where"]) // 2
         _, which = torch.unique(data["where"][:half], dim=0, return_inverse=True)
         first = torch.full((int(which.max()) + 1,), half).scatter_reduce(0, which, torch.arange(half), "amin")
-        if len(first) > MOST:
-            return data | {"count": torch.tensor(float(TABLE))}
+        if len(first) > MOST_SAMPLES:
+            return data | {"count": torch.tensor(float(TABLE_SAMPLES))}
         order = torch.arange(len(data["where"]))
         order[: len(first)] = first.sort().values
         return {key: value[order] for key, value in data.items()} | {"count": torch.tensor(float(len(first)))}
@@ -48,10 +48,10 @@ class FewSamples(Brdf):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """The samples that a fit sees, again and again, and how many different ones, `count` [T].
 
-        Where all materials have SHORT or fewer, a batch has no more: the solve takes half the time.
+        Where all materials have SHORT_BATCH or fewer, a batch has no more: the solve takes half the time.
         """
         seen = tasks.data["count"][tasks.rows]
-        count = min(count, SHORT) if bool((seen <= SHORT).all()) else count
+        count = min(count, SHORT_BATCH) if bool((seen <= SHORT_BATCH).all()) else count
         rows = torch.arange(count, device=rng.device) % seen[:, None].long()
         return samples_at(tasks, rows) | {"count": seen}
 
@@ -65,7 +65,7 @@ class FewSamples(Brdf):
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """With the error that samples leave, x100: `expected` over all directions, in highlights, at grazing angles."""
-        batch = self.sample(tasks, Generator(), MOST)
+        batch = self.sample(tasks, Generator(), MOST_SAMPLES)
         errors = []
         for i, count in enumerate(batch["count"].tolist()):
             one = {key: value[i : i + 1] for key, value in theta.items()}
@@ -77,7 +77,7 @@ class FewSamples(Brdf):
 
 
 def few_of(data: Params, rng: Generator) -> Params:
-    """Few samples, `count` [T], among the first SEEN.
+    """Few samples, `count` [T], among the first SEEN_SAMPLES.
 
     In half of the materials with noise; in a third none beyond an angle; in half of them crowded around
     theta_h = 0, as planned ones are.
@@ -89,15 +89,15 @@ def few_of(data: Params, rng: Generator) -> Params:
     # the density of theta_h where it is the power of what is uniform
     crowded = where[:, :half, 2].clamp(-1, 1).arccos().clamp_min(1e-2) ** (1 / POLAR - 1)
     wanted = torch.where(uniform(rng, count, 1) < 0.5, crowded, 1.0) * seen + 1e-9
-    chosen = torch.multinomial(wanted, SEEN, generator=rng)[..., None]
+    chosen = torch.multinomial(wanted, SEEN_SAMPLES, generator=rng)[..., None]
     level = torch.where(uniform(rng, count, 1) < NOISY, uniform(rng, count, 1), 0.0)[..., None]
-    factor = torch.exp(MOST_NOISE * level * normal(rng, count, SEEN, 3))
-    where[:, :SEEN] = where.gather(1, chosen.expand(-1, -1, 7))
-    target[:, :SEEN] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
+    factor = torch.exp(MOST_NOISE * level * normal(rng, count, SEEN_SAMPLES, 3))
+    where[:, :SEEN_SAMPLES] = where.gather(1, chosen.expand(-1, -1, 7))
+    target[:, :SEEN_SAMPLES] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
     return {
         "where": where,
         "target": target,
-        "count": (FEWEST * (SEEN / FEWEST) ** uniform(rng, count, 1)[:, 0]).round(),
+        "count": (FEWEST_SAMPLES * (SEEN_SAMPLES / FEWEST_SAMPLES) ** uniform(rng, count, 1)[:, 0]).round(),
     }
 
 
@@ -105,7 +105,7 @@ def few_of(data: Params, rng: Generator) -> Params:
 FEW = replace(
     FULL,
     steps=1,
-    batch=MOST,
+    batch=MOST_SAMPLES,
     meta={
         "ridge": replace(
             RIDGE,

@@ -25,7 +25,7 @@ from metapp.learning.task import Params
 
 CANDIDATES, REFERENCES = 4096, 2048
 CROWDED = 3  # the power that crowds the half vectors of candidates around the normal
-STEPS, RATE_RAD = 60, 0.02  # of the gradient descent, which turns directions by so much a step at first
+REFINING_STEPS, RATE_RAD = 60, 0.02  # of the gradient descent, which turns directions by so much a step at first
 ABSOLUTE = math.sqrt(2 / math.pi)  # the mean absolute value of a normal distribution of deviation 1
 
 
@@ -189,7 +189,7 @@ def _refined(theta: Params, free: Tensor, limits: Limits, before: Tensor, others
     best, least = free, math.inf
     moment, square = torch.zeros_like(free), torch.zeros_like(free)
     movable = torch.tensor([limits.detector_rad is None, True, True])
-    for step in range(STEPS + 1):
+    for step in range(REFINING_STEPS + 1):
         free.requires_grad_()
         where = torch.cat([before, _places(free)], 2)
         error = Posterior.of(theta, where).expected_error(others).mean()
@@ -198,7 +198,7 @@ def _refined(theta: Params, free: Tensor, limits: Limits, before: Tensor, others
         (gradient,) = torch.autograd.grad(error, free)
         free = free.detach()
         moment, square = 0.8 * moment + 0.2 * gradient, 0.95 * square + 0.05 * gradient.square()
-        moved = free - RATE_RAD * (1 - step / (STEPS + 1)) * movable * moment / (square.sqrt() + 1e-12)
+        moved = free - RATE_RAD * (1 - step / (REFINING_STEPS + 1)) * movable * moment / (square.sqrt() + 1e-12)
         moved[:, 0].clamp_(0, limits.grazing_rad)
         free = torch.where(limits.allowed(*_directions(moved))[:, None], moved, free)
     return best

@@ -23,7 +23,7 @@ from metapp.learning.task import Batch, LeastSquares, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 DARKEST = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
-LARGEST = 14.0  # logarithm of reflectance: 1.2e6 1/sr
+LARGEST_LOG = 14.0  # logarithm of reflectance: 1.2e6 1/sr
 # columns: luminance, and two axes of colour, of unit length
 OPPONENT = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
 
@@ -54,7 +54,7 @@ def cosine_product(where: Tensor) -> Tensor:
 def reflectance_of(theta: Params, where: Tensor) -> Tensor:
     """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1."""
     logarithms = opponent(theta) @ torch.bmm(theta["last"], features_of(theta, where))
-    return (logarithms.clamp(max=LARGEST).exp() - DARKEST) / cosine_product(where)
+    return (logarithms.clamp(max=LARGEST_LOG).exp() - DARKEST) / cosine_product(where)
 
 
 def slope_of(reflectance: Tensor, where: Tensor) -> Tensor:

@@ -33,16 +33,16 @@ CHANNELS = (64, 128, 256, 512, 512)  # of the taps
 STORED = (512, 512, 128, 64, 256)  # numbers of LPIPS's weights, in the order of their file
 OF_TAPS = (3, 2, 4, 1, 0)  # the place of each tap's among them
 TINY = 1e-6  # stabilises both terms of DISTS
-LEAST = 2 ** (len(TAPS) - 1)  # px a side, of which one is left at the deepest tap
+LEAST_SIDE_PX = 2 ** (len(TAPS) - 1)  # px a side, of which one is left at the deepest tap
 
 
 @torch.no_grad()
 def lpips(compared: Compared) -> float:
     """Mean over pictures: squared differences of features of unit length, weighted, summed over taps; >= 0.
 
-    NaN of pictures of less than LEAST px a side.
+    NaN of pictures of less than LEAST_SIDE_PX a side.
     """
-    if min(compared.pictures.shape[-2:]) < LEAST:
+    if min(compared.pictures.shape[-2:]) < LEAST_SIDE_PX:
         return math.nan
     features, distances, stored = load_features(TAPS, compared.pictures), [], _tensors(LPIPS_FILE, STORED)
     for made, wanted, place in zip(*map(features, compared[:2]), OF_TAPS, strict=True):

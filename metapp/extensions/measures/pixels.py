@@ -13,17 +13,17 @@ from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.picture_measures import Measure
 from metapp.learning.pictures import Compared
 
-MOST = 100.0  # dB, of pictures that are equal to rounding
+MOST_DB = 100.0  # dB, of pictures that are equal to rounding
 
 
 def psnr(compared: Compared) -> float:
     """Peak signal-to-noise ratio in dB, -10 log10 of the mean square error of display values; the mean over pictures.
 
-    At most MOST, which pictures have that are equal.
+    At most MOST_DB, which pictures have that are equal.
     """
     wrong = (compared.pictures - compared.references).square()
     errors = _counted(wrong, compared).flatten(1).mean(1)
-    return float(-10 * errors.clamp_min(10 ** (-MOST / 10)).log10().mean())
+    return float(-10 * errors.clamp_min(10 ** (-MOST_DB / 10)).log10().mean())
 
 
 def difference_quantile(compared: Compared, share: float) -> float:

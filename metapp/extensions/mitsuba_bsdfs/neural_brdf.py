@@ -19,7 +19,7 @@ from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, nn, register_plugin
 from metapp.rendering.types import Color, Float, Vector3
 
-LARGEST = 14.0  # logarithm that such a network may end at
+LARGEST_LOG = 14.0  # logarithm that such a network may end at
 
 
 class Network:
@@ -60,7 +60,7 @@ class Network:
         if not self.darkest:
             return dr.maximum(expm1(mi.Color3f(last)), 0)
         product = dr.maximum(light.z * viewer.z, self.darkest)
-        return dr.maximum((dr.exp(dr.minimum(mi.Color3f(last), LARGEST)) - self.darkest) / product, 0)
+        return dr.maximum((dr.exp(dr.minimum(mi.Color3f(last), LARGEST_LOG)) - self.darkest) / product, 0)
 
     def _active(self, x: Float) -> Float:
         return x / (1 + dr.exp(-x)) if self.featured else dr.maximum(x, 0)

@@ -15,7 +15,7 @@ from metapp.rendering.jit import dr, mi, register_plugin
 
 DEFAULTS = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
 DIFFUSE, SPECULAR = 0, 1  # components
-LEAST = 0.1  # share of directions that are sampled for either
+LEAST_SHARE = 0.1  # share of directions that are sampled for either
 
 
 def register_maps_bsdf() -> None:
@@ -68,7 +68,7 @@ class Texel:
         self.facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
         self.diffuse, self.specular, self.viewer, self.wanted = diffuse, specular, viewer, wanted
         glossy, matte = dr.mean(self._fresnel(viewer.z)), dr.mean(diffuse * (1 - specular))
-        both = dr.clip(glossy / dr.maximum(glossy + matte, 1e-6), LEAST, 1 - LEAST)
+        both = dr.clip(glossy / dr.maximum(glossy + matte, 1e-6), LEAST_SHARE, 1 - LEAST_SHARE)
         self.share = both if all(wanted) else mi.Float(1.0 if wanted[SPECULAR] else 0.0)  # of specular directions
 
     def value(self, light: mt.Vector3) -> mt.Color:

@@ -24,7 +24,7 @@ FLAGS = (
     *("-std=gnu11", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fopenmp-simd", "-shared", "-fPIC"),
 )
-SECONDS = 60  # until a compiler is given up
+COMPILER_SECONDS = 60  # until a compiler is given up
 
 
 @functools.cache
@@ -88,7 +88,7 @@ def _compile(source: Path, path: Path, march: str) -> None:
     def write(partial: Path) -> None:
         arguments = [command, *FLAGS, f"-march={march}", str(source), "-o", str(partial), "-lm"]
         try:
-            subprocess.run(arguments, check=True, capture_output=True, timeout=SECONDS)
+            subprocess.run(arguments, check=True, capture_output=True, timeout=COMPILER_SECONDS)
         except subprocess.SubprocessError as error:
             raise OSError(f"{command}: does not compile {source.name}") from error
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.extensions.onnx_files.models import OPSET, require
 from metapp.extensions.onnx_files.page import SIDES, VERSION, runtime, write_folder
-from metapp.extensions.onnx_files.photographs import FEATURES, STEP, photographs_model
+from metapp.extensions.onnx_files.photographs import FEATURES, SIDE_STEP_PX, photographs_model
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, check_new_files, fit_options
 from metapp.runs.recipes import FULL
@@ -55,7 +55,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     else:
         write_bytes(file, model)
     if not quiet:
-        sizes = f"whose sides are multiples of {STEP}" if any_size else f"of {side} x {side}"
+        sizes = f"whose sides are multiples of {SIDE_STEP_PX}" if any_size else f"of {side} x {side}"
         say(f"{file}: {len(model) / 1e6:.1f} MB of ONNX, opset {OPSET}, takes photos {sizes} px")
     return [file]
 

@@ -12,7 +12,7 @@ from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
 
 OUTPUTS = ("diffuse", "specular", "roughness", "normal")
-STEP = 8  # sides are a multiple of it
+SIDE_STEP_PX = 8  # sides are a multiple of it
 ABOUT = {
     "photo": "sRGB values 0 to 1, [1, 3, H, W], of a flat patch under the flash beside the lens",
     "diffuse": "linear RGB, [1, 3, H, W]",
@@ -47,7 +47,7 @@ class Material(torch.nn.Module):
         """Whether it reads photographs of other sizes than the field's."""
         with torch.no_grad():
             try:
-                return bool(self(torch.rand(1, 3, 2 * STEP, 3 * STEP))[0].shape[-1] == 3 * STEP)
+                return bool(self(torch.rand(1, 3, 2 * SIDE_STEP_PX, 3 * SIDE_STEP_PX))[0].shape[-1] == 3 * SIDE_STEP_PX)
             except RuntimeError:
                 return False
 
@@ -56,15 +56,16 @@ def photographs_model(app: SvbrdfNonstationary, encoder: Params, about: dict[str
     """The model, the content of its file.
 
     Returns:
-        And whether it takes photographs of any size whose sides are multiples of STEP; else those of the field's alone.
+        And whether it takes photographs of any size whose sides are multiples of SIDE_STEP_PX; else those of the
+        field's alone.
 
     Raises:
         ValueError: packages are missing.
     """
     model, side = Material(app, encoder), app.network.height
     any_size = model.any_size()
-    shape = (side, side - 8 * STEP) if any_size else (side, side)  # of two numbers, so that they are told apart
-    largest = 4096 // STEP
-    axes = {2 + i: STEP * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
+    shape = (side, side - 8 * SIDE_STEP_PX) if any_size else (side, side)  # of two numbers, so that they are told apart
+    largest = 4096 // SIDE_STEP_PX
+    axes = {2 + i: SIDE_STEP_PX * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
     sizes = {"photo": axes} if any_size else {}
     return model_of(model, {"photo": torch.rand(1, 3, *shape)}, OUTPUTS, sizes, about | ABOUT, half=True), any_size

@@ -26,7 +26,7 @@ from metapp.storage import Document
 from metapp.storage.files import file_name
 from metapp.storage.fits import read_params
 
-MOST = 20  # tasks of a page, unless it says otherwise
+MOST_TASKS = 20  # tasks of a page, unless it says otherwise
 PAGE = "view.html"
 INPUTS = "inputs"  # the folder of those of `metapp try`
 
@@ -38,7 +38,7 @@ def view_page(
     inputs: Sequence[Path] = (),
     data: Path | None = None,
     task: str = "",
-    most: int = MOST,
+    most: int = MOST_TASKS,
     quiet: bool = False,
 ) -> Path:
     """Write the page of runs; fits of the same task stand side by side.

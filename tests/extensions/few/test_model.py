@@ -12,7 +12,7 @@ from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import inputs_of
-from metapp.extensions.few.app import MOST, TABLE, FewSamples, few_of
+from metapp.extensions.few.app import MOST_SAMPLES, TABLE_SAMPLES, FewSamples, few_of
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.network import (
     DARKEST,
@@ -168,22 +168,22 @@ def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
 def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> None:
     task = brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
     data = Brdf().prepare(task)
-    assert float(APP.prepare(task)["count"]) == TABLE
+    assert float(APP.prepare(task)["count"]) == TABLE_SAMPLES
     rows = torch.arange(2048) % 40 + 100
     cut = {key: torch.cat([task.data[key][rows], task.data[key][2048:]]) for key in ("angles", "reflectance")}
     found = APP.prepare(task._replace(data=cut))
     assert float(found["count"]) == 40
     assert torch.equal(found["where"][:40].unique(dim=0), data["where"][100:140].unique(dim=0))
     assert torch.equal(found["where"][2048:], data["where"][2048:])
-    batch = APP.sample(stack(APP, [task]), Generator(), MOST)
-    assert len(batch["where"][0].T.unique(dim=0)) == TABLE
+    batch = APP.sample(stack(APP, [task]), Generator(), MOST_SAMPLES)
+    assert len(batch["where"][0].T.unique(dim=0)) == TABLE_SAMPLES
 
 
 def test_training_draws_few_samples_of_each_material() -> None:
     where = places_of(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
     data = few_of({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
     assert data["where"].shape == where.shape
-    assert bool(((data["count"] >= 4) & (data["count"] <= MOST)).all())
+    assert bool(((data["count"] >= 4) & (data["count"] <= MOST_SAMPLES)).all())
     assert len(data["count"].unique()) > 1
     assert torch.equal(data["where"][:, 1000:], where[:, 1000:])
 

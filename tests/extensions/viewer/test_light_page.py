@@ -86,7 +86,7 @@ def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages, "MOST", (16, 32))
+    monkeypatch.setattr(pages, "LARGEST_MAP", (16, 32))
     app, theta = shown("reference")
     view = view_of(app, theta, task_of(lamps(2)))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]

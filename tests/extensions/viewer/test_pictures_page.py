@@ -109,7 +109,7 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
 @pytest.mark.long
 @needs_mitsuba
 def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(pages, "SIZE", 16)
+    monkeypatch.setattr(pages, "SIDE_PX", 16)
     monkeypatch.setattr(pages, "SECONDS", 0.5)
     monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.2)
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))

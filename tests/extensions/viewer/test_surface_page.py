@@ -134,7 +134,7 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
 
 def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
     """To means of texels; heights stay as they are in widths of the texture."""
-    monkeypatch.setattr("metapp.extensions.viewer.pages.flat.LARGEST", 64)
+    monkeypatch.setattr("metapp.extensions.viewer.pages.flat.LARGEST_TEXELS", 64)
     large = rock(128)
     view = surface_view(large, [])
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])

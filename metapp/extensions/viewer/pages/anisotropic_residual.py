@@ -21,9 +21,9 @@ from torch.nn.functional import pad
 CELLS = (40, 40, 8, 12)  # of the disc along and across the axes, phi_h + phi_d, and theta_d
 PERIODIC = 2  # the axis of an azimuth
 BEND, SHRINK = 0.01, 3e-4  # weights of squared second differences and of squares beside those of the samples' errors
-STEPS = 40  # of conjugate gradients; more change little
+CG_STEPS = 40  # of conjugate gradients; more change little
 ROUNDED = 1024  # steps of 1/1024 deflate to a third of the bytes
-MOST = 1 << 18  # samples, which come in random order
+MOST_SAMPLES = 1 << 18  # samples, which come in random order
 
 
 def gridded(angles: Tensor, values: Tensor, turn: float) -> Tensor:
@@ -38,7 +38,7 @@ def gridded(angles: Tensor, values: Tensor, turn: float) -> Tensor:
     back = at.T.tocsr()
     normal = back @ at + penalties()
     right, scale = back @ values.float().numpy(), sparse.diags_array(1 / normal.diagonal())
-    columns = [cg(normal, column, rtol=0.0, maxiter=STEPS, M=scale)[0] for column in right.T]
+    columns = [cg(normal, column, rtol=0.0, maxiter=CG_STEPS, M=scale)[0] for column in right.T]
     grid = torch.from_numpy(np.stack(columns, 1)).reshape(*CELLS, 3)
     rounded = (grid * ROUNDED).round() / ROUNDED
     return pad(torch.where(reached()[..., None], rounded, 0.0), (0, 1)).half()

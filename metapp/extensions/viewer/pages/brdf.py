@@ -74,7 +74,7 @@ def _residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Ta
     columns = (*columns[:2], columns[2] % math.pi)
     if "phi_h" in task.data or turn is not None:
         phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(values)))
-        angles = torch.cat([*columns, phi_h.float()[:, None]], 1)[: anisotropic_residual.MOST]
+        angles = torch.cat([*columns, phi_h.float()[:, None]], 1)[: anisotropic_residual.MOST_SAMPLES]
         more = values[: len(angles)] - torch.log1p(evaluate(angles))
         return anisotropic_residual.gridded(angles, more, turn or 0.0)
     angles = torch.cat(columns, 1)

@@ -22,8 +22,8 @@ from metapp.extensions.viewer.view import THUMBNAIL, View, light_map, thumbnail
 from metapp.learning.task import Params, Task
 
 QUILTED = 2  # times as high and wide as the exemplar: what is quilted of it; four times would take six times as long
-LARGEST = 1024  # texels a side on a page
-LARGEST_PHOTO = 512  # px a side
+LARGEST_TEXELS = 1024  # texels a side on a page
+LARGEST_PHOTO_PX = 512  # px a side
 
 
 class Lit(NamedTuple):
@@ -106,7 +106,7 @@ def surface_view(
     lit = {f"photo_{number}": each for number, each in enumerate(photographed, 1)}
     for name, each in lit.items():
         if each.photo is not None:
-            pictures[name] = _last(expose(adaptive_avg_pool2d(each.photo, _within(LARGEST_PHOTO, each.photo))))
+            pictures[name] = _last(expose(adaptive_avg_pool2d(each.photo, _within(LARGEST_PHOTO_PX, each.photo))))
     lit |= {name: Lit(light, eye) for name, (light, eye) in relightings().items()}
     facts = {
         "tiles": surface.tiles,
@@ -156,8 +156,8 @@ def _within(largest: int, values: Tensor) -> tuple[int, int]:
 
 
 def _reduced(surface: Surface) -> Surface:
-    """The same, at most LARGEST texels a side."""
-    size = _within(LARGEST, surface.base)
+    """The same, at most LARGEST_TEXELS texels a side."""
+    size = _within(LARGEST_TEXELS, surface.base)
     if size == surface.size or surface.maps is None:
         return surface
     maps, height = _resized(surface.maps, size), surface.height

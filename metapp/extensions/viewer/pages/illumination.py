@@ -19,7 +19,7 @@ from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULA
 from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Batch, Params, Task
 
-MOST = (512, 1024)  # texels of a map on a page
+LARGEST_MAP = (512, 1024)  # texels of a map on a page
 HALF = 65504.0  # the greatest of float16
 NODES = 32  # cosines that the albedos of lobes are known at
 
@@ -35,7 +35,7 @@ def view(app: Illumination, theta: Params, task: Task) -> View:
     pixels = app.map_picture(one, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     light = pixels.permute(2, 0, 1) / unit
-    maps = {"map": resample(light, *MOST) if light.shape[1] > MOST[0] else light}
+    maps = {"map": resample(light, *LARGEST_MAP) if light.shape[1] > LARGEST_MAP[0] else light}
     if "map" in task.data:
         reference = task.data["map"].float() * task.data.get("scale", torch.ones(())) / unit
         maps["reference"] = resample(reference, *maps["map"].shape[1:])

@@ -28,13 +28,13 @@ from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.cache import cached_tensors
 
-SIZE = 256  # px of a side
+SIDE_PX = 256  # px of a side
 SECONDS, REFERENCE_SECONDS = 3.0, 10.0  # of CPU: for regular and guided paths each, for the reference
 ZOOM = 4  # times that the worst region is enlarged
 GUIDED = "guided by the fit"
 HALF = 65504.0  # the greatest of float16
 
-Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, SIZE, SIZE]
+Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, SIDE_PX, SIDE_PX]
 
 
 class Progress(NamedTuple):
@@ -87,7 +87,7 @@ def scene_view(flow: Flow, theta: Params, task: Task) -> View:
 
 def _kept(what: str, of: Sequence[Tensor], make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
     """Tensors from the cache, for these inputs and this code."""
-    settings = repr((SIZE, SECONDS, REFERENCE_SECONDS)).encode()
+    settings = repr((SIDE_PX, SECONDS, REFERENCE_SECONDS)).encode()
     digest = hashlib.sha256(settings + b"".join(each.detach().cpu().numpy().tobytes() for each in of)).hexdigest()
     sources = [str(module.__file__) for module in (guide, images, path_space)]
     return cached_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
@@ -95,7 +95,7 @@ def _kept(what: str, of: Sequence[Tensor], make: Callable[[], dict[str, Tensor]]
 
 def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
     """The reference, with its own error, and the pictures of regular and guided paths as `Progress` has them."""
-    studio = studio_of(task, SIZE)
+    studio = studio_of(task, SIDE_PX)
     with threads(1):  # the table is made of small tensors, for which threads only wait
         halves = _kept("reference", [task.data["scene"]], lambda: {"halves": _reference_halves(studio)})["halves"]
         reference = halves.mean(0)
@@ -105,7 +105,7 @@ def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
         shots = {
             REGULAR: progress(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0),
             GUIDED: progress(
-                lambda spp, seed: path_space.render(studio.tracer, spp, SIZE, seed, by), reference, before
+                lambda spp, seed: path_space.render(studio.tracer, spp, SIDE_PX, seed, by), reference, before
             ),
         }
     # a half is as far from the mean of both as that is from the truth
