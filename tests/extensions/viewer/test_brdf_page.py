@@ -304,9 +304,6 @@ def test_a_long_picture_comes_in_pieces_and_can_be_stopped_and_goes_on(open_page
 # The grid of residuals over four angles
 
 
-pytestmark = pytest.mark.usefixtures("small_spheres")
-
-
 def angles_above(count: int, seed: int) -> Tensor:
     """theta_h, theta_d, phi_d, phi_h [N, 4] in rad, uniform, of directions above the horizon."""
     draws = torch.rand(4 * count, 4, dtype=torch.float64, generator=Generator().manual_seed(seed))
@@ -358,6 +355,7 @@ def shine(angles: Tensor) -> Tensor:
     return 0.1 + torch.exp(-((angles[..., :1] / 0.3) ** 2)).expand(*angles.shape[:-1], 3)
 
 
+@pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("wrong", ["dark", "turned", "another", "isotropic", "isotropic material", ""])
 def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
     """The reference comes from the samples: at angles that are none of them it is near the truth, whatever the fit."""
