@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save, save_file
 
-from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
+from metapp.storage.checkpoints import SCHEMA, load_checkpoint, save_checkpoint
 from metapp.storage.fits import FIT, RECORD, read_fits, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -76,6 +76,26 @@ def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, ne
 
 
 # Checkpoints
+
+PART = {"theta.x": torch.ones(1)}
+WHOLE = save(PART, {"metapp": json.dumps({"schema": SCHEMA})})
+NO_CHECKPOINTS = {  # tests/fuzz tries any bytes
+    "bare": save(PART, None),
+    "other part": save({"other.x": torch.ones(1)}, {"metapp": json.dumps({"schema": SCHEMA})}),
+    **{f"header {header[:20]}": save(PART, {"metapp": header}) for header in ("[]", '{"schema": true}', NESTED)},
+    "integers": save({"theta.x": torch.ones(2, dtype=torch.int64)}, {"metapp": json.dumps({"schema": SCHEMA})}),
+    "cut": WHOLE[:-1],
+    "pickle": b"\x80\x04N.",
+}
+
+
+@pytest.mark.parametrize("content", NO_CHECKPOINTS.values(), ids=NO_CHECKPOINTS)
+def test_files_that_are_no_checkpoints(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "meta.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"meta.safetensors: not a checkpoint that metapp wrote") as caught:
+        load_checkpoint(path)
+    assert "\n" not in str(caught.value)
 
 
 def written(name: str, changes: dict[str, Any]) -> Path:
