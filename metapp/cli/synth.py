@@ -38,7 +38,6 @@ class SynthOptions:
         int | None,
         Option(
             "Flash photos of each material of svbrdf_nonstationary, all but the first from places of their own (1).",
-            "N",
             low=1,
             high=9,
         ),
