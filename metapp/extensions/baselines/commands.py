@@ -36,7 +36,7 @@ def command_of(app: str) -> Callable[..., None]:
         metavar="NAME",
         rich_help_panel=FIT,
         autocompletion=baseline_words,
-        help=f"{names}; default: nearest.",
+        help=f"{names}.",
     )
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
     taken = [name for name in TAKEN if name != "observe" or protocols_of(app)]
