@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, check_folder, export_words
+from metapp.cli.options import FittedData, Json, Quiet, check_folder, export_words
 from metapp.registry import app_names, exports_of, registry
 from metapp.runs.reporter import say
 
@@ -53,7 +53,7 @@ def command(
         str | None, typer.Option(metavar="HxW|N", help="Output size in pixels of maps and textures.")
     ] = None,
     json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write the fits of a run, or measured BRDFs and checkpoints without a fit, in another file format.
 

@@ -86,7 +86,7 @@ FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if i
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the last line of output.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Seed = Annotated[int, typer.Option(metavar="S", min=0, max=2**63 - 1, help="Of all random draws.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table, no messages.")]
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]

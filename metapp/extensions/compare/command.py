@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import escaped, out, print_json
-from metapp.cli.options import FittedData, Json, Overwrite, RunPath, check_new
+from metapp.cli.options import FittedData, Json, Overwrite, Quiet, RunPath, check_new
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def command(
     ] = None,
     overwrite: Overwrite = False,
     json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Compare two runs: errors and seconds of each task, the ratio of errors with its interval, and a picture.
 

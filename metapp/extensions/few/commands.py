@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Overwrite, Seed, check_new
+from metapp.cli.options import Json, Overwrite, Quiet, Seed, check_new
 from metapp.registry import did_you_mean
 from metapp.runs.reporter import say
 
@@ -39,7 +39,7 @@ def plan(
     seed: Seed = 0,
     overwrite: Overwrite = False,
     json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
 

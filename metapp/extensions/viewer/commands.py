@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, Overwrite, app_words, check_new
+from metapp.cli.options import FittedData, Json, Overwrite, Quiet, app_words, check_new
 from metapp.runs.reporter import number, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
@@ -34,7 +34,7 @@ def view(
     overwrite: Overwrite = False,
     open_page: OpenPage = True,
     json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
 
@@ -69,7 +69,7 @@ def try_all(
     recipe: Annotated[str, typer.Option(help="quick or full; default: full.")] = "",
     open_page: OpenPage = True,
     json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make a small synthetic input of each application, fit it by Meta, and open one page of all fits.
 
