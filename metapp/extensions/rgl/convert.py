@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -26,58 +26,37 @@ READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf)
 
 
 def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
-    """Write a file, or those of a folder, in a form.
+    """Write a file, or those of a folder, in a form, without the ends _rgb and _spec of RGL names.
 
     RGL files are evaluated by Mitsuba at the centres of MERL's bins; colours and spectra of RGL files become each
     other on the file's own grid. Spectra that are made of colours are the smoothest of that colour in D65.
 
     Raises:
-        ValueError: none of these, damaged, or an anisotropic material for a MERL table.
+        ValueError: none of these, damaged, two of one name, or an anisotropic material for a MERL table.
         BadOption: a file is there already.
-    """
-    sources, skipped = find(path)
-    written = targets(sources, kind, folder)
-    check_new_files(written)
-    for line in skipped:
-        say(f"warning: {line}")
-    with progress(kind, len(written), quiet=quiet) as bar:
-        for target, source in written.items():
-            convert(source, kind, target)
-            bar.advance(target.name)
-    return list(written)
-
-
-def find(path: Path) -> tuple[list[Path], list[str]]:
-    """Find sources, and a line for each file of a folder that was skipped.
-
-    Raises:
-        ValueError: a path that is none of these, or has none below it.
     """
     found = [reader.find([path]) for reader in READERS if reader.recognises(path)]
     if not found:
         problem = "another kind" if path.exists() else "no such file"
         remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
         raise ValueError(f"{path}: {problem}, expected a run, MERL tables, RGL files or NBRDF networks; {remedy}.")
-    sources = dict.fromkeys(file for files, _ in found for file in files)
-    return list(sources), found[0][1] if len(found) == 1 else []  # else another reader's files
-
-
-def targets(sources: Iterable[Path], kind: str, folder: Path) -> dict[Path, Path]:
-    """Sources by the files that they are written to, without the ends _rgb and _spec of RGL names.
-
-    Raises:
-        ValueError: one for two sources.
-    """
-    result: dict[Path, Path] = {}
-    for source in sources:
+    sources: dict[Path, Path] = {}  # by the files that they are written to
+    for source in dict.fromkeys(file for files, _ in found for file in files):
         name = source.stem if source.is_file() else source.resolve().name  # which may have dots
         target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL)}{ENDINGS[kind]}"
-        if target in result:
+        if target in sources:
             raise ValueError(
-                f"{target}: of both {result[target]} and {source}, expected names that differ; export one at a time."
+                f"{target}: of both {sources[target]} and {source}, expected names that differ; export one at a time."
             )
-        result[target] = source
-    return result
+        sources[target] = source
+    check_new_files(sources)
+    for line in found[0][1] if len(found) == 1 else ():  # else another reader's files
+        say(f"warning: {line}")
+    with progress(kind, len(sources), quiet=quiet) as bar:
+        for target, source in sources.items():
+            convert(source, kind, target)
+            bar.advance(target.name)
+    return list(sources)
 
 
 def convert(source: Path, kind: str, target: Path) -> None:

@@ -66,13 +66,6 @@ find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
 
 
-def viewer_angles(count: int = NODES) -> NDArray[np.float64]:
-    """Angles of the viewer in rad, [count], from the normal to LAST_DEGREES and denser there."""
-    rest = 1 - np.linspace(0, 1, count)
-    angles: NDArray[np.float64] = math.radians(LAST_DEGREES) * (1 - rest * rest)
-    return angles
-
-
 def write_rgl(
     path: str | Path,
     evaluate: Callable[[Tensor], Tensor],
@@ -93,7 +86,8 @@ def write_rgl(
     Raises:
         ValueError: a value that is not finite.
     """
-    theta = viewer_angles(FEWER_NODES if azimuths else NODES)
+    rest = np.linspace(1, 0, FEWER_NODES if azimuths else NODES)
+    theta = math.radians(LAST_DEGREES) * (1 - rest * rest)  # of the viewer, from the normal and denser there
     phi = np.linspace(-np.pi, np.pi, TURNS) if azimuths else np.zeros(1)
     viewers = _directions(torch.from_numpy(theta)[None], torch.from_numpy(phi)[:, None])
     line = torch.linspace(0, 1, FEWER if azimuths else GRID, dtype=torch.float64)
@@ -138,20 +132,16 @@ def _directions(theta: Tensor, phi: Tensor) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 
-def export(app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fitted network of the BRDF application as a file of the RGL database; `path` without .bsdf gets it."""
-    write_fit(app, theta, suffixed(path, SUFFIX), path.name)
-
-
-def export_spectral(app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fitted network as <path>_spec.bsdf, for spectral variants of Mitsuba."""
-    write_fit(app, theta, path.with_name(f"{path.name}{SPECTRAL}{SUFFIX}"), path.name, spectral=True)
-
-
-def write_fit(app: Brdf, theta: Params, file: Path, name: str, *, spectral: bool = False) -> None:
-    """Write a fitted network as `write_rgl`, with its name in the description."""
+def export(app: Brdf, theta: Params, path: Path, *, spectral: bool = False) -> None:
+    """Write a fitted network of the BRDF application as <path>.bsdf, or <path>_spec.bsdf for spectral variants."""
+    file = path.with_name(f"{path.name}{SPECTRAL}{SUFFIX}") if spectral else suffixed(path, SUFFIX)
     evaluate, anisotropic = partial(app.reflectance, theta), app.network.anisotropic
-    write_rgl(file, evaluate, f"{name}: a fit of metapp", azimuths=anisotropic, spectral=spectral)
+    write_rgl(
+        file, evaluate, f"{path.name.removesuffix(SUFFIX)}: a fit of metapp", azimuths=anisotropic, spectral=spectral
+    )
+
+
+export_spectral = partial(export, spectral=True)
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:

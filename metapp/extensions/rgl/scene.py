@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from safetensors.torch import save
 
-from metapp.extensions.rgl.rgl import write_fit
+from metapp.extensions.rgl.rgl import export as write_table
 from metapp.learning.task import Params
 from metapp.storage.files import write_bytes, write_xml
 
@@ -36,7 +36,7 @@ def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
     tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
     write_bytes(path / f"{path.name}.safetensors", save(tensors))
-    write_fit(app, theta, path / f"{path.name}.bsdf", path.name)
+    write_table(app, theta, path / f"{path.name}.bsdf")
     for plugin, (suffix, ending) in FILES.items():
         write_xml(path / f"{path.name}{suffix}.xml", brdf_scene(plugin, path.name, f"{path.name}{ending}"))
 
