@@ -91,10 +91,9 @@ class Vertex:
         )
         local = dr.select(of_cache, local, location.frame.to_local(si.to_world(wo)))
         index = dr.select(of_cache, index, cache.bin(local))
-        relative = cache.density(location.row, index, guided)
-        cosine = dr.maximum(local.z, 0)
-        mixture = dr.lerp(density, relative * cosine * dr.inv_pi, self.share)
-        light = self._emitter_radiance(to_emitter[0], self._mixture_to_emitter(to_emitter[1]))
+        mixture, towards = self._mixture(local, index, density, guided), location.frame.to_local(self.emitter.d)
+        to_light = self._mixture(towards, cache.bin(towards), to_emitter[1], self.is_lit & (self.share > 0))
+        light = self._emitter_radiance(to_emitter[0], to_light)
         is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return Sampled(
             wo,
@@ -104,7 +103,7 @@ class Vertex:
             is_delta,
             ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
             light,
-            (mixture * dr.pi / dr.maximum(cosine, 1e-6), index),
+            (mixture * dr.pi / dr.maximum(local.z, 1e-6), index),
         )
 
     def recorded(self, sample: Sampled) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
@@ -138,10 +137,9 @@ class Vertex:
         evaluated: Evaluated = dr.dispatch(self.bsdf, evaluate, *inputs)
         return evaluated
 
-    def _mixture_to_emitter(self, density: mt.Float) -> mt.Float:
-        """The density by which cache and BSDF together sample the emitter's direction."""
-        cache, local = self.cache, self.location.frame.to_local(self.emitter.d)
-        relative = cache.density(self.location.row, cache.bin(local), self.is_lit & (self.share > 0))
+    def _mixture(self, local: mt.Vector3, index: mt.UInt32, density: mt.Float, active: mt.Mask) -> mt.Float:
+        """The density by which cache and BSDF, this by `density`, together sample a direction of a bin."""
+        relative = self.cache.density(self.location.row, index, active)
         return dr.lerp(density, relative * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
 
     def _emitter_radiance(self, value: mt.Color, density: mt.Float) -> mt.Color:
