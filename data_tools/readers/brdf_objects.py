@@ -66,7 +66,8 @@ def evaluated_by(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
 
     light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, angles.shape[-1]).double())
     interaction = drjit.zeros(mitsuba.SurfaceInteraction3f, len(light))
-    interaction.wi, outward = (mitsuba.Vector3f(direction.T.float().numpy()) for direction in (viewer, light))
+    interaction.wi = mitsuba.Vector3f(viewer.T.float().numpy())
+    outward = mitsuba.Vector3f(light.T.float().numpy())
     value = torch.from_numpy(np.array(bsdf.eval(mitsuba.BSDFContext(), interaction, outward))).T
     return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(*angles.shape[:-1], 3).to(angles)
 
