@@ -30,7 +30,7 @@ from metapp.storage.files import (
     read_bytes,
     read_tensors,
     remove_partial,
-    write_atomically,
+    write_bytes,
 )
 
 SCHEMA = 1
@@ -314,7 +314,7 @@ class ShardWriter:
             for file in _files(before.tasks):
                 if file.lower() not in self._files:
                     (self.folder / file).unlink(missing_ok=True)
-        write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
+        write_bytes(self.folder / MANIFEST, text.encode("ascii"))
 
     def _before(self) -> Manifest | None:
         """The manifest of the data set to replace; ValueError if that must stay."""

@@ -31,7 +31,7 @@ from metapp.appearance.flash import Maps, expose, positions, relightings, render
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Surface
 from metapp.extensions.assets.planes import Plane, all_planes, fitted_planes
 from metapp.storage import images
-from metapp.storage.files import as_text, write_atomically
+from metapp.storage.files import as_text, write_bytes
 
 PREVIEW = 256  # px, of the longer side
 WORKFLOWS = {
@@ -124,7 +124,7 @@ def write_description(
         "provenance": dict(provenance),
     }
     text = json.dumps(as_text(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_atomically(path / DESCRIPTION, lambda target: target.write_text(text, encoding="utf-8"))
+    write_bytes(path / DESCRIPTION, text.encode())
 
 
 def write_blender(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
