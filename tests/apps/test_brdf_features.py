@@ -1,4 +1,4 @@
-"""Learned features of BRDFs, of which least squares combines a material."""
+"""Learned features of BRDFs, of which least squares combines a material, and the protocol of all their networks."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from metapp.appearance.geometry import cosines, half_difference, half_difference
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.augmentation import MEASURED_RAD, within_reach
 from metapp.apps.brdf.featured import Featured, inputs_of
+from metapp.apps.brdf.network import BrdfNetwork, network_of, shapes_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.meta import Meta
+from metapp.registry import registry
 from metapp.rules import rule_of
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
@@ -151,3 +153,37 @@ def test_outer_losses_are_of_the_half_that_fits_do_not_see(data: Params, rng: Ge
     inner, outer = (draw(tasks, rng, 64)["where"][0].T.tolist() for draw in (Brdf().sample, Brdf().outer_sample))
     assert all(tuple(row) in seen for row in inner)
     assert not any(tuple(row) in seen for row in outer)
+
+
+# The protocol of the networks of BRDFs, and how parameters tell which one they belong to
+
+
+each_network = pytest.mark.parametrize("network", registry().loaded("networks", "brdf").values(), ids=repr)
+
+
+@each_network
+def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
+    theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 2).items()}
+    assert network_of(theta) is network
+    assert {key: tuple(value.shape) for key, value in theta.items()} == shapes_of(network)
+    assert set(network.task_parameters) <= set(theta)
+    assert network.linear_parameter in ("", *theta)
+    with pytest.raises(ValueError, match=r"^parameters .*, expected those of a BRDF fit"):
+        network_of({key: value for key, value in theta.items() if key != "w1"})
+
+
+@each_network
+def test_phi_h_counts_where_a_network_says_so(network: BrdfNetwork) -> None:
+    rng = Generator().manual_seed(2)
+    theta = {
+        key: value[0] + 0.1 * torch.randn(value.shape[1:], generator=rng) for key, value in network.init(rng, 1).items()
+    }
+    angles = torch.tensor([0.3, 0.5, 1.0, 0.0]).repeat(2, 3, 1)
+    angles[1, :, 3] = 0.7
+    values = network.evaluate(theta, angles)
+    assert values.shape == (2, 3, 3)
+    # one at a time: the rows of one product of matrices need not be the same to the bit
+    first, turned = (network.evaluate(theta, each) for each in angles)
+    assert torch.equal(first, turned) != network.anisotropic
+    torch.testing.assert_close(network.evaluate(theta, angles[0, :, :3]), values[0])
+    assert (network.folded(theta).turn is not None) == network.anisotropic
