@@ -84,30 +84,24 @@ def ball(
     with progress("photos", len(paths), quiet=quiet) as bar:
         captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance)
     _write(name, paths, captured, folder, overwrite=overwrite)
-    document = _document(paths, captured)
-    for photo in () if quiet else document["photos"]:
+    figures = zip(paths, captured.balls, captured.exposures.tolist(), captured.residuals, strict=True)
+    photos: list[dict[str, Any]] = [
+        {"source": str(path), "x": ball.x, "y": ball.y, "radius": ball.radius, "score": ball.score}
+        | {"exposure": exposure, "residual": residual}
+        for path, ball, exposure, residual in figures
+    ]
+    seen, clipped = captured.data["certain"].mean((1, 2)).tolist()
+    for photo in () if quiet else photos:
         place = f"ball at {photo['x']:.1f},{photo['y']:.1f}, radius {photo['radius']:.1f} px"
         off = f", exposure {photo['exposure']:.4g}, {photo['residual']:.1%} from the merged radiance"
         say(f"{Path(photo['source']).name}: {place}{off * (len(paths) > 1)}")
     if not quiet:
         curve = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " * (len(paths) > 1)
-        say(f"{curve}{document['seen']:.0%} of the texels seen, {document['clipped']:.1%} clipped")
+        say(f"{curve}{seen:.0%} of the texels seen, {clipped:.1%} clipped")
         say(f"{folder}: {name}.exr and a data set; look at what was found: {folder / FOUND}")
     if as_json:
-        print_json({"out": str(folder), **document})
-
-
-def _document(paths: list[Path], captured: Capture) -> dict[str, Any]:
-    """The document for scripts."""
-    balls, figures = captured.balls, zip(captured.exposures.tolist(), captured.residuals, strict=True)
-    photos = [
-        {"source": str(path), "x": ball.x, "y": ball.y, "radius": ball.radius, "score": ball.score}
-        | {"exposure": exposure, "residual": residual}
-        for path, ball, (exposure, residual) in zip(paths, balls, figures, strict=True)
-    ]
-    seen, clipped = captured.data["certain"].mean((1, 2)).tolist()
-    chosen = str(paths[captured.chosen])
-    return {"power": captured.power, "chosen": chosen, "seen": seen, "clipped": clipped, "photos": photos}
+        map_ = {"chosen": str(paths[captured.chosen]), "seen": seen, "clipped": clipped}
+        print_json({"out": str(folder), "power": captured.power, **map_, "photos": photos})
 
 
 def _write(name: str, paths: list[Path], captured: Capture, folder: Path, *, overwrite: bool) -> None:

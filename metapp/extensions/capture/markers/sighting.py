@@ -45,22 +45,17 @@ class Sighting(NamedTuple):
     points_px: Floats
     to_px: Floats
 
-    def seen(self, points_cm: Floats) -> Floats:
-        """Points [N, 2] of the sheet in the photograph, px."""
-        result: Floats = opencv().perspectiveTransform(points_cm[None], self.to_px)[0]
-        return result
-
     def corners_px(self) -> Floats:
         """Corners of the opening in the photograph [4, 2], round it from the lower left one."""
-        return self.seen(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening_cm / 2)
+        corners_cm = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening_cm / 2
+        result: Floats = opencv().perspectiveTransform(corners_cm[None], self.to_px)[0]
+        return result
 
     def scales(self) -> tuple[float, float]:
-        """The least and the greatest px per cm within the opening, in any direction."""
-        along = np.linspace(-0.5, 0.5, 5) * self.opening_cm
-        points, step = np.stack(np.meshgrid(along, along), -1).reshape(-1, 2), 1e-3
-        columns = [(self.seen(points + shift) - self.seen(points)) / step for shift in step * np.eye(2)]
-        values = np.linalg.svd(np.stack(columns, -1), compute_uv=False)
-        return float(values.min()), float(values.max())
+        """px per cm along the shortest and along the longest side of the opening."""
+        corners = self.corners_px()
+        sides = np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1) / self.opening_cm
+        return float(sides.min()), float(sides.max())
 
 
 class Camera(NamedTuple):
@@ -115,10 +110,6 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> 
         raise ValueError(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
     on_sheet, scale = corners_cm(opening), ruler_cm / RULER_CM
     markers = {number: px[0].astype(float) for number, px in zip(numbers, found, strict=True) if number in on_sheet}
-    if len(markers) < FEWEST:
-        raise ValueError(
-            f"{path}: {len(markers)} marker{'s' * (len(markers) != 1)} found, expected {FEWEST} to 12; {_REMEDY}."
-        )
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
     points_px, side = np.concatenate(list(markers.values())), scale * opening
     _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_ERROR * side)
@@ -129,8 +120,9 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> 
             "sheet in focus; lay it flat, hold the camera still, or leave this photo out."
         )
     points_cm, points_px = points_cm[kept], points_px[kept]
-    if cv2.contourArea(cv2.convexHull(points_cm.astype(np.float32))) < side**2:
-        raise ValueError(f"{path}: markers on one side of the opening alone, expected them all round; {_REMEDY}.")
+    if len(markers) < FEWEST or cv2.contourArea(cv2.convexHull(points_cm.astype(np.float32))) < side**2:
+        found = f"{len(markers)} marker{'s' * (len(markers) != 1)}, on one side of the opening alone or too few"
+        raise ValueError(f"{path}: {found}, expected {FEWEST} to 12 all round; {_REMEDY}.")
     to_px, _ = cv2.findHomography(points_cm, points_px)
     # the inverse of `data_tools.readers.photos.field_of_view`
     focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
