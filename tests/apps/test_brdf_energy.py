@@ -1,4 +1,4 @@
-"""How much light BRDFs reflect: closed forms, fits that reflect no more than they receive, angles that none measured."""
+"""How much light BRDFs reflect: closed forms, fits that reflect no more than they receive, unmeasured angles."""
 
 from __future__ import annotations
 

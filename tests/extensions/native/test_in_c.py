@@ -31,7 +31,10 @@ from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
 from metapp.paradigms import paradigm
 from metapp.rules import rule_of
+from tests.learning.conftest import randn
 from tests.learning.test_adjoint import assert_alike, brdf_case, value_and_grads
+
+__all__ = ["randn"]
 
 APP = Brdf()
 
