@@ -305,12 +305,13 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
     assert "0.1 GB free, expected 3.5 GB for 100 merl files" in result.refusal
 
 
-@pytest.fixture(autouse=True)
-def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("few_paths")
 @needs_mitsuba
 def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
     document = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW_PATHS, "--out", "a", "--json").done
@@ -333,6 +334,7 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
     assert all(torch.equal(box.data[key], tasks[0].data[key]) for key in box.data)
 
 
+@pytest.mark.usefixtures("few_paths")
 @needs_mitsuba
 def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     def few(split: str, count: int, seed: int) -> object:

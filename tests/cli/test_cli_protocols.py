@@ -98,16 +98,6 @@ def app(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def reference(app: str) -> Path:
-    return APPS[app].reference(Path("in"))
-
-
-@pytest.fixture
-def photo(app: str) -> Path:
-    return APPS[app].photo(Path("in"))
-
-
-@pytest.fixture(autouse=True)
 def small(scene: Path, short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
     local = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
@@ -115,6 +105,16 @@ def small(scene: Path, short_by_protocol: Callable) -> None:
     short_by_protocol(RECIPES["illumination"], *setups)
     fields = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
     short_by_protocol(RECIPES[SVBRDF], *(SvbrdfNonstationary(field, encoder_width=2) for field in fields))
+
+
+@pytest.fixture
+def reference(app: str, small: None) -> Path:
+    return APPS[app].reference(Path("in"))
+
+
+@pytest.fixture
+def photo(app: str, small: None) -> Path:
+    return APPS[app].photo(Path("in"))
 
 
 def luminance_of(path: Path) -> float:
@@ -176,7 +176,7 @@ def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, ref
 
 
 @pytest.fixture
-def shot() -> Path:
+def shot(small: None) -> Path:
     return flash(Path("in"))
 
 
