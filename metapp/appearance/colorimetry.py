@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def colour_science() -> ModuleType:
     """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
 
-    It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends. The mocks that it
+    It may not see OpenImageIO: references to it would be reported as leaks when Python ends. The mocks that it
     leaves in place of SciPy go again: other libraries would take them for the package.
     """
     import OpenImageIO as oiio

@@ -8,13 +8,21 @@ from torch import Tensor
 
 
 def srgb_to_linear(srgb: Tensor) -> Tensor:
-    """Display values in [0, 1] to linear values in [0, 1], of any shape."""
+    """Display values in [0, 1] to linear values in [0, 1], of any shape.
+
+    >>> srgb_to_linear(torch.tensor([0.0, 0.5, 1.0]))
+    tensor([0.0000, 0.2140, 1.0000])
+    """
     low = srgb / 12.92
     return torch.where(srgb <= 0.04045, low, ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def linear_to_srgb(linear: Tensor) -> Tensor:
-    """Linear values in [0, 1] to display values in [0, 1], of any shape."""
+    """Linear values in [0, 1] to display values in [0, 1], of any shape.
+
+    >>> linear_to_srgb(torch.tensor([0.0, 0.2140, 1.0]))
+    tensor([0.0000, 0.5000, 1.0000])
+    """
     low = linear * 12.92
     return torch.where(linear <= 0.0031308, low, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
@@ -39,6 +47,10 @@ def tone_map(radiance: Tensor) -> Tensor:
 
 
 def stretched(values: Tensor) -> tuple[Tensor, float, float]:
-    """Values of any shape mapped linearly to [0, 1], and their least and greatest; 0 where all are the same."""
+    """Values of any shape mapped linearly to [0, 1], and their least and greatest; 0 if all are the same.
+
+    >>> stretched(torch.tensor([2.0, 3.0, 6.0]))
+    (tensor([0.0000, 0.2500, 1.0000]), 2.0, 6.0)
+    """
     low, high = values.amin(), values.amax()
     return (values - low) / torch.where(high > low, high - low, 1), float(low), float(high)

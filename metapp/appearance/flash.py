@@ -2,7 +2,7 @@
 
 The patch lies in the plane z = 0 about the origin and its half side is 1, x to the right, y up, z towards the camera.
 The camera looks down from `camera()`, so high that a square photo covers the patch. Pictures live in texture space, a
-pixel a texel: another view changes the shading, never the projection, so what is rendered is what a flat material
+pixel a texel: another view changes the shading, never the projection, as of a flat material
 looks like from there, straightened.
 
 Everything is differentiable and takes any leading axes (written B), dtype and device; shapes broadcast.
@@ -149,7 +149,7 @@ def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
     """Reflection of a material's texels: a Lambertian body under a GGX lobe with Schlick's Fresnel.
 
     diffuse (1 - specular) / pi + D F G / (4 cos_i cos_o), as Deschaintre et al., "Single-Image SVBRDF Capture with a
-    Rendering-Aware Deep Network" (2018); G is separable. It is reciprocal. What it reflects of the light from one
+    Rendering-Aware Deep Network" (2018); G is separable. It is reciprocal. Its albedo for light from one
     direction is at most what the lobe does plus diffuse (1 - specular): no more than 1 (to 0.5 %) up to 45 degrees;
     near grazing up to 2, as Schlick's reflectance rises there and the body keeps its light.
 
@@ -159,7 +159,7 @@ def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
         wo: to the viewer, likewise.
 
     Returns:
-        [B, 3, H, W] in 1/sr, linear RGB. The lobe is 0 where a normal turns away from light or viewer, the body is
+        [B, 3, H, W] in 1/sr, linear RGB. The lobe is 0 if a normal turns away from light or viewer, the body is
         not: multiply by the cosine, at least 0.
     """
     # Channels go last for a moment: views, nothing moves in memory.

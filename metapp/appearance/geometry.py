@@ -41,7 +41,11 @@ def _turn_about_y(vectors: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
 
 
 def turned_about_normal(vectors: Tensor, angle_rad: Tensor) -> Tensor:
-    """Vectors [..., 3] turned about z by angles [...] in rad, from x towards y."""
+    """Vectors [..., 3] turned about z by angles [...] in rad, from x towards y.
+
+    >>> turned_about_normal(torch.tensor([1.0, 0.0, 0.0]), torch.tensor(torch.pi / 3))
+    tensor([0.5000, 0.8660, 0.0000])
+    """
     x, y, z = vectors.unbind(-1)
     cosine, sine = angle_rad.cos(), angle_rad.sin()
     return torch.stack([cosine * x - sine * y, sine * x + cosine * y, z], dim=-1)
@@ -55,6 +59,10 @@ def rusinkiewicz_to_directions(angles: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         wi and wo, [..., 3] each, unit length; below the horizon where the angles say so.
+
+    >>> wi, wo = rusinkiewicz_to_directions(torch.tensor([0.0, torch.pi / 6, 0.0]))
+    >>> torch.round(wi @ wo, decimals=4)
+    tensor(0.5000)
     """
     theta_h, difference = angles[..., 0], _difference(angles)
     mirrored = difference * difference.new_tensor([-1.0, -1.0, 1.0])
@@ -75,6 +83,9 @@ def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
     Returns:
         angles [..., 3] in rad: theta_h and theta_d in [0, pi/2] above the horizon, phi_d in [0, pi): by reciprocity
         (swapping wi and wo adds pi to phi_d) the other half of the circle says the same.
+
+    >>> directions_to_rusinkiewicz(torch.tensor([0.6, 0.0, 0.8]), torch.tensor([-0.6, 0.0, 0.8]))[1]
+    tensor(0.6435)
     """
     return _angles(wi, wo, math.pi)
 
@@ -85,7 +96,7 @@ def directions_to_full_circle(wi: Tensor, wo: Tensor) -> Tensor:
 
 
 def directions_to_four_angles(wi: Tensor, wo: Tensor) -> Tensor:
-    """As `directions_to_full_circle`, with phi_h in [0, 2 pi): [..., 4]; 0 where the half vector is the normal."""
+    """As `directions_to_full_circle`, with phi_h in [0, 2 pi): [..., 4]; 0 if the half vector is the normal."""
     total = wi + wo
     tiny = torch.finfo(total.dtype).tiny
     azimuthal = total[..., 0] ** 2 + total[..., 1] ** 2 > tiny
@@ -161,7 +172,11 @@ def cosines(angles: Tensor) -> Cosines:
 
 
 def above_horizon(angles: Tensor) -> Tensor:
-    """Test for both directions above the surface: bool [...] of angles [..., 3 or 4] in rad."""
+    """Test for both directions above the surface: bool [...] of angles [..., 3 or 4] in rad.
+
+    >>> above_horizon(torch.tensor([[0.0, 0.1, 0.0], [1.5, 1.5, 0.0]]))
+    tensor([ True, False])
+    """
     incident, outgoing, *_ = cosines(angles)
     return (incident > 0) & (outgoing > 0)
 

@@ -23,7 +23,7 @@ class Gloss(NamedTuple):
     Attributes:
         roughness: [B], of the flat even material that looks most alike.
         specular: [B], its F0.
-        contrast: [B], the lobe's share of what is reflected right below the flash, 0 to 1.
+        contrast: [B], the lobe's share of the light that is reflected right below the flash, 0 to 1.
         share: [B], the same of all that the photo's patch reflects.
         diffuse: [B, 3], its diffuse albedo, linear RGB.
     """

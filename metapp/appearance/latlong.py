@@ -50,7 +50,11 @@ def solid_angles(
 
 
 def luminance(rgb: Tensor) -> Tensor:
-    """Luminance [..., H, W] of linear Rec.709 [..., 3, H, W]."""
+    """Luminance [..., H, W] of linear Rec.709 [..., 3, H, W].
+
+    >>> luminance(torch.ones(3, 1, 1))
+    tensor([[1.]])
+    """
     return torch.einsum("...chw,c->...hw", rgb, rgb.new_tensor(_LUMINANCE))
 
 

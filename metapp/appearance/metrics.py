@@ -14,7 +14,11 @@ LEAST_SHARE_OF_MEAN = 0.01  # of the reference's mean: the least denominator of 
 
 
 def mape(pictures: Tensor, references: Tensor) -> Tensor:
-    """Mean absolute percentage error [T], as a share: mean |p - r| / max(r, 1 % of r's mean), linear [T, C, H, W]."""
+    """Mean absolute percentage error [T], as a share: mean |p - r| / max(r, 1 % of r's mean), linear [T, C, H, W].
+
+    >>> mape(torch.full((1, 3, 8, 8), 0.4), torch.full((1, 3, 8, 8), 0.5))
+    tensor([0.2000])
+    """
     return ((pictures - references).abs() / references.clamp_min(_floor(references))).mean((1, 2, 3))
 
 
@@ -25,7 +29,12 @@ def smape(pictures: Tensor, references: Tensor) -> Tensor:
 
 
 def dssim(pictures: Tensor, references: Tensor) -> Tensor:
-    """Structural dissimilarity, 1 - SSIM (Wang et al. 2004), of what `displayed` makes of pictures: [T] in [0, 2]."""
+    """Structural dissimilarity, 1 - SSIM (Wang et al. 2004), of pictures, as `displayed`: [T] in [0, 2].
+
+    >>> pictures = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+    >>> dssim(pictures, pictures)
+    tensor([0.])
+    """
     return 1 - ssim(*displayed(pictures, references)).flatten(1).mean(1)
 
 
@@ -42,7 +51,7 @@ def si_rmse(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
     2022) and DiffusionLight (Phongthawee et al. 2024). Black pictures have the root mean square of the reference.
 
     Args:
-        pictures: [T, 3, H, W], linear in what may be scaled.
+        pictures: [T, 3, H, W], linear.
         references: the same.
         mask: bool [H, W], which pixels count.
     """

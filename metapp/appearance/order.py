@@ -22,12 +22,12 @@ SHIFT_PX = 2  # by which a peak may move and still count as kept
 
 
 class Lattice(NamedTuple):
-    """Where a texture repeats.
+    """The lattice by which a texture repeats.
 
     Attributes:
-        vectors: [2, 2], the basis, shortest vectors first; the second one 0 where there is one direction alone.
+        vectors: [2, 2], the basis, shortest vectors first; the second one 0 if there is one direction alone.
         heights: correlations at these, [2].
-        score: of the basis, about 0.3 to 0.9 for walls and weaves and below 0.1 for grass; -1 where there is none.
+        score: of the basis, about 0.3 to 0.9 for walls and weaves and below 0.1 for grass; -1 if there is none.
     """
 
     vectors: Tensor
@@ -72,7 +72,7 @@ def _around(image: Tensor, side: int) -> Tensor:
 def autocorrelation(image: Tensor) -> Tensor:
     """Correlation [2H, 2W] of a picture [C, H, W] with itself, by shift; shift 0, where it is 1, is at [H, W].
 
-    Of what is finer than a quarter of the picture; all channels together; each shift by how much overlaps.
+    Of structure finer than a quarter of the picture; all channels together; each shift by how much overlaps.
     """
     height, width = image.shape[-2:]
     size = (2 * height, 2 * width)
@@ -158,7 +158,7 @@ def order_kept(exemplar: Lattice, made: Tensor) -> float:
     """The share of an exemplar's order that a picture [C, H, W] of the same scale keeps.
 
     The peaks of its autocorrelation at the exemplar's lattice, which may have moved by SHIFT_PX, over the
-    exemplar's: 1 for as much order, 0 for none; NaN where the exemplar has none.
+    exemplar's: 1 for as much order, 0 for none; NaN if the exemplar has none.
     """
     correlation, (height, width) = autocorrelation(made.double().cpu()), made.shape[-2:]
     kept = []

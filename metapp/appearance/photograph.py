@@ -147,7 +147,7 @@ def mirror(maps: Tensor, size: int) -> Tensor:
 
 
 def develop(radiance: Tensor, camera: Camera) -> Tensor:
-    """Display values of radiance, both [T, 3, S, S]: in [0, 1], and rising above 1 where a sensor would clip."""
+    """Display values of radiance, both [T, 3, S, S]: in [0, 1], and rising above 1 if a sensor would clip."""
     exposure, gamma, contrast = (parameter[:, None, None, None] for parameter in camera)
     linear = radiance * exposure
     display = linear_to_srgb(linear.clamp(0, 1)).clamp_min(0)

@@ -16,8 +16,8 @@ class Measure(NamedTuple):
     """A measure of pictures of fits against their references, a row of the table `image`.
 
     Attributes:
-        value: of such pictures; NaN where there is none.
-        source: by which package and version; ValueError where that is missing. None where metapp does.
+        value: of such pictures; NaN if there is none.
+        source: by which package and version; ValueError if that is missing. None if metapp does.
         more_is_better: whether a higher value is better.
     """
 
@@ -40,7 +40,7 @@ def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
 
 
 def further_errors(app: str, compared: Compared) -> dict[str, float]:
-    """What extensions measure of an application's pictures, by name; what lacks something, or is not finite, not."""
+    """Measures by extensions of an application's pictures, by name; missing and infinite ones are left out."""
     values = {name: registry().measures[name].load().value(compared) for name in picture_measures(app)[0]}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 

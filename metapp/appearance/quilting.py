@@ -13,7 +13,7 @@ TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more th
 
 
 def block_of(exemplar: Picture) -> tuple[int, int]:
-    """Side of a block, a quarter of the exemplar [H, W, C], and of what neighbours share, in px."""
+    """Side of a block, a quarter of the exemplar [H, W, C], and of the overlap, in px."""
     block = max(2, min(exemplar.shape[:2]) // 4)
     return block, max(1, round(block / 6))
 
@@ -34,7 +34,7 @@ def quilted(
         size: h and w in px.
         rng: chooses among blocks that agree about as well.
         block: side of a square block in px.
-        overlap: what neighbours share at least, in px.
+        overlap: of neighbours, at least, in px.
         tiles: blocks agree across the edges of the picture, too.
     """
     height, width = size
@@ -63,7 +63,7 @@ Sides = tuple[bool, bool, bool, bool]
 
 
 def _places(length: int, step: int, *, tiles: bool) -> list[int]:
-    """Where blocks begin; of what tiles evenly, as far as whole px allow."""
+    """The first px of blocks; even if the picture tiles, as far as whole px allow."""
     if not tiles:
         return list(range(0, length, step))
     count = -(-length // step)
@@ -74,7 +74,7 @@ Find = Callable[[Picture, Mask, np.random.Generator], tuple[int, int]]
 
 
 def _finder(exemplar: Picture, block: int) -> Find:
-    """Make the search for a block of the exemplar that agrees with what is there: its errors are correlations."""
+    """Make the search for a block of the exemplar that agrees with the picture: its errors are correlations."""
     height, width, _ = exemplar.shape
     size = (height, width)
     channels = np.fft.rfft2(exemplar, axes=(0, 1))

@@ -20,12 +20,20 @@ Fresnel = Callable[[Tensor], Tensor]  # cosines [..., 1] -> reflectance [..., C]
 
 
 def fresnel_schlick(cos: Tensor, f0: Tensor | float) -> Tensor:
-    """Schlick's approximation (1994) from the reflectance `f0` at normal incidence; shapes broadcast."""
+    """Schlick's approximation (1994) from the reflectance `f0` at normal incidence; shapes broadcast.
+
+    >>> fresnel_schlick(torch.tensor([1.0, 0.0]), 0.04)
+    tensor([0.0400, 1.0000])
+    """
     return f0 + (1 - f0) * (1 - cos).clamp_min(0) ** 5
 
 
 def ggx_distribution(cos_h: Tensor, alpha: Tensor | float) -> Tensor:
-    """Density of facet normals per sr, GGX (Walter et al. 2007); D cos_h integrates to 1. `alpha` > 0 broadcasts."""
+    """Density of facet normals per sr, GGX (Walter et al. 2007); D cos_h integrates to 1. `alpha` > 0 broadcasts.
+
+    >>> ggx_distribution(torch.tensor(1.0), 1.0) * torch.pi
+    tensor(1.)
+    """
     # (1 - c)(1 + c), not 1 - c^2: exact in float32 next to the peak.
     spread = (1 - cos_h) * (1 + cos_h) + (alpha * cos_h) ** 2
     return torch.where(cos_h > 0, alpha * alpha / (math.pi * spread * spread), 0.0)

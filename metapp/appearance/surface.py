@@ -26,7 +26,7 @@ class Surface(NamedTuple):
         base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
         tiles: whether its opposite edges match.
         maps: all maps, without leading axes; None of a texture.
-        height: [1, H, W] in texels, where the fit has one.
+        height: [1, H, W] in texels, if the fit has one.
     """
 
     base: Tensor
@@ -40,7 +40,7 @@ class Surface(NamedTuple):
         return self.base.shape[-2], self.base.shape[-1]
 
     def heights(self) -> Tensor:
-        """Heights [1, H, W] in texture widths, about a mean of 0; those of normals where the fit has none."""
+        """Heights [1, H, W] in texture widths, about a mean of 0; those of normals if the fit has none."""
         height = self.height
         if height is None:
             assert self.maps is not None
@@ -50,7 +50,7 @@ class Surface(NamedTuple):
     def linear_maps(self) -> dict[str, Tensor]:
         """The fit's own maps by name, linear: [H, W, 3], or [H, W] of roughness and of heights in texels.
 
-        Normals are unit vectors. There are heights where the fit has them.
+        Normals are unit vectors. There are heights if the fit has them.
         """
         if self.maps is None:
             return {"basecolor": self.base.movedim(0, -1)}

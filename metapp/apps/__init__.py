@@ -1,6 +1,6 @@
 """Applications and their recipes, loaded by name; `metapp.registry` says which there are.
 
-What ships is a package here for each, with modules for its class, its recipes and its options.
+Each application that ships is a package here, with modules for its class, its recipes and its options.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def class_of(name: str) -> type[App]:
-    """The class of the application of that name; ValueError where there is none."""
+    """The class of the application of that name; ValueError if there is none."""
     result: type[App] = application_of(name).load()
     return result
 
@@ -42,7 +42,7 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
     Args:
         name: the application's.
         recipe: as of `recipe_of`, or made of one.
-        protocol: what fits may see; "" for the default one.
+        protocol: a value of --observe; "" for the default one.
         rule: a learned rule, which may have a network of its own.
     """
     app = (recipe.training(rule).app if rule else None) or recipe.app

@@ -1,4 +1,4 @@
-"""The tree of commands: what the registry has, each imported and made when it is asked for."""
+"""The tree of commands of the registry, each imported and made when it is asked for."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Commands(Group):
         )
 
     def get_command(self, ctx: Any, name: str) -> Any:
-        """The command of a name; None where there is none, or typer cannot make it of another package's function."""
+        """The command of a name; None if there is none, or typer cannot make it of another package's function."""
         entry = registry().commands.get(f"{self.under}{name}")
         if entry is None:
             return None

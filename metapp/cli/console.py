@@ -82,7 +82,7 @@ def one_line(message: str) -> str:
 
 
 class _Bar(Bar):
-    """A row of a progress bar, or, of long work where there is no terminal, lines by `lines`."""
+    """A row of a progress bar, or, of long work if there is no terminal, lines by `lines`."""
 
     def __init__(self, bars: Progress, title: str, total: int | None, done: int, lines: Terminal | None) -> None:
         self.bars, self.lines, self.title = bars, lines, title
@@ -152,7 +152,7 @@ class Terminal(Reporter):
 
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
-    """Import torch without looking for garbage among what modules make, which is there to stay: a tenth of the time."""
+    """Import torch without garbage collection among objects of modules, which stay: a tenth of the time."""
     if "torch" in sys.modules:
         yield
         return
@@ -222,7 +222,7 @@ def what_failed(error: Exception) -> str:
     """The message of an error: its own, if it was foreseen.
 
     Raises:
-        Exception: the same, where METAPP_TRACEBACK asks for a traceback.
+        Exception: the same, if METAPP_TRACEBACK asks for a traceback.
     """
     if os.environ.get("METAPP_TRACEBACK"):
         raise error

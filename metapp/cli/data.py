@@ -44,7 +44,7 @@ def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
 
 
 def report(done: Converted, quiet: bool, as_json: bool) -> None:
-    """Say what was written, for a person and for scripts."""
+    """Print the tasks that were written, for a person and for scripts."""
     if not quiet:
         skipped = f"; {len(done.skipped)} skipped" if done.skipped else ""
         say(f"{done.app}: {len(done.train)} train + {len(done.test)} test tasks in {done.out}{skipped}")
@@ -62,7 +62,7 @@ def join(
 ) -> None:
     """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
 
-    What not all tasks hold, such as reference relightings of synthetic materials, is left out.
+    Tensors that not all tasks hold, such as reference relightings of synthetic materials, are left out.
 
     Example:
       metapp data join drawn photographed --alike --out joint
@@ -112,7 +112,7 @@ def check(
 
     Compares files with their SHA-256 hashes, looks for missing and foreign ones, for tensors that the application
     cannot use (missing, of another shape or type) and for values that are not finite.
-    Prints what it holds, then its problems, one a line; exit code 1 if there are any.
+    Prints its content, then its problems, one a line; exit code 1 if there are any.
 
     Example:
       metapp data check merl

@@ -1,4 +1,4 @@
-"""`metapp evaluate`: the paper's tables and figures, from records; what has no record yet is run."""
+"""`metapp evaluate`: the paper's tables and figures, from records; fits without a record are run."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Evaluation:
 
 @takes(Evaluation)
 def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrite: Overwrite = False) -> None:
-    """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
+    """Print the paper's tables of your data beside the paper's figures; run fits without a record.
 
     Example: metapp evaluate brdf --which quickft
     """

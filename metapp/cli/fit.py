@@ -98,7 +98,7 @@ def fit(run: Run, *, json: bool) -> None:
 
 
 def _show(execution: Execution, *, json: bool) -> None:
-    """Print the table of a run, or its object, its folder, and what failed."""
+    """Print the table of a run, or its object, its folder, and failures."""
     run, records = execution.run, execution.records
     if not run.options.quiet:
         if not json:

@@ -22,7 +22,7 @@ SHARDS = "shards"
 
 @dataclass(frozen=True)
 class SynthOptions:
-    """Options of embedded sets; None and False stand for what a set has by itself."""
+    """Options of embedded sets; None and False stand for the set's own value."""
 
     size: Annotated[
         int | None,

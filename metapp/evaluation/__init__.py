@@ -1,1 +1,1 @@
-"""Tables, figures, the report and the study of rules: what runs are measured for."""
+"""Tables, figures and the report, from records of fits."""

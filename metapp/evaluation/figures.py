@@ -1,4 +1,4 @@
-"""Figures of a subject, of what has been measured, and the report, which has them below its tables."""
+"""Figures of a subject's records, and the report, which has them below its tables."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def curves(subject: Subject) -> Drawn | None:
 def trajectories(subject: Subject) -> Drawn | None:
     """Meta's and Overfit's paths in the plane of most variance of their parameters, a few tasks.
 
-    None where their networks differ, as they do where a rule solves for the last layer.
+    None if their networks differ, as they do where a rule solves for the last layer.
     """
     records = [record for record in trace_records(subject) if record["paths"]["meta"]][:PATHS]
     if not records:
@@ -149,7 +149,7 @@ def trajectories(subject: Subject) -> Drawn | None:
 
 
 def step_sizes(rule: str, alpha: Params) -> dict[str, np.ndarray]:
-    """Step sizes of each parameter tensor, over its entries and all steps; of any sign where the rule is SGD."""
+    """Step sizes of each parameter tensor, over its entries and all steps; of any sign if the rule is SGD."""
     sizes = {}
     for name, value in alpha.items():
         part, _, key = name.partition(".")
@@ -221,7 +221,7 @@ FIGURES = {drawing.__name__: drawing for drawing in (plane, ranks, curves, traje
 
 
 def draw(name: str, subject: Subject) -> Drawn | None:
-    """The figure of that name; None where nothing was measured yet that it could show."""
+    """The figure of that name; None if there is no record for it yet."""
     with rc_context(STYLE):
         return FIGURES[name](subject)
 

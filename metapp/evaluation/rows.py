@@ -20,7 +20,7 @@ from metapp.storage.fits import Record, guarded
 
 @functools.cache
 def paper() -> Document:
-    """The paper's figures, with where they stand in it."""
+    """The paper's figures, with their places in it."""
     result: Document = json.loads((resources.files("metapp") / "paper.json").read_text())
     return result
 
@@ -32,7 +32,7 @@ def row_of(
     entries: Row,
     against: Sequence[str] = (),
 ) -> Row:
-    """A row of what records have measured, with the statistics of their errors.
+    """A row of records, with the statistics of their errors.
 
     Args:
         subject: of which application.
@@ -69,7 +69,7 @@ def row_of(
 
 
 def of_paper(app: App, name: str) -> Row:
-    """The paper's figures of a paradigm, where fits see what the paper's do."""
+    """The paper's figures of a paradigm, under the paper's protocol."""
     figures = paper() if is_first_protocol(app) else {}
     return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
@@ -136,7 +136,7 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
 
 
 def threads_note(rows: Sequence[Row]) -> list[str]:
-    """The threads that seconds are of, where records say so."""
+    """The threads that seconds are of, if records say so."""
     counts = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
     if len(counts) > 1:
         text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])

@@ -47,7 +47,7 @@ STYLE: Any = {
 
 
 class Drawn(NamedTuple):
-    """A figure and what it shows, in words, for those who read it or hear it."""
+    """A figure and its description in words, for those who read it or hear it."""
 
     figure: Figure
     caption: str
@@ -60,7 +60,7 @@ def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[F
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure; its suffix says as what. The same figure gives the same file."""
+    """Write a figure in the format of the suffix. The same figure gives the same file."""
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
     with rc_context(STYLE):
         write_atomically(path, functools.partial(figure.savefig, dpi=DPI, metadata=metadata))

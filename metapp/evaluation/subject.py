@@ -28,7 +28,7 @@ Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
 
 class Subject:
-    """An application under a protocol, on a data set, with what has been measured of it.
+    """An application under a protocol, on a data set, with its records.
 
     Attributes:
         run: by General; rows differ in paradigm, rule or steps.
@@ -37,7 +37,7 @@ class Subject:
         measuring: whether missing records are measured when a table asks for them.
         whole: whether all rows are of all test tasks; else those of more than LONG steps are of FEW of them.
         runs: by the name of a row of the results: the paradigms, then meta:<rule> for further rules with a checkpoint.
-        tasks: the test tasks; none where nothing is to be measured and the embedded set was never made.
+        tasks: the test tasks; none if nothing is to be measured and the embedded set was never made.
         label: name of the data set in run folders.
         asked: (tasks, records of these) of all that tables asked for, by its title.
     """
@@ -49,7 +49,7 @@ class Subject:
             run, measuring, whole: as the attributes.
 
         Raises:
-            ValueError: a checkpoint is missing that fits need; where nothing is measured it is said, and rows stay
+            ValueError: a checkpoint is missing that fits need; if nothing is measured it is printed, and rows stay
                 empty.
         """
         self.run, self.app, self.title = run, run.app, title_of(run.app)
@@ -112,7 +112,7 @@ class Subject:
             title: for the progress.
             run: by which tasks are fitted.
             tasks: to be fitted.
-            settings: what else the figures depend on, where they are no paradigm's own; `rule` names the folder.
+            settings: further ones of the figures, if they are no paradigm's own; `rule` names the folder.
         """
 
         def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
@@ -134,7 +134,7 @@ class Subject:
 
         Args:
             title: for the progress, of these records alone.
-            fits: where records are kept; None where they cannot be measured, as a checkpoint is missing.
+            fits: the folder of records; None if they cannot be measured, as a checkpoint is missing.
             measure: tasks -> the record of each, and parameters that are kept beside it, if any; it may end early.
             tasks: to be measured.
             steps: gradient steps of a task, about, which the progress counts.
@@ -157,7 +157,7 @@ class Subject:
         return records
 
     def kept(self, kind: str, settings: Record, entries: Collection[str]) -> Fits:
-        """Where records are kept that are no fits: <out>/<app>/<kind>, with what is not the default.
+        """The folder of records that are no fits: <out>/<app>/<kind>, with options that are not at their default.
 
         Args:
             kind: of records.
@@ -167,7 +167,7 @@ class Subject:
         return Fits(self.run.path(self.label, kind), settings, entries, self.run.origin(()))
 
     def draw(self, kind: str, fits: Mapping[str, list[Record]]) -> Path | None:
-        """Draw fits of several methods side by side, of the tasks that all have; None where there are none."""
+        """Draw fits of several methods side by side, of the tasks that all have; None if there are none."""
         by_method = {name: {record["name"]: record for record in records} for name, records in fits.items() if records}
         common = [task for task in self.tasks if all(task.name in records for records in by_method.values())]
         if not by_method or not common:

@@ -19,7 +19,7 @@ class Column(NamedTuple):
 
     Attributes:
         title: above it.
-        key: of the entry that it shows; a dash where that is missing or None.
+        key: of the entry that it shows; a dash if that is missing or None.
         form: a format of numbers, "" for words, which are aligned left, or a function of the row.
     """
 
@@ -43,7 +43,7 @@ class Table(NamedTuple):
         heading: above the table in a report.
         title: the figures that it shows.
         columns: from left to right, after the application's; a terminal shows as many as it has room for.
-        rows: one a method; none where the application has nothing to show.
+        rows: one a method; none if the application has nothing to show.
         notes: sentences below it.
         fits: records of fits that a picture shows side by side, by the method's name.
     """
@@ -123,7 +123,11 @@ def key_of(row: Row) -> str:
 
 
 def csv_of(rows: Sequence[Row]) -> str:
-    """Rows, as of `flat`, with all they hold, whatever columns show."""
+    """Rows, as of `flat`, with all they hold, whatever columns show.
+
+    >>> csv_of([{"app": "brdf", "error": 0.72}, {"app": "texture", "error": None}]).splitlines()
+    ['app,error', 'brdf,0.72', 'texture,']
+    """
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
     writer.writeheader()

@@ -1,1 +1,1 @@
-"""Extensions: what the core never imports, each with its code, tests and a README; `contents` has their entries."""
+"""Extensions: packages that the core never imports, with tests and a README; `contents` has their entries."""

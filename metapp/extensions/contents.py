@@ -55,7 +55,7 @@ def compare(registry: Registry) -> None:
 
 
 def doctor(registry: Registry) -> None:
-    """What this installation has and lacks."""
+    """A report on the installation."""
     registry.commands["doctor"] = Entry(f"{_HERE}.doctor.commands:command")
 
 
@@ -67,7 +67,7 @@ def examples(registry: Registry) -> None:
 
 
 def few(registry: Registry) -> None:
-    """BRDFs of few samples: goniometer tables, the recipe that fits them, and what to measure."""
+    """BRDFs of few samples: goniometer tables, the recipe that fits them, and plans of measurements."""
     here = f"{_HERE}.few"
     registry.formats["gonio"] = Format(
         f"{here}.gonio",

@@ -24,11 +24,11 @@ class CodedApp(App):
 
     General's encoder makes a task's own parameters, the code z among them, of `photo` [T, 3, S, S]; the field's other
     parameters are then the same for all tasks. It may read a coarser code than the field has, so that recipes of
-    several sizes share what was trained at the smallest. Nothing that a fit sees is drawn at random.
+    several sizes share checkpoints of the smallest. Nothing that a fit sees is drawn at random.
 
     Attributes:
         network: of one task.
-        image_titles: which `errors` are of pictures, and what tables of these call them.
+        image_titles: titles in tables of those `errors` that are of pictures.
     """
 
     network: LocalField = field()
@@ -82,7 +82,7 @@ class CodedApp(App):
 
 
 def encoder_of(reader: Params, theta: Params, own: Collection[str]) -> Params:
-    """General's encoder: what reads a task's own parameters from a condition, and what tasks share of the network.
+    """General's encoder: a reader of a task's own parameters from a condition, and the network's shared parameters.
 
     Args:
         reader: becomes `encoder.<name>`.
@@ -106,7 +106,7 @@ def with_decoder(own: Params, encoder: Params) -> Params:
 
 
 def norm(difference: Tensor, learned: Params) -> Tensor:
-    """|d|, or sqrt(d^2 + s^2) - s where a rule has learned an s for each task: the loss's parameter `smoothing`."""
+    """|d|, or sqrt(d^2 + s^2) - s if a rule has learned an s for each task: the loss's parameter `smoothing`."""
     if not learned:
         return difference.abs()
     s = torch.exp(learned["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))

@@ -20,12 +20,12 @@ BLOB_CONTRAST = 1.1
 
 
 def of_order(app: str, photo: Tensor, made: Tensor) -> list[str]:
-    """Regular structure that was lost; nothing where the photo has none.
+    """Regular structure that was lost; nothing if the photo has none.
 
     Args:
         app: the application's name, for the command that copies it.
         photo: [3, H, W], evenly lit.
-        made: what was made of it, [3, h, w] of the same scale.
+        made: its fit, [3, h, w] of the same scale.
     """
     kept = order_kept(lattice_of(photo), made)
     instead = f"`metapp baseline {app} INPUT --method quilting` copies it"
@@ -55,6 +55,6 @@ def of_blobs(photo: Tensor, maps: Maps) -> list[str]:
 
 
 def uneven(picture: Tensor) -> float:
-    """By how much a cell of a picture [C, H, W], one of CELLS x CELLS, differs at most from what is around it."""
+    """By how much a cell of a picture [C, H, W], one of CELLS x CELLS, differs at most from its surroundings."""
     fine = high_passed(picture, min(picture.shape[-2:]) // 4 | 1)
     return float(adaptive_avg_pool2d(fine, CELLS).abs().max())

@@ -61,15 +61,15 @@ class ExemplarApp(App):
 
     Attributes:
         network: the generator.
-        height, width: texels of the exemplar and of what is generated in training.
+        height, width: texels of the exemplar and of generated pictures in training.
         taps: the layers of VGG-16 whose statistics are compared.
         octaves: sizes at which they are, each half of the one before (Snelgrove 2017); each finer one leaves out the
             deepest layer of the one below, so that deep layers see large structures at little cost.
-        shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () where
+        shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () if
             it sees all from the beginning. A `Pyramid` makes small pictures, too.
-        prior: weight in the loss of how far maps are from what General expects, where an application makes several
+        prior: weight in the loss of the distance of maps from General's, if an application makes several
             that one picture does not tell apart.
-        finer: octaves by which exemplars are finer than what checkpoints were trained on; layouts, which hold the
+        finer: octaves by which exemplars are finer than those of training; layouts, which hold the
             structures that are larger in texels then, stay as they are.
     """
 
@@ -103,7 +103,7 @@ class ExemplarApp(App):
 
     @property
     def has_layout(self) -> bool:
-        """True if the network reads a coarse picture of what to make."""
+        """True if the network reads a layout."""
         return isinstance(self.network, Pyramid) and self.network.layout > 0
 
     @property
@@ -122,8 +122,8 @@ class ExemplarApp(App):
     def features(self, images: Tensor, octave: int, crop: Crop | None = None) -> list[Tensor]:
         """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
 
-        Those of what a fit descends are in reduced precision where the application's are, and those of the finest
-        octave, which take the longest, of what `crop` makes of the images.
+        Those of a descent are in reduced precision if the application's are, and those of the finest
+        octave, which take the longest, of crops of the images by `crop`.
         """
         features, maps = load_features(self.taps, images), []
         for coarser in reversed(range(octave, self.octaves)):
@@ -141,7 +141,7 @@ class ExemplarApp(App):
             octave: 0 for the whole size.
 
         Returns:
-            What `described` names of each map, such as `gram0`, and `summary` [B, S].
+            The statistics `described` of each map, such as `gram0`, and `summary` [B, S].
         """
         raise NotImplementedError
 
@@ -160,7 +160,7 @@ class ExemplarApp(App):
         return counts.index(sum(key.startswith("gram") for key in data))
 
     def stage(self, tasks: Tasks, done: float) -> Tasks:
-        """From coarse to fine: at first what describes the coarsest octave alone."""
+        """From coarse to fine: at first statistics of the coarsest octave alone."""
         coarse = sum(done < share for share in self.shares)
         if not coarse:
             return tasks
@@ -169,7 +169,7 @@ class ExemplarApp(App):
         return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`image` uint8 [3, S, S], and what describes the exemplar in it.
+        """`image` uint8 [3, S, S], and statistics of the exemplar in it.
 
         Raises:
             ValueError: the picture is smaller than finer exemplars than those of training.
@@ -181,7 +181,7 @@ class ExemplarApp(App):
         return {"image": image} | {key: value[0] for key, value in self.targets(exemplar).items()}
 
     def targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """All that fits compare with, of exemplars [B, 3, h, w]: `describe` and, where networks read layouts, two more.
+        """All that fits compare with, of exemplars [B, 3, h, w]: `describe` and, if networks read layouts, two more.
 
         `layout` [B, 3, h, w] is a coarse picture that tiles, quilted of the exemplar; `detail` [B, 3, N].
         """
@@ -196,7 +196,7 @@ class ExemplarApp(App):
         return exemplars
 
     def known(self, tasks: Tasks) -> Params:
-        """The layouts, where the network reads one."""
+        """The layouts, if the network reads one."""
         return {"layout": tasks.data["layout"][tasks.rows]} if self.has_layout else {}
 
     def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
@@ -246,13 +246,13 @@ class ExemplarApp(App):
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """`errors_of` what is generated from noise that no fit draws, the same for all."""
+        """`errors_of` pictures from noise that no fit draws, the same for all."""
         return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED_PICTURES)), tasks)
 
     def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
 
-        0 of pictures of coarser octaves, and where networks read no layout.
+        0 of pictures of coarser octaves, and if networks read no layout.
         """
         if not self.has_layout or self.octave(batch):
             return pictures.new_zeros(len(pictures))

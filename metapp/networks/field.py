@@ -24,7 +24,7 @@ class LocalField(NamedTuple):
     few steps fit it.
 
     Attributes:
-        height, width: texels of what it makes.
+        height, width: texels of its output.
         inputs, outputs: channels.
         rows, columns: cells of the code's grid.
         code: length of the code in a cell.
@@ -71,7 +71,7 @@ class LocalField(NamedTuple):
 
         Args:
             theta: parameters of T networks, as of `init`.
-            places: what is known of the texels, [T, inputs, height, width].
+            places: inputs of the texels, [T, inputs, height, width].
 
         Returns:
             Values before any range is imposed, [T, outputs, height, width].
@@ -131,6 +131,6 @@ def strips_of(height: int, width: int) -> Iterator[tuple[int, int]]:
 
 
 def field_by_rows(field: LocalField, theta: Params, places: Tensor) -> Iterator[Tensor]:
-    """The rows of what a field makes of places [T, inputs, height, width], [T, outputs, h, width] at a time."""
+    """The rows of a field's output at places [T, inputs, height, width], [T, outputs, h, width] at a time."""
     for first, end in strips_of(field.height, field.width):
         yield field.decoded(theta, field.code_at(theta, first, end), places[..., first:end, :])

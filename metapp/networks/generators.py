@@ -18,14 +18,14 @@ from metapp.networks.layers import enlarged, init_styled, styled, styled_by_rows
 class UNet(NamedTuple):
     """A noise-to-image U-Net with adaptive instance normalisation (Ulyanov et al. 2016; Henzler et al. 2020, 2021).
 
-    All convolutions pad circularly, so that what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+    All convolutions pad circularly, so that its output tiles, at any size that `2 ** (levels - 1)` divides.
 
     Attributes:
         width: channels of the finest level; each level down doubles them, up to four times as many.
         levels: resolutions, each half of the one before.
         noise: channels of its input noise.
         code: length of z.
-        outputs: channels of what it makes.
+        outputs: channels of its output.
     """
 
     width: int
@@ -94,16 +94,16 @@ class Pyramid(NamedTuple):
 
     Each level doubles the resolution, adds noise of its own and corrects the enlarged picture of the level above
     (Karras et al. 2020), so that coarse levels alone make a smaller picture of the same structures. All convolutions
-    pad circularly: what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+    pad circularly: its output tiles, at any size that `2 ** (levels - 1)` divides.
 
     Attributes:
         width: channels of the finest level; each level up doubles them, up to four times as many.
         levels: resolutions, each half of the one before.
         noise: channels of the noise at each level.
         code: length of z.
-        outputs: channels of what it makes.
+        outputs: channels of its output.
         finest: the level whose picture it makes, 0 for the whole size.
-        layout: channels of a coarse picture of what to make, given at each level beside noise.
+        layout: channels of a coarse picture of the output, given at each level beside noise.
     """
 
     width: int
@@ -149,7 +149,7 @@ class Pyramid(NamedTuple):
         Args:
             theta: parameters of T networks, as of `init`.
             noise: standard normal, [T, B, noise, H, W], of the size of the level `finest`.
-            layout: of the noise's size, [T, B, layout, H, W]; None where the network reads none.
+            layout: of the noise's size, [T, B, layout, H, W]; None if the network reads none.
 
         Returns:
             Values before any range is imposed, [T, B, outputs, H, W].

@@ -28,7 +28,7 @@ def add_layer(
         name: the layer's.
         outputs: channels that it makes.
         inputs: channels that it reads, and the sides of a convolution's kernel.
-        gain: standard deviation of what comes out where that of what goes in is 1.
+        gain: standard deviation of outputs of inputs whose own is 1.
     """
     noise = normal(rng, outputs, *inputs)
     params[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
@@ -36,7 +36,11 @@ def add_layer(
 
 
 def dense(params: Params, name: str, x: Tensor) -> Tensor:
-    """A layer of `add_layer` that reads vectors [T, inputs]: [T, outputs]."""
+    """A layer of `add_layer` that reads vectors [T, inputs]: [T, outputs].
+
+    >>> dense({"first.kernel": torch.ones(2, 3), "first.shift": torch.zeros(2)}, "first", torch.ones(1, 3))
+    tensor([[3., 3.]])
+    """
     return x @ params[f"{name}.kernel"].T + params[f"{name}.shift"]
 
 
@@ -62,7 +66,7 @@ class _Tiled(torch.autograd.Function):
 
 
 class _Folded(torch.autograd.Function):
-    """The adjoint of padding: what lies outside is added to what it is a copy of."""
+    """The adjoint of padding: values outside are added to those they are copies of."""
 
     @staticmethod
     def forward(ctx: object, x: Tensor) -> Tensor:
@@ -101,7 +105,7 @@ def init_styled(rng: Generator, count: int, code: int, layers: Mapping[str, tupl
         layers: (inputs, outputs) of each, by name.
 
     Returns:
-        `z` [count, code], and of each layer what `styled` says.
+        `z` [count, code], and the parameters of each layer, as of `styled`.
     """
     theta = {"z": normal(rng, count, code)}
     for name, (inputs, outputs) in layers.items():
@@ -116,7 +120,7 @@ def styled(theta: Params, name: str, x: Tensor, above: Tensor | None = None) -> 
 
     Args:
         theta: `<name>.kernel` [T, O, C, 3, 3]; `<name>.style` [T, 2 * O, Z] and `<name>.shift` [T, 2 * O], which make
-            of `z` [T, Z] what each channel is scaled by and shifted to.
+            of `z` [T, Z] the scale and shift of each channel.
         name: of the layer.
         x: channels of one task lie together.
         above: maps [B, T * A, H / 2, W / 2] that stand, enlarged, before those of x; the kernel's C counts both.
@@ -151,7 +155,7 @@ def _convolved(kernel: Tensor, x: Tensor, above: Tensor | None) -> Tensor:
 
 
 def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
-    """The style of a layer's channels, of z: what each is scaled by and shifted to, [T * O, 1, 1] both."""
+    """The style of a layer's channels, of z: scale and shift, [T * O, 1, 1] both."""
     style = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.style"], theta["z"][..., None])
     gain, shift = style[..., 0].chunk(2, 1)
     return 1 + gain.reshape(-1, 1, 1), shift.reshape(-1, 1, 1)
@@ -166,7 +170,7 @@ def _rows(x: Tensor, first: int, end: int) -> Tensor:
 
 
 def styled_by_rows(theta: Params, name: str, x: Tensor, above: Tensor | None = None) -> Tensor:
-    """The same as `styled`, without a copy of what it reads."""
+    """The same as `styled`, without a copy of its input."""
     kernel, height, result = theta[f"{name}.kernel"], x.shape[-2], None
     for top in range(0, height, STRIP_ROWS):
         end = min(top + STRIP_ROWS, height)

@@ -1,6 +1,6 @@
-"""Layouts: coarse pictures of what a generator makes, quilted of the exemplar, which it is given beside noise.
+"""Layouts: coarse pictures, quilted of the exemplar, which a generator is given beside noise.
 
-Statistics cannot bring order into noise: where courses, threads and boards lie, the layout says.
+Statistics cannot bring order into noise: the layout says the places of courses, threads and boards.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:
     """A picture [3, H, W] stretched by as little as lets its lattice, if a strong one, repeat with a tile's sides.
 
     Blocks of a regular pattern can agree across the edges of a tile of size (h, w), of the picture's scale, only where
-    the tile holds whole periods. What is returned is smaller by what the stretched picture does not reach.
+    the tile holds whole periods. The result is smaller by the part that the stretched picture does not reach.
     """
     lattice = lattice_of(exemplar)
     if lattice.score < LEAST_SCORE:

@@ -1,4 +1,4 @@
-"""Pictures of flat materials: maps as files show them, and what these look like under other lights."""
+"""Pictures of flat materials: maps as files show them, and renders under other lights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0
 
     Args:
         maps: [C, H, W] each.
-        height: [1, H, W] in texels, where a fit has it.
+        height: [1, H, W] in texels, if a fit has it.
         falloff: of the flash, as of `metapp.appearance.flash.render`.
     """
     pictures = {

@@ -44,7 +44,7 @@ def size(limits: str) -> Option:
 
 
 def fov(default: str) -> Option:
-    """The option --fov of photos that fits read; `default` says what 0 means."""
+    """The option --fov of photos that fits read; `default` says the meaning of 0."""
     about = f"Field of view, shorter side; default: {default}."
     return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=field_of_view)
 

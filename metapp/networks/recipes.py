@@ -24,7 +24,7 @@ def generator(
         outputs: channels of a picture.
         tasks: of each outer step of a rule.
         rate: of General's encoder where rules train it.
-        searched: where the search of the Adam begins that rules are.
+        searched: the first Adam of the search for that of rules.
         general: how General's encoder is trained.
     """
     first = Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3)
@@ -70,9 +70,9 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: flo
     A fifth of the steps are at 64 texels, the last two fifths at 256; the network reads a layout of the exemplar.
 
     Args:
-        quick: what it is like in all else.
+        quick: all else.
         steps: gradient steps of a fit.
-        searched: an Adam where searches begin.
+        searched: the first Adam of searches.
         tasks: of each outer step of General.
         prior: as of `ExemplarApp`.
     """

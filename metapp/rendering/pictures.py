@@ -15,7 +15,7 @@ from metapp.rendering.types import Integrator, Scene, Sensor
 
 
 def square_sensor(scene: Scene, side: int) -> Sensor:
-    """A sensor, `side` px wide, that sees the central square of what a scene's first, perspective one sees."""
+    """A sensor, `side` px wide, that sees the central square of the picture of a scene's first, perspective one."""
     sensor = scene.sensors()[0]
     width, height = (int(n) for n in sensor.film().size())
     values = mi.traverse(sensor)

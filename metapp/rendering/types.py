@@ -1,4 +1,4 @@
-"""Names for what Dr.Jit and Mitsuba pass around, so that signatures say it; importing them imports neither.
+"""Names of types of Dr.Jit and Mitsuba, for signatures; importing them imports neither.
 
 All are `Any`: the classes are other ones in each variant, and no annotation can name the one that is active. Numbers,
 vectors and records hold one entry a path, ray or sample.

@@ -29,7 +29,7 @@ def load_mitsuba() -> Mitsuba:
     There are two threads at least, also where torch has one.
 
     Returns:
-        The module `mitsuba`. The variant is the whole program's: what needs another one sets it again.
+        The module `mitsuba`. The variant is the whole program's: code that needs another one sets it again.
 
     Raises:
         ValueError: Mitsuba cannot be imported, no libLLVM here is fit for it, or it has taken another one already.
@@ -87,7 +87,7 @@ def choose_kernels() -> None:
 def find_llvm() -> Path:
     """The libLLVM for Mitsuba: the one that DRJIT_LIBLLVM_PATH names, this environment's or the system's.
 
-    Nothing is loaded but what has no version in its name.
+    Only libraries without a version in their name are loaded.
 
     Raises:
         ValueError: none is there that is new enough.
@@ -103,7 +103,7 @@ def find_llvm() -> Path:
 
 
 def llvm_version(path: Path) -> int | None:
-    """The major version of a libLLVM, by its name or else by asking it; None where there is none."""
+    """The major version of a libLLVM, by its name or else by asking it; None if there is none."""
     if not path.exists():
         return None
     named = re.match(r"libLLVM[-.](?:so\.)?(\d+)", path.resolve().name)
@@ -133,7 +133,7 @@ def _own_folder() -> Path:
 
 
 def _preload(library: Path) -> None:
-    """Load what setup put beside the library: the loader would look for these in the system's folders only."""
+    """Load the libraries that setup put beside it: the loader would look for these in the system's folders only."""
     if library.parent != _own_folder():
         return
     waiting = [path for path in library.parent.glob("*.so*") if not path.name.startswith("libLLVM")]

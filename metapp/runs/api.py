@@ -56,6 +56,11 @@ def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) 
 
     Raises:
         ValueError: a bad file or array, or a file with several tasks; an option that the application does not have.
+
+    >>> import metapp
+    >>> fit = metapp.fit("brdf", lambda wi, wo: np.full((len(wi), 3), 0.3 / np.pi))
+    >>> fit.steps, fit(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.6, 0.8]])).shape
+    (10, (1, 3))
     """
     fits = fit_all(app, [source], paradigm=paradigm, **options)
     if len(fits) != 1:

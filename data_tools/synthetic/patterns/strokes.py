@@ -14,7 +14,7 @@ class Strokes(NamedTuple):
     """The strokes as seen from above.
 
     Attributes:
-        stroke: number [S, S] of the uppermost stroke, -1 where there is none.
+        stroke: number [S, S] of the uppermost stroke, -1 if there is none.
         along: position [S, S] along it, 0 .. 1.
         across: position [S, S] across it, -1 .. 1.
         depth: how high it lies [S, S], 0 (lowest) .. 1; 0 where there is none.

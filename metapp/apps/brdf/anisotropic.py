@@ -1,6 +1,6 @@
 """The input of learned features for anisotropic reflection: the full frame of half and difference vector.
 
-Half vectors are turned into a material's own axes, so that what is learned of grooves and threads does not depend on
+Half vectors are turned into a material's own axes, so that learned grooves and threads do not depend on
 how the sample lay. All inputs are the same for light and viewer exchanged: such a network is reciprocal by
 construction.
 """

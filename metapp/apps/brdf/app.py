@@ -36,7 +36,7 @@ SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled fro
 
 @dataclass(frozen=True)
 class Brdf(App):
-    """One measured or modelled material a task; of an anisotropic one a network without phi_h fits what it can.
+    """One measured or modelled material a task; of an anisotropic one a network without phi_h fits the mean.
 
     Attributes:
         network: evaluates materials; it has an encoder of its own.
@@ -114,7 +114,7 @@ class Brdf(App):
         return LeastSquares("last", features, residual, weights, d.abs().mean((1, 2)))
 
     def loss_parameters(self, steps: int) -> Params:
-        """Smoothing, and log weights of samples where these are not those of least squares."""
+        """Smoothing, and log weights of samples if these are not those of least squares."""
         parameters = {"smoothing": torch.full((steps,), math.log(0.05))}
         return parameters if self.linear_parameter else parameters | {"weights": torch.zeros(steps, KNOTS)}
 
@@ -126,7 +126,7 @@ class Brdf(App):
         return tasks.variants(self.network.augment(mixed(tasks, rng), rng))
 
     def finish(self, theta: Params) -> Params:
-        """Limited to reflecting no more than all, where that is asked for."""
+        """Limited to reflecting no more than all, if that is asked for."""
         return self.network.conserved(theta) if self.conserve else theta
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -202,7 +202,7 @@ class Brdf(App):
         return {"samples": _dots(angles, reflectance), "predicted": _dots(angles, evaluate(four)), "fit": fit}
 
     def compared(self, theta: Params, task: Task) -> Compared | None:
-        """The sphere under the environment map; None where a data set was made before it had such pictures."""
+        """The sphere under the environment map; None if a data set was made before it had such pictures."""
         if "environment" not in task.data:
             return None
         scene = environment_scene(azimuths="phi_h" in task.data)

@@ -19,7 +19,7 @@ MEASURED_RAD = (math.radians(60), math.radians(85))  # the least and greatest an
 def mixed(tasks: Tasks, rng: Generator) -> Params:
     """Mixtures of two of these materials, channels permuted and scaled: `where`, `target` at SAMPLES samples each.
 
-    Mixing needs both materials at the same angles; where a data set has them at its own for each, they are only
+    Mixing needs both materials at the same angles; if a data set has them at its own for each, they are only
     permuted and scaled.
     """
     count, device = len(tasks), rng.device

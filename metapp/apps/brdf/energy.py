@@ -63,7 +63,7 @@ def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
 def conserving(features: Tensor, last: Tensor) -> Tensor:
     """The last layer of a fit that reflects no more than it receives, near this one; the same where it does not.
 
-    Reflectance is divided by what is too much at the steeper one of both directions, so that it stays reciprocal, and
+    Reflectance is divided by the excess at the steeper one of both directions, so that it stays reciprocal, and
     least squares bring the layer to that.
 
     Args:

@@ -63,7 +63,7 @@ class BrdfNetwork(ABC):
         """Random parameters of `count` materials, [count, ...]."""
 
     def init_encoder(self, rng: Generator) -> Params:
-        """Random parameters of General's encoder; {} where there is none."""
+        """Random parameters of General's encoder; {} if there is none."""
         return {}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
@@ -90,7 +90,7 @@ class BrdfNetwork(ABC):
         return self.reflectance(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
     def features_of(self, theta: Params, where: Tensor) -> Tensor:
-        """What `linear_parameter` multiplies, [T, F, N] of places [T, 7, N]."""
+        """The factors of `linear_parameter`, [T, F, N], of places [T, 7, N]."""
         raise NotImplementedError
 
     def conserved(self, theta: Params) -> Params:

@@ -47,8 +47,8 @@ class Illumination(CodedApp):
     """One environment map a task, of mean luminance 1.
 
     Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
-    alone, and is what a sphere of some material must be lit by to look so through some camera. Where that sphere is a
-    mirror, the task may hold what it shows (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
+    alone, and is the light by which a sphere of some material looks so through some camera. Where that sphere is a
+    mirror, the task may hold the light in it (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
 
     Attributes:
         encoder_size: rows and columns of the code that the encoder reads.
@@ -83,9 +83,9 @@ class Illumination(CodedApp):
         return self.network.height if self.network.height > READ_ROWS else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.
+        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, the radiosity of surfaces under it.
 
-        Of a mirror `seen` [3, H, W] and `certain` [2, H, W], where fits see a photograph.
+        Of a mirror `seen` [3, H, W] and `certain` [2, H, W], if fits see a photograph.
         """
         relighting.transfer()  # better missed now than after a fit
         photo = {"photo": task.data["photos"][0]} | self.mirrored(task)
@@ -100,7 +100,7 @@ class Illumination(CodedApp):
         return photo
 
     def mirrored(self, task: Task) -> dict[str, Tensor]:
-        """The light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits see the map."""
+        """The light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} if fits see the map."""
         height, width = self.network.height, self.network.width
         if self.protocol != "photo":
             return {}
@@ -128,7 +128,7 @@ class Illumination(CodedApp):
         return with_suns(maps, joined(theta)) if "suns.light" in theta else maps
 
     def known(self, tasks: Tasks) -> Params:
-        """The suns, where fits see the map."""
+        """The suns, if fits see the map."""
         return parted(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
 
     def sized(self, height: int, width: int) -> Illumination:
@@ -141,7 +141,7 @@ class Illumination(CodedApp):
         return of_mean_1(completed(maps, data) if "seen" in data else maps)
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the photograph, or of the map, [T]: of the log of radiance, of what surfaces send out, and of its log."""
+        """Of the photograph, or of the map, [T]: of log radiance, the radiosity of surfaces, and its log."""
         maps = self.radiance_of(theta)
         if self.protocol == "photo":
             return self._visible_loss(theta, maps, batch, learned)
@@ -150,7 +150,7 @@ class Illumination(CodedApp):
         return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the map, whatever fits see, [T]: above all of what diffuse surfaces send out under it."""
+        """Of the map, whatever fits see, [T]: above all of the radiosity of diffuse surfaces under it."""
         maps, scaled = self.radiance_of(theta), self.answer(theta, batch)
         sent, logs = self._sent_apart(scaled, batch["sent"], {})
         texels = _texels(scaled, batch["map"], {}, 0.0)
@@ -160,17 +160,17 @@ class Illumination(CodedApp):
         return result
 
     def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
-        """Differences of what surfaces send out from the target, and of its log, [T, 3, S] each."""
+        """Differences of the radiosity of surfaces from the target, and of its log, [T, 3, S] each."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
         return norm(sent - target, learned), norm((sent + SENT_FLOOR).log() - (target + SENT_FLOOR).log(), learned)
 
     def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Of what the mirror shows, else of the photograph, [T]."""
+        """Of the light in the mirror, else of the photograph, [T]."""
         of_photo = self._photo_loss(theta, maps, batch, learned)
         return torch.where(is_mirror(batch), seen_loss(maps, batch, learned), of_photo) if "seen" in batch else of_photo
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
+        """Mean difference of display values; where the photograph clips, only darker values count."""
         side = batch["photo"].shape[-1]
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PX)
         short = target - self.ball(theta, maps, LOSS_PX)
@@ -194,7 +194,7 @@ class Illumination(CodedApp):
         return {"z": code / self.network.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Augmented maps, and new photographs under them, some of mirrors where fits see photographs."""
+        """Augmented maps, and new photographs under them, some of mirrors if fits see photographs."""
         maps, size = varied(tasks.data["map"][tasks.rows], rng), tasks.data["photo"].shape[-1]
         photos, mirrored = photograph(maps, rng, size), dict[str, Tensor]()
         if self.protocol == "photo":
@@ -205,7 +205,7 @@ class Illumination(CodedApp):
 
     @torch.no_grad()
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """`deviation`, factors by which the fit's luminance may be off, where fits see a photograph."""
+        """`deviation`, factors by which the fit's luminance may be off, if fits see a photograph."""
         if self.protocol != "photo":
             return {}
         one = {key: value[None] for key, value in theta.items()}
@@ -222,7 +222,7 @@ class Illumination(CodedApp):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Of the second scene's pictures `error`, `relative` to their mean, `ssim` after tone mapping.
 
-        And `map`, the mean difference of the maps' logs; and what `spheres.sphere_errors` has of three spheres.
+        And `map`, the mean difference of the maps' logs; and `spheres.sphere_errors` of three spheres.
         """
         return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
 
@@ -259,16 +259,16 @@ class Illumination(CodedApp):
         return Compared(lit["fit"], lit["reference"]) if "reference" in lit else None
 
     def _both_maps(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
-        """The map `reference`, where it is known, and that of the fit, both [1, 3, H, W], and the photograph."""
+        """The map `reference`, if it is known, and that of the fit, both [1, 3, H, W], and the photograph."""
         prepared = {key: value[None] for key, value in self.prepare(task).items()}
         fit = self.answer({key: value[None] for key, value in theta.items()}, prepared)
         return ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}, prepared["photo"]
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it.
+        """The map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it.
 
-        Of a photograph also the map with stripes where the fit is not sure of it.
+        Of a photograph also the map with stripes if the fit is not sure of it.
         """
         one = {key: value[None] for key, value in theta.items()}
         pictures = self.answer_pictures(self._answer(one, task), task)

@@ -1,9 +1,9 @@
 """The confidence of a fit of a photograph in its map: where that shows it, where it clips, where all is a guess.
 
 How far the log luminance of each of ROWS x COLUMNS texels is off is taken to have Weibull's distribution. A small
-network predicts it from what the photograph shows of the texel and from the fit itself; it was trained by maximum
+network predicts it from the photograph at the texel and from the fit itself; it was trained by maximum
 likelihood, on fits of drawn maps. One factor for the whole map does not count, as no photograph says
-how bright its light was; it is the median, so that what a mirror shows stays exact where other light is lost.
+how bright its light was; it is the median, so that light in a mirror stays exact where other light is lost.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:
         data: of their tasks, as of `features`.
 
     Returns:
-        Of each task `front`, `rim`, `back`, and `clipped` where there is any.
+        Of each task `front`, `rim`, `back`, and `clipped` if there is any.
     """
     middle, z = spread.quantile(0.5), directions(ROWS, COLUMNS)[2].to(spread.scale)
     lost = resample(data["certain"][:, 1:], ROWS, COLUMNS)[:, 0].clamp(0, 1)

@@ -43,8 +43,8 @@ def read(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tenso
     """The code [T, code, rows, columns] and the body [T, body] of photographs [T, 3, PHOTO_PX, PHOTO_PX] in [0, 1].
 
     Two views of one photograph: as it is, and unwrapped to where its pixels mirror from and where they face. Each
-    direction also sees what is on the other side of the sphere at its elevation, and its row's mean: most light behind
-    a sphere resembles what is before it.
+    direction also sees the other side of the sphere at its elevation, and its row's mean: most light behind
+    a sphere resembles the light before it.
     """
     x = photos - 0.5
     for i in range(len(DIRECT)):
@@ -64,7 +64,7 @@ def unwrapped(photos: Tensor, height: int, width: int) -> Tensor:
     """Photographs [T, 3, S, S] in [0, 1], less 0.5, on the sphere of directions.
 
     Returns:
-        [T, 15, height, width]: what a photograph shows where it mirrors each direction, and where it faces it; the same
+        [T, 15, height, width]: a photograph at the pixels that mirror each direction, and that face it; the same
         of the direction's image in the picture's plane; and the directions.
     """
     grids, towards = _places(height, width)
@@ -79,7 +79,7 @@ def unwrapped(photos: Tensor, height: int, width: int) -> Tensor:
 def _places(height: int, width: int) -> tuple[list[Tensor], Tensor]:
     """Where the picture of a sphere, seen from +z, mirrors each direction and where it faces it, as grid_sample does.
 
-    What faces away from the viewer is looked up at the rim.
+    Directions that face away from the viewer are looked up at the rim.
     """
     towards = directions(height, width)
     grids = []

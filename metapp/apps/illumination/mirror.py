@@ -28,9 +28,9 @@ BALL_PX = 256  # of a ball in the photographs of training tasks
 
 
 def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[str, Tensor]]:
-    """Photographs of mirror balls under maps [T, 3, H, W], by random cameras, and what is read from them.
+    """Photographs of mirror balls under maps [T, 3, H, W], by random cameras, and the maps that are read from them.
 
-    Cameras have curves of their own, but what they made is read by sRGB's.
+    Cameras have curves of their own, but photographs are read by sRGB's.
 
     Returns:
         Display values in [0, 1], [T, 3, size, size]; and `seen` [T, 3, H, W], `certain` [T, 2, H, W].
@@ -63,7 +63,7 @@ def resampled(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[st
 
 
 def raised(maps: Tensor, data: Batch) -> Tensor:
-    """Maps [T, 3, H, W] in the unit of what is seen: of equal light where that is certain."""
+    """Maps [T, 3, H, W] in the unit of visible light: of equal light where that is certain."""
     sure = data["certain"][:, :1]
     ratio = mean_luminance(data["seen"] * sure) / mean_luminance(maps * sure).clamp_min(1e-9)
     return maps * torch.where(ratio > 0, ratio, 1.0)[:, None, None, None]

@@ -1,7 +1,7 @@
 """Estimated light judged by three spheres: a mirror, matte silver, and gray plastic, by name "diffuse".
 
 The protocol is that of StyleLight (Wang et al. 2022), which DiffusionLight (Phongthawee et al. 2024) follows: maps are
-tone-mapped first, then light the spheres, so that suns count little beside what the rest of the map looks like. The
+tone-mapped first, then light the spheres, so that suns count little beside the rest of the map. The
 materials are those of its Blender scenes. There the camera is 16 away and sees a perspective; here it is far away, at
 +z, as where photographs are taken from.
 """

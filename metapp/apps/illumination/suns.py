@@ -23,7 +23,7 @@ NARROWEST_TEXELS = 0.1  # texels, standard deviation along one axis
 
 
 def suns_of(maps: Tensor) -> Tensor:
-    """The suns of maps [T, 3, H, W] of mean luminance 1, [T, SUNS, 10]; zeros where there are no more."""
+    """The suns of maps [T, 3, H, W] of mean luminance 1, [T, SUNS, 10]; zeros if there are no more."""
     return torch.stack([_suns(one.detach().cpu()) for one in maps]).to(maps)
 
 
@@ -71,7 +71,7 @@ def _regions(bright: Tensor) -> Tensor:
 
 
 def _lobes(suns: Tensor, height: int, width: int) -> Tensor:
-    """Gaussians round suns [T, SUNS, 10], the mean over each texel, [T, SUNS, height, width]; 0 where there is none.
+    """Gaussians round suns [T, SUNS, 10], the mean over each texel, [T, SUNS, height, width]; 0 if there is none.
 
     They are Gaussians of latitude and of longitude, which is the same for a small sun.
     """
@@ -113,7 +113,7 @@ def _covered(lobes: Tensor) -> Tensor:
 
 
 def with_suns(maps: Tensor, suns: Tensor) -> Tensor:
-    """Maps [T, 3, H, W] with suns [T, SUNS, 10], each of exactly its light, in place of what was there."""
+    """Maps [T, 3, H, W] with suns [T, SUNS, 10], each of exactly its light, in place of their texels."""
     height, width = maps.shape[-2:]
     lobes = _lobes(suns, height, width)
     light, level = suns[..., 3:6], suns[..., 7:]

@@ -74,7 +74,7 @@ def field_of(side: int, hidden: int) -> LocalField:
 class SvbrdfNonstationary(CodedApp):
     """One flat material a task, photographed from straight above with the flash beside the lens.
 
-    The field makes maps of what the photograph shows in a place and of the code there. Under the protocol "reference"
+    The field makes maps of the photograph and the code at each place. Under the protocol "reference"
     a fit sees the material's maps and pictures under RIG lights; under "photo" the photograph alone, whose flash it
     looks for, too. `others` and `places`, of further photographs, are for the extension `several`.
 
@@ -116,7 +116,7 @@ class SvbrdfNonstationary(CodedApp):
         return FINEST_PX if self.encoder_size or self.encoder_finer else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
+        """`photo`, linear [3, H, W], and `maps` [10, H, W] with their radiance under RIG lights, `lit`.
 
         And `fine`, the maps that augmented ones are made of; `predicted`, another method's maps, which no fit sees.
         """
@@ -143,7 +143,7 @@ class SvbrdfNonstationary(CodedApp):
         return max(self.network.height, min(FINER * self.network.height, FINEST_SHOT_PX))
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
-        """Maps [T, 10, H, W]; where fits see them, RIG lights, `rig`, and the log of what these make of them, `lit`."""
+        """Maps [T, 10, H, W]; if fits see them, RIG lights, `rig`, and the log of radiance under them, `lit`."""
         if self.protocol == "photo":
             return {"maps": maps}
         rig = _pairs(RIG).to(maps).expand(len(maps), -1, -1, -1)
@@ -158,7 +158,7 @@ class SvbrdfNonstationary(CodedApp):
         return self.maps_from(self.network._replace(height=height, width=width)(theta, inputs_of(photo)))
 
     def maps_from(self, raw: Tensor) -> Maps:
-        """The maps [T, C, h, w] of what fields make, [T, sum(RAW), h, w]."""
+        """The maps [T, C, h, w] of outputs of fields, [T, sum(RAW), h, w]."""
         return decoded(raw)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
@@ -177,7 +177,7 @@ class SvbrdfNonstationary(CodedApp):
         return pictures.mean((1, 2, 3, 4)) + _map_loss(apart, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the maps and what they look like under any light, whatever fits see, [T].
+        """Of the maps and their radiance under any light, whatever fits see, [T].
 
         How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
         """
@@ -192,7 +192,7 @@ class SvbrdfNonstationary(CodedApp):
         return pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
 
     def _logs(self, maps: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
-        """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
+        """Log of radiance of maps [T, ...] under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
 
         Of parts of the patch `place` [T, 2, H, W] says where they are.
         """
@@ -203,7 +203,7 @@ class SvbrdfNonstationary(CodedApp):
         return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
 
     def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
-        """Mean difference of the logs of the photograph, [T]; where it clips, only what is darker than it counts."""
+        """Mean difference of the logs of the photograph, [T]; where it clips, only darker values count."""
         seen = photographed(maps, flash_of(self.network.gain * theta["flash"]), batch.get("place"))
         return photo_loss(seen, batch["photo"], learned)
 
@@ -238,7 +238,7 @@ class SvbrdfNonstationary(CodedApp):
 
         `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2; `relief`,
         how steep normals are on average over how steep they should be; `blots`, the difference of diffuse colours where
-        the photo clips, 0 where it does not.
+        the photo clips, 0 if it does not.
         """
         return self.errors_of(self.maps_of(theta, tasks.data["photo"][tasks.rows]), tasks)
 
@@ -268,7 +268,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
+        """Four maps above their look under the flash and three other lights, beside those of the fit."""
         photo = _photo_of(task, SHOWN_PX)
         fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
         target = {}
@@ -342,7 +342,7 @@ def _sheet(maps: Maps) -> Tensor:
 
 
 def photo_loss(seen: Tensor, photos: Tensor, learned: Params) -> Tensor:
-    """Mean difference of logs, [T], of radiance and photographs [T, ...]; of what clips only what is darker counts."""
+    """Mean difference of logs, [T], of radiance and photographs [T, ...]; of clipped px only darker values count."""
     short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
     short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
     return norm(short, learned).mean(tuple(range(1, short.ndim)))

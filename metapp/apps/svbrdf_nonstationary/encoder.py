@@ -23,7 +23,7 @@ WIDEST_TIMES = 8  # times the finest level's channels, at the coarsest
 class Encoder(NamedTuple):
     """A U-Net whose levels all know the picture's mean (Ronneberger et al. 2015; Deschaintre et al. 2018).
 
-    It reads a photograph at BASE texels, and where that is larger, its finer levels add to what they are given of the
+    It reads a photograph at BASE texels, and if that is larger, its finer levels add to the output of the
     coarser ones. So its weights serve at every resolution up to BASE * 2^len(finer).
 
     Attributes:
@@ -117,7 +117,7 @@ def pointwise(encoder: Params, name: str, x: Tensor) -> Tensor:
 
 
 def block(encoder: Params, name: str, x: Tensor) -> Tensor:
-    """Two convolutions, the second beside a path around it, which adds what the picture's mean says."""
+    """Two convolutions, the second beside a path around it, which adds a term of the picture's mean."""
     first = leaky_relu(convolved(encoder, f"{name}.first", x), SLOPE)
     mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))
     return first + leaky_relu(convolved(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)

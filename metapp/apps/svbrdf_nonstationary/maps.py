@@ -1,4 +1,4 @@
-"""Maps of a flat material, how far two are apart, and what is seen of them: from where, by which light and flash."""
+"""Maps of a flat material, the distance of two, and their radiance by eye, light and flash."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _shades(colour: Tensor) -> Tensor:
 
 
 class Flash(NamedTuple):
-    """A flash beside the lens, and what the camera makes of it.
+    """A flash beside the lens, and the camera's exposure.
 
     Attributes:
         place: [T, 3].

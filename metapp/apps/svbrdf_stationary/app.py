@@ -54,7 +54,7 @@ FALLOFF = 1.0
 class SvbrdfStationary(ExemplarApp):
     """One flash photograph of a flat stationary material a task.
 
-    What the light does depends on the place, so statistics are compared window by window: those of a window of the
+    The light depends on the place, so statistics are compared window by window: those of a window of the
     picture with those of the same window of the photo. The generator does not know the place, which keeps highlights
     out of the maps.
     """
@@ -75,7 +75,7 @@ class SvbrdfStationary(ExemplarApp):
         """Of photos [B, 3, h, w] of the size of an octave.
 
         Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
-        [B, 3] where the flash was, `chroma` [B, 2], how much colours vary, `shine` [B, 3], what the highlight says
+        [B, 3] where the flash was, `chroma` [B, 2], how much colours vary, `shine` [B, 3], estimates of the highlight
         of specular and roughness and how clearly, `summary`.
         """
         maps, light = self.features(exemplars, octave), self.light_of(exemplars)
@@ -101,7 +101,7 @@ class SvbrdfStationary(ExemplarApp):
         return len(RINGS) * super().summary_size()
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """As for all exemplars, and what the task has of `relit` uint8 [3, 3, S, S] and `truth` [3, 2, 6]."""
+        """As for all exemplars, and, if the task has them, `relit` uint8 [3, 3, S, S] and `truth` [3, 2, 6]."""
         return super().prepare(task) | {key: task.data[key] for key in ("relit", "truth") if key in task.data}
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
@@ -119,7 +119,7 @@ class SvbrdfStationary(ExemplarApp):
         return super().condition(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """As for all exemplars, and where fits have a prior, `gloss` [T, 2], what is expected of it."""
+        """As for all exemplars, and if fits have a prior, `gloss` [T, 2], its expected value."""
         theta = super().encode(encoder, condition)
         return self._as_glossy(theta, condition["shine"]) if self.prior else theta
 
@@ -153,7 +153,7 @@ class SvbrdfStationary(ExemplarApp):
         return expose(render(maps, place, light, view, falloff=FALLOFF))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`noise` for `count` materials of each task, some of the windows and what is known of the photo there."""
+        """`noise` for `count` materials of each task, some of the windows and the photo's statistics there."""
         drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN_WINDOWS].expand(len(tasks), -1)
         noise = self.noise(rng, len(tasks), count, octave=self.octave(tasks.data))
         return {"noise": noise, "windows": drawn} | self._targets(tasks, drawn)
@@ -180,7 +180,7 @@ class SvbrdfStationary(ExemplarApp):
         """The same, but how far the maps are from the truth, or how unusual where that is unknown, [T].
 
         Without it General comes to explain all photographs by one bright, rough, specular surface without colour: one
-        flash photo does not say what is diffuse, what specular and what relief.
+        flash photo does not tell diffuse, specular and relief apart.
         """
         octave = self.octave(batch)
         maps = self.generate(theta, batch["noise"], octave)
@@ -244,7 +244,7 @@ class SvbrdfStationary(ExemplarApp):
     def errors_of(self, answer: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of maps [T, B, ...] of the exemplar's size, or of photographs [T, B, 3, H, W] of them, sRGB in [0, 1].
 
-        `relit` is the error under other lights and from elsewhere, where the data set has references of that.
+        `relit` is the error under other lights and from elsewhere, if the data set has references of that.
         Photographs are under the exemplar's light and have none.
         """
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
@@ -262,7 +262,7 @@ class SvbrdfStationary(ExemplarApp):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Regular structure that was lost, clipped highlights, blobs; only where networks read layouts."""
+        """Regular structure that was lost, clipped highlights, blobs; only if networks read layouts."""
         if not self.has_layout:
             return super().doubts(theta, tasks)
         images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
@@ -303,7 +303,7 @@ class SvbrdfStationary(ExemplarApp):
 
     @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared:
-        """The maps under the photo's light, and under others where the task has references of that."""
+        """The maps under the photo's light, and under others if the task has references of that."""
         photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
         references = torch.cat([self.exemplar(each.float() / 255) for each in photos])
         light, maps = self.light_of(references[:1])[0], self._material(theta)[0]
@@ -359,7 +359,7 @@ def _shine(photos: Tensor, light: Tensor) -> Tensor:
 
 
 def _unusual(maps: Maps, expected: Tensor) -> Tensor:
-    """Mean squares of how far specular and, weighted, roughness are from what is expected [T, 2] of them, [T]."""
+    """Mean squares of how far specular and, weighted, roughness are from their expected values [T, 2], [T]."""
     expected = expected.detach() + 0 * expected  # a parameter that no step moves
     specular, roughness = (
         (part - mean[:, None, None, None, None]).square().mean((1, 2, 3, 4))
@@ -403,7 +403,7 @@ def _window(maps: Tensor, window: int) -> Tensor:
 
 
 def _faded(part: Tensor) -> Tensor:
-    """Weights [H, W] of the texels of a window [..., H, W], roots of what they count in products."""
+    """Weights [H, W] of the texels of a window [..., H, W], roots of their weight in products."""
     height, width = part.shape[-2:]
     weights = hann(height, part)[:, None] * hann(width, part)
     return (weights / weights.mean()).sqrt()

@@ -59,7 +59,7 @@ class Texture(ExemplarApp):
         return apart + astray(theta, noise, images, self.layout_ratio(octave)) + self.softness(images, batch)
 
     def _strip(self, images: Tensor) -> Tensor:
-        """As many rows as the coarsest octave has; noise and layouts are moved at each step, and so what they show."""
+        """As many rows as the coarsest octave has; noise and layouts are moved at each step."""
         return images[..., : self.height >> self.octaves - 1, :]
 
     def _distance(self, images: Tensor, batch: Batch, crop: Crop | None = None) -> Tensor:
@@ -74,7 +74,7 @@ class Texture(ExemplarApp):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Regular structure that the picture of tables has lost; only where networks read layouts."""
+        """Regular structure that the picture of tables has lost; only if networks read layouts."""
         if not self.has_layout:
             return super().doubts(theta, tasks)
         exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)

@@ -123,7 +123,7 @@ class Transport(App):
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The film, and the directions at sixteen parts of it, of the samples and of the fit.
 
-        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
+        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; if there is no
         scene, the densities.
         """
         from metapp.apps.transport import images, pictures
@@ -138,7 +138,7 @@ class Transport(App):
         }
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing where there is no scene."""
+        """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing if there is no scene."""
         from metapp.apps.transport import images, pictures
 
         if "scene" not in task.data:

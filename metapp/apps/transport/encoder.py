@@ -40,7 +40,7 @@ def read(reader: Params, images: Tensor, flow: Flow) -> Params:
     Args:
         reader: parameters, as of `init_reader`.
         images: linear RGB of any scale, [T, 3, 2 rows, 2 columns] of the flow's grid.
-        flow: what they are for.
+        flow: of the codes.
 
     Returns:
         `z`, `film.x` and `film.y`, each [T, ...].
@@ -64,7 +64,7 @@ def read(reader: Params, images: Tensor, flow: Flow) -> Params:
 
 
 def _film(logs: Tensor, corrections: Tensor) -> Params:
-    """The film's splines: evenly wide bins that hold what the picture says, [T, rows, columns], and corrections."""
+    """The film's splines: evenly wide bins with values of the picture, [T, rows, columns], and corrections."""
     fine = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
     of_picture = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
     widths, masses, bends = fine[:, 3:].mean(2).unbind(1)

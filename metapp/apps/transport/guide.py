@@ -18,7 +18,7 @@ POWER = 0.5
 class Table(NamedTuple):
     """A density that is constant in every cell of a grid over the film and the first direction.
 
-    It is a density of its own, whatever flow it was made from: what is drawn from it has the density that it says.
+    It is a density of its own, whatever flow it was made from: its samples have its density exactly.
 
     Attributes:
         masses: of each cell, [G * G, D * D]; the rows, film places from the top left, sum to 1.
@@ -70,8 +70,8 @@ def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS
         cells: rows and columns of cells of directions; the rows, of the first coordinate, hold exactly the flow's mass,
             and share it as the flow does at their middle.
         power: of the density; 1 is the flow's own. The best density for a mean goes with the root of the mean square of
-            what paths carry. Most carry nothing and the others about as much as each other, so that the mean square
-            goes with the mean, which is what the flow has learned.
+            the radiance of paths. Most are black and the others about equal, so that the mean square
+            goes with the mean, which the flow has learned.
     """
     one = {key: value[None] for key, value in theta.items()}
     middles = (torch.arange(places, device=theta["z"].device) + 0.5) / places

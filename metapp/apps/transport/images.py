@@ -171,9 +171,9 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) 
 
     Returns:
         By name: `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel; `time`, of the picture over Regular's, the table
-        counted; `fixed time`, of what comes before, whatever the paths: the samples that fits see, the fit and its
+        counted; `fixed time`, of the preparation, whatever the paths: the samples that fits see, the fit and its
         table, over Regular's picture; and `MAPE, equal time`, of as many paths as there is time for where all of that
-        and the picture may take as long as Regular for SPP, left out where there is none. REFERENCE has its own `MAPE`.
+        and the picture may take as long as Regular for SPP, left out if there is none. REFERENCE has its own `MAPE`.
     """
     studio = studio_of(task, size)
     regular = studio.errors(studio.baseline.picture)

@@ -1,6 +1,6 @@
 """Monotonic rational-quadratic splines on [0, 1] (Gregory & Delbourgo 1982; Durkan et al. 2019), many side by side.
 
-A spline of K bins is described by 3 K + 1 numbers: logits of the bins' widths and of their masses, and what is added
+A spline of K bins is described by 3 K + 1 numbers: logits of the bins' widths and of their masses, and terms added
 to the log of the density at each knot. That log is, where 0 is added, the mean of those of both neighbours, so that one
 number moves one bin and the density stays smooth about it. All zeros make the identity.
 """
@@ -18,12 +18,12 @@ BELOW_ONE = 1 - 2**-24  # the largest of 32 bits
 
 
 class Splines(NamedTuple):
-    """Splines at work; N is 1 where all places share one.
+    """Splines at work; N is 1 if all places share one.
 
     Attributes:
         widths: of the bins, [..., K, N], which sum to 1.
         masses: of the bins, likewise.
-        bends: what is added to the log of the density at the knots, [..., K + 1, N].
+        bends: terms of the log of the density at the knots, [..., K + 1, N].
     """
 
     widths: Tensor
@@ -93,7 +93,7 @@ def _find(splines: Splines, places: Tensor) -> tuple[Bin, Tensor]:
 
 
 def log_density(numbers: Tensor, places: Tensor) -> Tensor:
-    """The log of the splines' slopes, which is that of the density of what they make uniform.
+    """The log of the splines' slopes, which is that of the density of their arguments.
 
     Args:
         numbers: of the splines, [..., 3 K + 1, N].

@@ -90,7 +90,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
         name: the row, "meta" or "meta:<rule>".
 
     Returns:
-        Nothing where a checkpoint is missing.
+        Nothing if a checkpoint is missing.
     """
     plans = [subject.runs[row] for row in (name, "general", "quickft")]
     found = [plan.checkpoint for plan in plans if plan.checkpoint]

@@ -67,7 +67,7 @@ def convergence(subject: Subject) -> Table:
 
 
 def steps_needed(record: Record) -> int | None:
-    """Further steps after which Meta's error is within 1 % of Overfit's; None where FURTHER was not enough."""
+    """Further steps after which Meta's error is within 1 % of Overfit's; None if FURTHER was not enough."""
     steps, error = record["further"][-1]
     return steps if near(error, record["curves"]["overfit"][-1][1]) else None
 
@@ -120,12 +120,12 @@ def step_at(part: float, steps: int) -> int:
 
 
 def curve_steps(steps: int) -> set[int]:
-    """Where errors are measured: at PARTS, and at a quarter of what is left of these, again and again."""
+    """Steps of measured errors: at PARTS, and at a quarter of the rest of these, again and again."""
     return {step_at(part, steps) for part in PARTS} | {round(steps / 4**i) for i in range(2, 16) if steps >= 4**i}
 
 
 def path_steps(steps: int) -> set[int]:
-    """Where a path is marked: evenly in the square root of the step, as it moves fastest at first."""
+    """Steps of marks of a path: evenly in the square root of the step, as it moves fastest at first."""
     return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
 
 
@@ -163,7 +163,7 @@ def named(parts: dict[float, Params]) -> Params:
 
 
 def _error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
-    """The table's error; None where the task holds no reference."""
+    """The table's error; None if the task holds no reference."""
     errors = subject.app.errors(theta, stacked)
     return subject.app.scale * float(errors["error"][0]) if errors else None
 

@@ -66,7 +66,7 @@ def _rows(subject: Subject, records: list[Record]) -> list[Row]:
 
 
 def _row(subject: Subject, name: str, records: list[Record], key: str) -> Row:
-    """A row of one measure; "" where nothing was measured yet."""
+    """A row of one measure; "" if nothing was measured yet."""
     figures, app, measure = paper(), subject.app.name, registry().measures.get(key)
     bound, ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
     more_is_better = ssim or (measure is not None and measure.load().more_is_better)

@@ -96,7 +96,7 @@ def closing(app: App, rows: list[Row]) -> str:
 
 
 def change(one: Row, other: Row) -> str:
-    """The difference of a row's error from another's, in percent of that: "12 % below"; "" where one is not known."""
+    """The difference of a row's error from another's, in percent of that: "12 % below"; "" if one is not known."""
     if one["error"] is None or not other["error"]:
         return ""
     percent = 100 * (one["error"] - other["error"]) / abs(other["error"])

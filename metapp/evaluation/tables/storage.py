@@ -37,7 +37,7 @@ def size(params: Params) -> int:
 
 
 def stored(checkpoint: Checkpoint | None) -> int | None:
-    """Bytes of a checkpoint, from which any fit is made; None where there is none."""
+    """Bytes of a checkpoint, from which any fit is made; None if there is none."""
     return None if checkpoint is None else sum(size(part) for part in checkpoint.phi)
 
 

@@ -93,7 +93,7 @@ def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, ob
     Args:
         name: of the asset; file names begin with it.
         highest: the greatest F0 of the map.
-        tiles: True where pictures go on at their edges.
+        tiles: True if pictures go on at their edges.
         provenance: told in a comment.
     """
     index, mode = index_of(highest), "periodic" if tiles else "clamp"

@@ -1,6 +1,6 @@
 """Mitsuba 3: scenes that show a fitted material, beside the pictures that they need.
 
-`<name>.xml` has the BSDF `neural_svbrdf`, which shades as what was fitted; it needs `import metapp.mitsuba` before
+`<name>.xml` has the BSDF `neural_svbrdf`, which shades as the fit; it needs `import metapp.mitsuba` before
 `mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `principled`, the nearest material of the
 metallic-roughness workflow, as its `specular` is one number.
 """

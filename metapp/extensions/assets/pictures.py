@@ -1,16 +1,16 @@
 """Maps of surfaces as image files: asset folders, folders for Blender, EXR, PNG of 16 bits.
 
-The asset folder has all maps of a surface as PNG of 16 bits, a preview, and `material.json`, which says what they are:
+The asset folder has all maps of a surface as PNG of 16 bits, a preview, and `material.json`, which describes them:
 
     <name>_basecolor.png  <name>_diffuse.png  <name>_specular.png  <name>_metallic.png  <name>_roughness.png
     <name>_normal_gl.png  <name>_normal_dx.png  <name>_height.png  <name>_ao.png  <name>_orm.png
     preview.png  material.json
 
-A texture has a base colour alone. What wants one workflow takes its files: `diffuse` and `specular` hold what was
+A texture has a base colour alone. A program takes the files of its workflow: `diffuse` and `specular` hold the maps as
 fitted; `basecolor` and `metallic` are the nearest material of the metallic-roughness workflow.
 
 For Blender the pictures have the names that Node Wrangler wires to a Principled BSDF: select it, press Ctrl+Shift+T and
-choose all. Node Wrangler knows the metallic workflow; the Specular IOR Level, gray, holds what that leaves of F0, up to
+choose all. Node Wrangler knows the metallic workflow; the Specular IOR Level, gray, holds the rest of F0, up to
 0.08. Where F0 has a hue of its own, import the glTF file instead: its F0 is exact.
 """
 
@@ -57,7 +57,7 @@ def write_planes(planes: Mapping[str, Plane], path: Path, bits: int = 16) -> dic
     """Write maps as PNG, <path>/<name>_<map>.png, `name` being the last part of `path`.
 
     Returns:
-        What is to be known of each file, by its name: encoding, meaning; of heights how integers become widths.
+        The description of each file, by its name: encoding, meaning; of heights how integers become widths.
     """
     files = {key: path / f"{path.name}_{key}.png" for key in planes}
     return {file.name: write_plane(planes[key], file, bits) for key, file in files.items()}
@@ -67,7 +67,7 @@ def write_plane(plane: Plane, file: Path, bits: int) -> dict[str, object]:
     """Write a map as PNG by its encoding.
 
     Returns:
-        What is to be known of the file.
+        The description of the file.
     """
     encoding, values = "linear", plane.values
     about: dict[str, object] = {"channels": len(values), "bits": bits, "meaning": plane.meaning}
@@ -138,7 +138,7 @@ def write_blender(surface: Surface, path: Path, provenance: Mapping[str, object]
 
 
 def specular_level(surface: Surface, planes: Mapping[str, Plane]) -> Tensor:
-    """The level [1, H, W] at which what is no metal makes up the rest of the mean F0; 0.5 of pure metals."""
+    """The level [1, H, W] at which the dielectric part makes up the rest of the mean F0; 0.5 of pure metals."""
     assert surface.maps is not None
     metallic, base = planes["metallic"].values, planes["basecolor"].values
     missing = (surface.maps.specular - base * metallic).mean(0, keepdim=True)

@@ -1,4 +1,4 @@
-"""Baselines: what a reader would use instead of a network, fitted to what fits see and judged by the same errors."""
+"""Baselines: methods without a network, fitted to the data that fits see and judged by the same errors."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ if TYPE_CHECKING:
 
 
 def baselines_of(app: App) -> tuple[Baseline, ...]:
-    """The baselines of an application under its protocol; () where no extension has any."""
+    """The baselines of an application under its protocol; () if no extension has any."""
     functions = dict.fromkeys(registry().loaded("baselines", app.name).values())
     return tuple(method for function in functions for method in function(app))

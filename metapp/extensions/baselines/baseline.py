@@ -50,10 +50,10 @@ class BaselineFit(NamedTuple):
     """A baseline's fit of a task.
 
     Attributes:
-        answer: makes what `App.errors_of` judges; not timed, as that of a network is not.
+        answer: makes the argument of `App.errors_of`; not timed, as that of a network is not.
         numbers: that are kept for the task.
         size: their bytes.
-        picture: what it looks like beside the application's fits, linear RGB [H, W, 3], where it is a picture.
+        picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
     """
 
     answer: Callable[[], object]
@@ -67,12 +67,12 @@ class Baseline(ABC):
 
     Attributes:
         name: as rows call it.
-        title: what it is, with its source.
-        cannot: what it cannot do that a network can.
+        title: its name in words, with its source.
+        cannot: an ability of networks that it lacks.
         learns: whether it is prepared on training tasks.
         stored: the tensor of tasks that holds its answers, which were made elsewhere: it has no time; "" for none.
-        shared: bytes that all tasks share, without which no fit can be evaluated or made; None where not known.
-        chosen: what validation tasks have chosen.
+        shared: bytes that all tasks share, without which no fit can be evaluated or made; None if not known.
+        chosen: settings that validation tasks have chosen.
     """
 
     name: str

@@ -113,7 +113,7 @@ class Pca(Baseline):
         self.name, self.count = f"pca_{count}", count
 
     def prepare(self, training: Training, allowed: Allowed) -> None:
-        """Learn components; ValueError where materials are not at the same angles."""
+        """Learn components; ValueError if materials are not at the same angles."""
         self.where, whole, part, chosen_on = _learned(training)
         self.components = part.first(self.count)
 
@@ -127,7 +127,7 @@ class Pca(Baseline):
         self.chosen = {"penalty": self.penalty, "solves": self.solves}
 
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        """The coefficients of a material's samples; ValueError where these are at other angles."""
+        """The coefficients of a material's samples; ValueError if these are at other angles."""
         components, (rows, target) = self.components, drawn(tasks, rng, allowed.samples)
         found = components.at(rows_in(self.where, tasks, rows)).coefficients(target, self.penalty, self.solves)
         held = slice(len(self.where) // 2, None)
@@ -177,7 +177,7 @@ class Nearest(Baseline):
         self.shared = bytes_of(self.where[0], self.targets)
 
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        """The number of a material is kept; ValueError where samples are at other angles."""
+        """The number of a material is kept; ValueError if samples are at other angles."""
         targets, where, half = self.targets, self.where, self.where.shape[1] // 2
         rows, target = drawn(tasks, rng, allowed.samples)
         index = (targets[:, rows_in(where[0], tasks, rows)] - target).abs().mean((1, 2)).argmin()

@@ -55,7 +55,7 @@ baseline = app_group(command_of, "Run a baseline without a neural network and ev
 
 
 def run(options: FitOptions, method: str, *, json: bool) -> None:
-    """Run a method on the inputs of options, and show what came of it."""
+    """Run a method on the inputs of options, and print its table."""
     from metapp.cli.fit import table_of
     from metapp.extensions.baselines import baselines_of
     from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder

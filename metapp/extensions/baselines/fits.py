@@ -35,7 +35,7 @@ Judged = tuple[Record, Params | None, object]  # the record, the picture, what w
 def training_folder(plan: Run, baseline: Baseline) -> Path | None:
     """The data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
-    None where it learns nothing or neither has any: the embedded one is not made for this.
+    None if it learns nothing or neither has any: the embedded one is not made for this.
     """
     app, data, quiet = plan.app.name, plan.options.data, plan.options.quiet
     folders = [data_folder(plan.app, data, quiet)] if baseline.learns and (data or embedded_exists(app)) else []
@@ -45,7 +45,7 @@ def training_folder(plan: Run, baseline: Baseline) -> Path | None:
 
 @functools.lru_cache(maxsize=1)
 def training_of(app: App, folder: Path | None) -> Training:
-    """The training tasks of a data set; no tasks where there is no folder."""
+    """The training tasks of a data set; no tasks if there is no folder."""
     return Training(app, read_shard(folder, "train", app.name, app.tensors) if folder else [])
 
 
@@ -81,11 +81,11 @@ def own_parameters(app: App) -> Params:
 
 
 def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
-    """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept.
+    """Fit a baseline to tasks, each alone; the time is from the task's samples to the fit.
 
     Args:
         plan: of the evaluation.
-        baseline: what is fitted.
+        baseline: to fit.
         tasks: to be fitted.
         warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
 

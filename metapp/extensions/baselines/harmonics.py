@@ -42,7 +42,7 @@ def harmonics(maps: Floats, order: int) -> Floats:
 
 
 def from_harmonics(coefficients: Floats, height: int, width: int) -> Floats:
-    """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `harmonics` where maps have no higher order."""
+    """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `harmonics` if maps have no higher order."""
     order = math.isqrt(coefficients.shape[1]) - 1
     waves = np.zeros((len(coefficients), height, width // 2 + 1), np.complex128)
     for m, (basis, _) in enumerate(_along_theta(height, order)):
@@ -59,7 +59,7 @@ def _places(order: int, m: int) -> NDArray[np.int64]:
 
 
 def _turn(order: int, width: int) -> NDArray[np.complex128]:
-    """Of each m what turns a wave from the first texel's edge to its centre, [order + 1]."""
+    """Of each m the factor that turns a wave from the first texel's edge to its centre, [order + 1]."""
     return np.asarray(np.exp(1j * np.arange(order + 1) * (math.pi / width)))
 
 

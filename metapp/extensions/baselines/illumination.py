@@ -1,4 +1,4 @@
-"""Baselines of illumination networks: spherical harmonics of a map; of a photo what a mirror ball shows."""
+"""Baselines of illumination networks: spherical harmonics of a map; of a photo the light in a mirror ball."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Unwrap(Baseline):
 def shown(data: Batch) -> Tensor:
     """Maps [T, 3, H, W] of `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
 
-    Behind a ball is what is before it; where neither is known the mean; where the photo clips the light of the clip.
+    Behind a ball is the light before it; where neither is known the mean; where the photo clips the light of the clip.
     """
     seen, share = data["seen"], data["certain"].sum(1, keepdim=True)
     behind, there = (each.flip(-1).roll(each.shape[-1] // 2, -1) for each in (seen, share))

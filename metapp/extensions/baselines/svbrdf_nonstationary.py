@@ -42,7 +42,7 @@ class Predicted(Baseline):
     shared = None
 
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        """The maps of a task; ValueError where it has none."""
+        """The maps of a task; ValueError if it has none."""
         if "predicted" not in tasks.data:
             (name,) = tasks.selected_names
             raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")

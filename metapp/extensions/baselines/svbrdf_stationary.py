@@ -27,7 +27,7 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
     """Maps [1, JUDGED, ...] of the material of a flash photo, of its size, which tile: pieces of it.
 
     The photo without its light is quilted. Its mean becomes the diffuse albedo that the highlight's profile says; F0
-    varies as brightness does about what the profile says, roughness not at all. What is darker than its surroundings
+    varies as brightness does about the profile, roughness not at all. Texels that are darker than their surroundings
     lies deeper, but on metals and below clear highlights.
 
     Args:

@@ -1,4 +1,4 @@
-"""Photographs by hand: their display values, pictures of what was found in them, and OpenCV, which looks at them."""
+"""Photographs by hand: their display values, pictures of detections, and the import of OpenCV."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Side(NamedTuple):
     """A run that is compared.
 
     Attributes:
-        label: what tells it from the other, without spaces.
+        label: a word that tells it from the other.
         app: as it was at the first fit.
         folder: of the run.
         records: of the tasks in common, in the same order.
@@ -45,7 +45,7 @@ class Side(NamedTuple):
         return {record["name"]: record[measure] for record in self.records if record.get(measure) is not None}
 
     def mean(self, measure: str = "error") -> float | None:
-        """Of the errors; None where there are none."""
+        """Of the errors; None if there are none."""
         return statistics.fmean(self.errors(measure).values()) if self.errors(measure) else None
 
     def seconds(self) -> float | None:
@@ -61,10 +61,10 @@ class Comparison(NamedTuple):
 
     Attributes:
         sides: the two.
-        tasks: what was fitted, in the order of the records; none where it is not to be had.
-        ratio: the mean error of the first over that of the second, or their difference; None where there is none.
-        measures: the same of further errors that both have, by what they are.
-        notes: what differs beside the runs' settings and must be known.
+        tasks: of the fits, in the order of the records; none if they cannot be read.
+        ratio: the mean error of the first over that of the second, or their difference; None if there is none.
+        measures: the same of further errors that both have, by their titles.
+        notes: important differences beside the runs' settings.
     """
 
     sides: tuple[Side, Side]
@@ -104,7 +104,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
         first: folder of a run, or of one of its tasks.
         second: of the other one.
         task: the one to compare; "" for all in common.
-        inputs: what was fitted, where it is not where records say.
+        inputs: the fitted files, if they are not in the places of records.
         data: the data set that was fitted, for the same.
 
     Raises:
@@ -141,8 +141,8 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of both runs below it.
 
     Returns:
-        The file; None where it is not known what was fitted, or one run is of a method that keeps no picture. And the
-        comparison, of spheres with the colour differences of what was drawn.
+        The file; None if tasks cannot be read, or one run is of a method that keeps no picture. And the
+        comparison, of spheres with the colour differences of the pictures.
     """
     kept = (Path(record["folder"], PARAMS) for side in compared.sides for record in side.records)
     if not compared.tasks or not all(path.is_file() for path in kept):
@@ -162,7 +162,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
 
 
 def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str, Measured]:
-    """Of both fits' spheres from the reference's, by what they are: median and 95th percentile of a sphere's pixels."""
+    """Of both fits' spheres from the reference's, by their titles: median and 95th percentile of a sphere's pixels."""
     found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}), ({}, {})]
     for column in columns:
         reference, *fits = column.pictures.values()
@@ -193,7 +193,7 @@ def _labels(first: Document, second: Document) -> tuple[str, str]:
 
 
 def _notes(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
-    """Notes on what differs beside the labels."""
+    """Notes on differences beside the labels."""
     one, other = settings
     left_out = sum(map(len, by_name)) - 2 * len(names)
     differ = sum(len({of[name].get("content") for of in by_name}) > 1 for name in names)

@@ -1,1 +1,1 @@
-"""What this installation has and lacks."""
+"""A report on the installation."""

@@ -1,4 +1,4 @@
-"""`metapp doctor`: what this installation has and lacks."""
+"""`metapp doctor`: a report on the installation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PACKAGES = (
 def command(
     json: Json = False,
 ) -> None:
-    """Print what is installed: versions, device, compiler, cache, shipped checkpoints, VGG weights, libLLVM."""
+    """Print the installation: versions, device, compiler, cache, shipped checkpoints, VGG weights, libLLVM."""
     subjects = examine()
     if json:
         print_json(subjects)

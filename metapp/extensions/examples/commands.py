@@ -18,7 +18,7 @@ FOLDER = Path("example-inputs")  # of the input files that commands name
 
 
 def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
-    """The first commands of an application on input files in a folder, and what each makes."""
+    """The first commands of an application on input files in a folder, and the result of each."""
     place = shlex.quote(str(folder))
     examples = [example for example in registry().examples[app].load() if not _left_out(example[0])]
     return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
@@ -47,7 +47,7 @@ def command(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Print commands that can be run as printed, five per application, and what each makes.
+    """Print commands that can be run as printed, five per application, and the result of each.
 
     --make writes their input files, which are small, synthetic and no training data.
     The output is a shell script.

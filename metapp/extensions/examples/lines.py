@@ -1,4 +1,4 @@
-"""Commands that work as they are: what follows `metapp`, {} standing for the folder of inputs, and what that makes."""
+"""Commands that work as they are: words after `metapp`, {} standing for the folder of inputs, and results."""
 
 BRDF = (
     ("meta brdf {}/paint.csv", "a network fitted to a table of measurements, and a picture of both"),

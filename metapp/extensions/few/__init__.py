@@ -1,1 +1,1 @@
-"""BRDFs of few samples: goniometer tables, the recipe that fits them, and what to measure."""
+"""BRDFs of few samples: goniometer tables, the recipe that fits them, and plans of measurements."""

@@ -1,4 +1,4 @@
-"""BRDFs of few samples: what a fit sees of them, and the error that they leave."""
+"""BRDFs of few samples: the samples of a fit, and the error that they leave."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`metapp plan`: what to measure."""
+"""`metapp plan`: the next directions to measure."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The error that samples leave, and the directions to measure next, by the model of `network`.
 
-Its covariance after samples does not depend on what their colours are but through their brightness, so that directions
+Its covariance after samples depends on their colours through their brightness alone, so that directions
 can be chosen before anything is measured: one after the other, each where the expected error of all directions falls
 most (A-optimal design), and then all together by the gradient of that error.
 """
@@ -74,7 +74,7 @@ class Posterior:
         Args:
             theta: parameters of one task [1, ...].
             where: places of the samples, [1, 7, N]; N may be 0.
-            slope: of the samples, [1, 3, N], as `network.slope_of` of what was measured; None: of what theta says.
+            slope: of the samples, [1, 3, N], as `network.slope_of` of measurements; None: of theta's reflectance.
         """
         if slope is None:
             slope = slope_of(reflectance_of(theta, where).clamp_min(0), where)
@@ -119,7 +119,7 @@ def plan(theta: Params, count: int, limits: Limits, seen: Tensor, rng: Generator
         theta: the model, or a fit by it, [1, ...].
         count: of pairs of directions.
         limits: of the instrument.
-        seen: angles [M, 3] in rad of what was measured before.
+        seen: angles [M, 3] in rad of earlier measurements.
         rng: of candidates.
 
     Returns:

@@ -111,7 +111,7 @@ def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
 
 
 def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: Pairs) -> None:
-    """Write a table to fill in: what was measured before, then pairs of unit vectors [N, 3] without a BRDF."""
+    """Write a table to fill in: earlier measurements, then pairs of unit vectors [N, 3] without a BRDF."""
     lines = [
         "# the BRDF in 1/sr as linear RGB, a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector"
     ]
@@ -194,7 +194,7 @@ def _angle(path: Path, columns: dict[str, Array], lines: list[int], name: str) -
 
 
 def _colours(path: Path, names: Sequence[str]) -> tuple[list[str], Array]:
-    """The columns of the BRDF, and what makes linear RGB of them, [C, 3]."""
+    """The columns of the BRDF, and the matrix from them to linear RGB, [C, 3]."""
     if all(name in names for name in RGB):
         return list(RGB), np.eye(3)
     spectral = {float(found[1]): name for name in names if (found := _WAVELENGTH.fullmatch(name))}

@@ -1,8 +1,8 @@
 """The network of fits of few samples, a linear Gaussian model: a mean, learned features, how far materials vary.
 
-Logarithms of reflectance are what it adds up, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
+It adds up logarithms of reflectance, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
 Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
-weights, so that one ridge regression gives its mean, and its covariance says what the samples leave open:
+weights, so that one ridge regression gives its mean, and its covariance is the uncertainty that the samples leave:
 `metapp.extensions.few.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes. There is
 a Gaussian for each kind of materials; samples say by their likelihood which one holds.
 """
@@ -147,7 +147,7 @@ class Few(BrdfNetwork):
         return {key: value.expand(count, *value.shape) for key, value in theta.items()}
 
     def init_encoder(self, rng: Generator) -> Params:
-        """What all materials share, and OF_KINDS for each kind, [kinds, ...]."""
+        """The parameters that all materials share, and OF_KINDS for each kind, [kinds, ...]."""
         theta = self.init(rng, self.kinds)
         return encoder_of({key: theta[key] for key in OF_KINDS}, theta, OF_KINDS)
 

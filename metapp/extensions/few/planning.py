@@ -29,7 +29,7 @@ def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple
     Args:
         count: of pairs of directions.
         limits: of the instrument.
-        before: what was measured, which may be nothing.
+        before: earlier measurements, or none.
         seed: of the candidates.
 
     Returns:

@@ -47,7 +47,7 @@ class Voxels:
     """GRID voxels along each axis of a box.
 
     Args:
-        low, high: corners of the box, [3] each; what is outside belongs to the outermost voxels.
+        low, high: corners of the box, [3] each; points outside belong to the outermost voxels.
         points: of surfaces, [3, N]; all voxels are alike without any.
     """
 
@@ -92,8 +92,8 @@ class GuideCache:
     """The directional histograms of one scene.
 
     Args:
-        low, high: corners of the box that voxels fill, [3] each; what is outside belongs to the outermost.
-        points: of surfaces that paths meet, [3, N]: along each axis voxels are narrower where there are many of them.
+        low, high: corners of the box that voxels fill, [3] each; points outside belong to the outermost.
+        points: of surfaces that paths meet, [3, N]: along each axis voxels are narrower if there are many of them.
 
     Attributes:
         prior: expected second moments in voxels of twice the side; by default those of the voxels around them.
@@ -152,14 +152,14 @@ class GuideCache:
         return mi.Float(word >> 2 * BYTE) * (BINS / SLOTS)
 
     def expect(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
-        """Expectations at a surface in a row of the table; 0 where few paths were.
+        """Expectations at a surface in a row of the table; 0 if few paths were.
 
-        The luminance that it sends out, but for emission; the root mean square of what a path brings that goes on.
+        The luminance that it sends out, but for emission; the root mean square of the radiance of paths that go on.
         """
         return dr.gather(mi.Vector2f, self.expected, row, active)
 
     def add(self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask) -> None:
-        """Add what paths carried.
+        """Add the radiance of paths.
 
         Args:
             index: entry * BINS + bin.
@@ -229,7 +229,7 @@ class Records:
     """The first RECORDED bounces of so many paths, kept until the radiance of these is known.
 
     Attributes:
-        stores: the first `numbers` of what is known of a bounce, each of all paths, 0 where there was none: entry *
+        stores: the first `numbers` values of a bounce, each of all paths, 0 if there was none: entry *
             BINS + bin + 1; the density of the sampled direction, over the cosine's; luminance of the path's throughput
             before it; luminance that the path had, with the emitter sampled here, and without; point; normal.
     """

@@ -1,6 +1,6 @@
 """Directional histograms of incident light: their estimates from few paths, and tables to sample them by.
 
-Paths are sampled by the root of the second moment of what they carry, the density of least variance (Rath et al. 2020).
+Paths are sampled by the root of the second moment of their radiance, the density of least variance (Rath et al. 2020).
 Moments are estimated coarse to fine, in voxels and in directions, so that bins that few paths took get the estimate of
 those around them.
 
@@ -59,7 +59,7 @@ def second_moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
     for quarters of it and so on: where few paths came, it is that of the coarser bins.
 
     Args:
-        squares: sums of what paths carried, squared, each over the density of its direction, float64 [P, SIDE, SIDE].
+        squares: sums of squared radiance of paths, each over the density of its direction, float64 [P, SIDE, SIDE].
         counts: sums of one over the same densities: about how many paths uniform directions would have sent there.
         voxels: of the P entries, as of `voxels_of`, [P, 4].
 

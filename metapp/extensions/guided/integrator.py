@@ -1,4 +1,4 @@
-"""An integrator for Mitsuba 3, `metapp_guided_path`: `path`, its directions sampled from what it learns of the scene.
+"""An integrator for Mitsuba 3, `metapp_guided_path`: `path`, its directions sampled from a cache of the scene's light.
 
     {"type": "metapp_guided_path", "max_depth": 8}
 

@@ -1,11 +1,11 @@
 """A path tracer that samples directions from a spatial cache of histograms, at every surface that scatters.
 
-It is Mitsuba's `path`, with the same multiple importance sampling of emitters. What differs is how directions are
+It is Mitsuba's `path`, with the same multiple importance sampling of emitters. The difference is how directions are
 sampled: from the cache where a surface is diffuse alone, from cache or BSDF at random where it is glossy, too
 (one-sample multiple importance sampling), from the BSDF where it is smooth or transmissive; and when paths end. The
 mean is that of `path` whatever the cache holds.
 
-A path ends by Russian roulette on what it is expected to bring yet: the root mean square of what others brought from
+A path ends by Russian roulette on its expected further radiance: the root mean square of that of others from
 that surface on, over the luminance of the whole path (Vorba & Křivánek 2016 with the mean; Rath et al. 2022).
 """
 
@@ -74,7 +74,7 @@ class PathTracer(NamedTuple):
         Args:
             scene, sampler, ray: as of `sample` of an integrator.
             cache: of the scene.
-            guided: sample directions from it, and end paths by what it expects of them.
+            guided: a cache to sample directions from, and to end paths by.
             records: where to record bounces, of as many paths as there are rays.
         """
 
@@ -115,7 +115,7 @@ class PathTracer(NamedTuple):
         return paths.radiance, paths.hits, paths.depth
 
     def _survival(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
-        """The probability that paths go on: by what remains of them, or as in `path` where that is not known."""
+        """The probability that paths go on: by expected further radiance, or as in `path` if it is not known."""
         late = paths.depth >= self.rr_depth
         most, throughput = dr.select(late, MOST, 1), dr.max(paths.throughput)
         usual = dr.select(late, dr.minimum(throughput * dr.square(paths.eta), most), 1)
@@ -128,7 +128,7 @@ def _expected(paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.
 
     Args:
         paths: before next-event estimation.
-        outgoing, carried: what the cache expects here, as of `GuideCache.expect`.
+        outgoing, carried: expectations of the cache here, as of `GuideCache.expect`.
     """
     throughput, known = mi.luminance(paths.throughput), outgoing > 0
     here = mi.luminance(paths.radiance) + throughput * outgoing

@@ -1,7 +1,7 @@
 """A picture that the integrator `metapp_guided_path` makes.
 
-It is rendered in parts: a regular one, then guided ones, by what a cache has learned from a survey of the scene and
-from the parts before. Every part is a share of the picture that does not depend on what was sampled.
+It is rendered in parts: a regular one, then guided ones, by a cache that has learned from a survey of the scene and
+from the parts before. Every part is a share of the picture that does not depend on samples.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def parts_of(spp: int, pixels: int) -> list[int]:
 
     The first is of regular paths, and half of the next one, if that has several samples. All but the last are learned
     from, up to a third of the picture; each of the guided ones has twice as many as the one before. There is but one
-    where there are fewer than SEVERAL.
+    if there are fewer than SEVERAL.
     """
     if spp < SEVERAL:
         return [spp]
@@ -150,7 +150,7 @@ class GuidedPicture:
             self.spent[work] = self.spent.get(work, 0.0) + seconds
 
     def _wave(self, spp: int, guided: bool, learns: bool) -> Work | None:
-        """Add samples to the picture; what they brought where the cache learns from them."""
+        """Add samples to the picture; returns their radiance if the cache learns from them."""
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
         film, own = self.sensor.film(), self.integrator
@@ -180,7 +180,7 @@ class GuidedPicture:
 
 
 def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
-    """The box in which most of what the camera sees lies, and what is seen from there; and points of both, [3, N]."""
+    """The box of most surfaces that the camera sees, and of those visible from there; and points of both, [3, N]."""
     index = dr.arange(mi.UInt32, _PROBES**2)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, _PROBES**2)

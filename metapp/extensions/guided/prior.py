@@ -1,6 +1,6 @@
-"""The prior of a guide cache: what a survey of a scene tells, read by a small network.
+"""The prior of a guide cache: a survey of a scene, read by a small network.
 
-The light that comes to an entry from a direction is what the surface that is met there sends out. Paths estimate the
+The light that comes to an entry from a direction is the radiance of the surface that is met there. Paths estimate the
 latter, one number for each entry; rays find which entry is met in which bin. So much is known of the shapes of a scene
 long before paths have filled the histograms.
 
@@ -62,12 +62,12 @@ def features_of(hits: FirstHits, sums: Tensor, counts: Tensor) -> Tensor:
 
     Args:
         hits: of rays from them.
-        sums, counts: what entries send out, sums of luminance and counts of paths, float64 [ENTRIES] each.
+        sums, counts: radiance of entries, sums of luminance and counts of paths, float64 [ENTRIES] each.
 
     Returns:
         float32 [P, len(CHANNELS), SIDE, SIDE]: log of the squared light that is expected to arrive; the part of it that
         comes from emitters; log(1 + distance); the cosine at the surface that is met; and of how many paths it is known
-        what that sends out.
+        its radiance.
     """
     outgoing, paths = (values.float() for values in _shrunk_means(sums, counts))
     emitted = hits.emitted.clamp(max=_BRIGHTEST)

@@ -62,7 +62,7 @@ def resize(scene: Scene, side: int) -> None:
 
 
 def guided_picture(scene: Scene, depth: int) -> tuple[Tensor, dict[str, float]]:
-    """The radiance [rows, columns, 3] by `metapp_guided_path`, and seconds of CPU by what they were spent on."""
+    """The radiance [rows, columns, 3] by `metapp_guided_path`, and seconds of CPU by task."""
     begin = time.process_time()
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": depth})
     picture = pictures.rendered(scene, integrator, SPP, 0)

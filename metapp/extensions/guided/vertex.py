@@ -25,7 +25,7 @@ class Sampled(NamedTuple):
         eta: relative index of refraction.
         is_delta: whether there was no choice; is_null, whether paths went straight on.
         emitter_radiance: of next-event estimation.
-        guide: density over the cosine's, and bin in the cache; None where it was not asked.
+        guide: density over the cosine's, and bin in the cache; None if it was not asked.
     """
 
     wo: mt.Vector3

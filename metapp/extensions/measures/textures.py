@@ -37,7 +37,7 @@ def sliced_wasserstein(maps: Tensor, target: Tensor) -> Tensor:
 
 
 def order(compared: Compared) -> float:
-    """The share of the exemplar's order that a texture keeps; NaN where the exemplar has none."""
+    """The share of the exemplar's order that a texture keeps; NaN if the exemplar has none."""
     return order_kept(lattice_of(compared.references[0]), compared.pictures[0])
 
 

@@ -14,7 +14,7 @@ from metapp.rendering.jit import dr, mi
 class Mixture:
     """Lobes in the active variant.
 
-    What a lobe sends below the surface is mirrored up, so the density integrates to 1 over the directions above.
+    Directions of a lobe below the surface are mirrored up, so the density integrates to 1 over the directions above.
     """
 
     def __init__(self, lobes: Lobes) -> None:

@@ -126,7 +126,7 @@ def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
 def half_frame(light: Vector3, viewer: Vector3) -> tuple[Float, Float, Float, Float, Vector3]:
     """Sine and cosine of theta_h, cosine and sine of phi_h, difference vector of directions above the surface.
 
-    phi_h is 0 where the half vector is the normal.
+    phi_h is 0 if the half vector is the normal.
     """
     total = light + viewer
     length = dr.norm(total)

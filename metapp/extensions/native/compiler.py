@@ -29,7 +29,7 @@ COMPILER_SECONDS = 60  # until a compiler is given up
 
 @functools.cache
 def load(source: Path, *names: str, march: str = "native") -> CDLL | None:
-    """The functions of a C source; None where it can neither be found compiled nor be compiled, or lacks one.
+    """The functions of a C source; None if it can neither be found compiled nor be compiled, or lacks one.
 
     Args:
         source: a C file; the headers in its folder count as part of it.
@@ -62,7 +62,7 @@ def _key(source: Path, march: str) -> str:
 
 
 def _cpu() -> str:
-    """The CPU and what it can do, as the system says it."""
+    """The CPU and its instruction sets, as the system says it."""
     import platform
 
     try:

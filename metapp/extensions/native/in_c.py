@@ -42,7 +42,7 @@ class _State(ctypes.Structure):
 
 
 def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps | None:
-    """Steps in C; None where the loss or a part of the rule has no such form, or without a compiler."""
+    """Steps in C; None if the loss or a part of the rule has no such form, or without a compiler."""
     if not nbrdf.takes(loss, theta) or compiled() is None:
         return None
     layout = Layout({name: theta[name] for name in nbrdf.SHAPES})
@@ -69,7 +69,7 @@ class _Value(torch.autograd.Function):
 
 @functools.cache
 def compiled(march: str = "native") -> ctypes.CDLL | None:
-    """The functions of `step.c` by the instructions of a CPU; None where there is no compiler for it."""
+    """The functions of `step.c` by the instructions of a CPU; None if there is no compiler for it."""
     result = load(Path(__file__).with_name("step.c"), "step", "step_back", march=march)
     if result is not None:
         counts, pointer = [ctypes.c_int] * 3, ctypes.c_void_p
@@ -148,7 +148,7 @@ class _Steps:
 
 
 def _reference(kind: type[ctypes.Structure], tensors: Params) -> object:
-    """A structure of pointers to dense tensors, null where there is none of that name."""
+    """A structure of pointers to dense tensors, null if there is none of that name."""
     return ctypes.byref(kind(**{key: value.data_ptr() for key, value in tensors.items()}))
 
 

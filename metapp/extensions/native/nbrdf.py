@@ -32,7 +32,7 @@ def takes(loss: Loss, theta: Params) -> bool:
 
 @functools.cache
 def compiled(march: str = "native") -> ctypes.CDLL | None:
-    """The functions of `nbrdf.c` by the instructions of a CPU; None where there is no compiler for it."""
+    """The functions of `nbrdf.c` by the instructions of a CPU; None if there is no compiler for it."""
     result = load(Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product", "nbrdf_lanes", march=march)
     if result is not None:
         count, pointer = ctypes.c_int, ctypes.c_void_p

@@ -97,8 +97,8 @@ def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
         layout: of theta.
 
     Returns:
-        "rate" [K, T or 1, P or 1]; where the rule has them, "adam" [K, T or 1, 3], both betas and eps; "matrices"
-        [K, T or 1, M], each parameter's left and right one, in order; "loss.<name>". None where the rule does more
+        "rate" [K, T or 1, P or 1]; if the rule has them, "adam" [K, T or 1, 3], both betas and eps; "matrices"
+        [K, T or 1, M], each parameter's left and right one, in order; "loss.<name>". None if the rule does more
         than a step in C can.
     """
     if isinstance(step, LearnedRule):

@@ -20,7 +20,7 @@ APP, PAGE = "svbrdf_nonstationary", "onnx-page"
 
 
 def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
-    """Write <folder>/<name>.onnx, or the page <folder>/index.html with what it needs beside it.
+    """Write <folder>/<name>.onnx, or the page <folder>/index.html with its files beside it.
 
     Args:
         path: a checkpoint, or the name of one that ships: svbrdf_nonstationary, or with a recipe

@@ -1,4 +1,4 @@
-"""Models of ONNX: traced by torch, with what they are in their metadata."""
+"""Models of ONNX: traced by torch, with a description in their metadata."""
 
 from __future__ import annotations
 

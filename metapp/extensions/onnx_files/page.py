@@ -62,7 +62,7 @@ def runtime(report: Callable[[int, int | None], None]) -> dict[str, bytes]:
     """The files PARTS of onnxruntime-web, of the cache's archive or of one that is fetched into it.
 
     Args:
-        report: told the bytes that are there and those expected; None where that is unknown.
+        report: told the bytes that are there and those expected; None if that is unknown.
 
     Raises:
         ValueError: neither is to be had; the registry's is another file than expected.

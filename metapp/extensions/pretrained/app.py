@@ -78,7 +78,7 @@ class MeanField(LocalField):
 class FromFeatures(SvbrdfNonstationary):
     """The same materials and fits; General reads features of VGG-16 and draws no relief that a photograph hides.
 
-    Beside `maps` a training task may hold `known` [4], what the loss of each map counts, in the order of PARTS, 0 where
+    Beside `maps` a training task may hold `known` [4], weights of the loss of the maps, in the order of PARTS, 0 where
     it is made up.
     """
 
@@ -98,7 +98,7 @@ class FromFeatures(SvbrdfNonstationary):
         return describe_precision(device)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """The same, and `known`, that of drawn materials where a task has none."""
+        """The same, and `known`, that of drawn materials if a task has none."""
         known = task.data.get("known", torch.ones(len(PARTS)))
         return super().prepare(task) | {"known": known.float()}
 
@@ -117,7 +117,7 @@ class FromFeatures(SvbrdfNonstationary):
         return tasks.variants(variants(fine, known, self.network.height // 2, rng))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        """The photographs; of windows the field's inputs, too, which say where they are, and what is read of it all."""
+        """The photographs; of windows the field's inputs, too, which hold their places, and statistics of the whole."""
         window = {key: tasks.data[key][tasks.rows] for key in ("inputs", *OF_PATCH) if key in tasks.data}
         return super().condition(tasks, rng) | window
 
@@ -155,7 +155,7 @@ class FromFeatures(SvbrdfNonstationary):
         return self._photo_loss(theta, self.maps_from(self.network.mean(own.detach(), full)), batch, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the maps and what they look like under any light, [T]; made-up maps count nothing.
+        """Of the maps and their radiance under any light, [T]; made-up maps count nothing.
 
         Nothing asks for normals as steep as the truth's, and pictures are of the true ones: normals learn from their
         squared error alone, over the deviation that General predicts, whose minimum is the conditional mean, flat where

@@ -53,7 +53,7 @@ def polished(maps: Tensor, rng: Generator) -> Tensor:
 
 
 def crossed(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Materials [T, 10, S, S], some with the normals of the one before, and what is known of these [T, 4]."""
+    """Materials [T, 10, S, S], some with the normals of the one before, and the weights of these [T, 4]."""
     uniform, _ = draws_of(len(maps), rng)
     chosen = uniform(1, 1, 1) < CROSSED
     normal = torch.where(chosen, maps[:, :3].roll(1, 0), maps[:, :3])
@@ -62,7 +62,7 @@ def crossed(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor
 
 
 def blended(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Materials [T, 10, S, S], half of them mixed with the one before, and what is known of both [T, 4]."""
+    """Materials [T, 10, S, S], half of them mixed with the one before, and the weights of both [T, 4]."""
     both = mixed(maps, rng)
     alone = (both[:, 3:] == maps[:, 3:]).flatten(1).all(1, keepdim=True)
     return both, torch.where(alone, known, torch.minimum(known, known.roll(1, 0)))
@@ -72,7 +72,7 @@ def variants(fine: Tensor, known: Tensor, side: int, rng: Generator) -> Batch:
     """Augmented materials of maps [T, 10, S, S]: windows of side x side texels of photographs of twice the side.
 
     Returns:
-        `photo` [T, 3, side, side], linear, and what `patch_of` makes of all of the patch; `inputs`, the field's,
+        `photo` [T, 3, side, side], linear, and `patch_of` of all of the patch; `inputs`, the field's,
         [T, 8, side, side]; `maps` and `known`.
     """
     times = 2 if chance(FINER, rng) else 1

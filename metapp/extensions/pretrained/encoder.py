@@ -2,7 +2,7 @@
 
 Features that know real pictures tell relief from colour where an encoder that has seen drawn materials alone does not.
 Features have the size of pixels, highlights that of the patch: gloss is read off a small picture of all of it, and off
-the maps that General by the recipe "full" makes, which was trained on ten times as many materials. What is trained is
+the maps that General by the recipe "full" makes, which was trained on ten times as many materials. The trained part is
 the decoder; VGG's weights are those that `metapp data vgg` keeps, in no checkpoint.
 """
 
@@ -77,8 +77,8 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
     Args:
         decoder: as of `init_decoder`.
         photos: of any exposure and white balance.
-        place: where the pixels are, [T, 2, H, H]; None where they show all of the patch.
-        patch: as `patch_of` makes it of all of the patch; None where the photographs show that.
+        place: where the pixels are, [T, 2, H, H]; None if they show all of the patch.
+        patch: as `patch_of` makes it of all of the patch; None if the photographs show that.
 
     Returns:
         `z`, the code [T, code, H, H] and after it that of General by "full", `flash` [T, FLASH] by that, and
@@ -144,22 +144,22 @@ def full_encoder(device: torch.device) -> Params:
 
 
 def lacks() -> str:
-    """What better maps need and this machine has not, in a line; "" for nothing."""
+    """A line about a file that better maps need and that is missing; "" for none."""
     if weights_path().is_file():
         return ""
     return "the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them"
 
 
 def _at(around: Tensor, place: Tensor) -> Tensor:
-    """What is around pixels at such places [T, 2, h, w] of a patch."""
+    """The surroundings of pixels at places [T, 2, h, w] of a patch."""
     grid = torch.stack([place[:, 0], -place[:, 1]], 3).expand(len(around), -1, -1, -1)
     return grid_sample(around.float(), grid, padding_mode="border", align_corners=False)
 
 
 def _balanced(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-    """Photographs over a mean colour [T, 3, 1, 1], and what is known of their pixels, [T, PIXEL_INPUTS, H, W].
+    """Photographs over a mean colour [T, 3, 1, 1], and inputs of their pixels, [T, PIXEL_INPUTS, H, W].
 
-    The logs of the balanced colours, how brightness differs among neighbours, the place, what clips; and, the same all
+    The logs of the balanced colours, how brightness differs among neighbours, the place, clipping; and, the same all
     over, how bright and of what tint the mean is: colour and exposure then say nothing of relief by themselves.
     """
     grey = mean.mean(1, keepdim=True).clamp_min(LEAST)

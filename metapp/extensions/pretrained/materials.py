@@ -49,7 +49,7 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
 
 
 def read_task(source: Path, size: int, normals: str) -> Task:
-    """The material that a map belongs to, with what is known of it.
+    """The material that a map belongs to, with the weights of its maps.
 
     Args:
         source: one of its maps, or a drawn material's file in its data set.
@@ -95,6 +95,6 @@ def _drawn_task(source: Path, size: int) -> Task:
 
 @functools.lru_cache(maxsize=8)
 def _drawn(folder: Path) -> dict[str, tuple[Entry, Task]]:
-    """The tasks of a data set by their files, and what its manifest says of each; ValueError as of `read_shard`."""
+    """The tasks of a data set by their files, and its manifest's entry of each; ValueError as of `read_shard`."""
     tasks = read_shard(folder, app=APP, holds=class_of(APP).tensors)
     return {entry.file: (entry, task) for entry, task in zip(read_manifest(folder).tasks, tasks, strict=True)}

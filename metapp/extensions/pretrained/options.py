@@ -12,7 +12,7 @@ from data_tools.converters import Maps, Size
 class Materials(Maps):
     """Convert real materials for training, with drawn ones beside them.
 
-    As `metapp data maps`, but a set may lack its roughness: one is made up, and losses of what is made up count
+    As `metapp data maps`, but a set may lack its roughness: one is made up, and losses of made-up maps count
     nothing. A specular map without a roughness is an old game's, with shading in its colours, which count less. Maps
     that are smaller than --size are repeated, as such sets tile. Folders of data sets, as of `metapp data synth
     svbrdf_nonstationary --size 512`, are drawn materials; of these and of real ones the recipe pretrained sees as

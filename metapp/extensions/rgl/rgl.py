@@ -96,7 +96,7 @@ def write_rgl(
     to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
 
     def table(viewer: Tensor) -> NDArray[np.float64]:
-        """f cos theta of the light, [3, side, side]; 0 where the light is below the surface."""
+        """f cos theta of the light, [3, side, side]; 0 if the light is below the surface."""
         light = 2 * (half @ viewer)[..., None] * half - viewer
         up = (light[..., 2] > 0) & (half @ viewer > 0)
         values = torch.zeros_like(light)
@@ -163,7 +163,7 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
 
     Returns:
         Linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad, and phi_h of an
-        anisotropic material, as Mitsuba evaluates it; ValueError where that is missing.
+        anisotropic material, as Mitsuba evaluates it; ValueError if that is missing.
 
     Raises:
         ValueError: it is damaged; its spectra do not cover visible light; Mitsuba cannot be loaded.
@@ -186,7 +186,7 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
 
 
 def check(path: Path, fields: Fields) -> None:
-    """Refuse what Mitsuba would refuse at length, or not at all.
+    """Refuse files that Mitsuba would refuse at length, or not at all.
 
     Raises:
         ValueError: one line.
@@ -199,7 +199,7 @@ def check(path: Path, fields: Fields) -> None:
 
 
 def _faults(fields: Fields) -> Iterator[str]:
-    """What is wrong with a file, and what is expected; the next one is only to be asked for where there is none."""
+    """Faults of a file, each with the expectation; the next one is only to be asked for if there is none."""
     colours = "spectra" if "spectra" in fields and "rgb" not in fields else "rgb"
     axes = AXES | ({"spectra": 5, "wavelengths": 1} if colours == "spectra" else {"rgb": 5})
     for name, count in axes.items():

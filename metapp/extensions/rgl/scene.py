@@ -1,6 +1,6 @@
 """Mitsuba 3: scenes that show a fitted BRDF, beside the files that they need.
 
-`<name>.xml` has the BSDF `neural_brdf`, which evaluates what was fitted; it needs `import metapp.mitsuba` before
+`<name>.xml` has the BSDF `neural_brdf`, which evaluates the fit; it needs `import metapp.mitsuba` before
 `mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `measured`, on a table of the BRDF.
 """
 

@@ -1,8 +1,8 @@
 """A scene from outside is loaded by a process of its own first, whose death is a refusal.
 
 Mitsuba trusts the files of a scene: counts past a file's end ask for gigabytes, indices past the vertices read memory
-that is not the mesh's. What did load is checked as it lies in memory, whatever file it came from. The process costs
-0.25 s and what Mitsuba needs to load the scene: it imports no torch.
+that is not the mesh's. A loaded scene is checked as it lies in memory, whatever file it came from. The process costs
+0.25 s and the time in which Mitsuba loads the scene: it imports no torch.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Scenes in XML as trees: read, put together with their includes and defaults, and checked.
 
 Mitsuba reads XML by another parser than ours. So nothing that two parsers may read in two ways gets through: entities,
-defaults of attributes and names from elsewhere are refused, includes and `$name` are put in here, and what is handed on
+defaults of attributes and names from elsewhere are refused, includes and `$name` are put in here, and the result
 is written anew from the tree.
 """
 
@@ -61,7 +61,7 @@ def checked_xml(text: str, places: Places, name: str = "") -> str:
 
 
 def of_version(text: str, reason: str) -> str:
-    """The reason why Mitsuba 3 cannot take a document, with its version and what to do where that is an older one."""
+    """The reason why Mitsuba 3 cannot take a document, with its version and the remedy if that is an older one."""
     version = next(iterparse(StringIO(text), ("start",)))[1].get("version", "")
     if not re.fullmatch(r"[01](\.[0-9]{1,4}){0,2}", version):
         return reason
@@ -89,11 +89,11 @@ class SceneElement(Element):
 
 
 class _Reader:
-    """Puts one document together, within bounds on all of it, out of what Mitsuba 3 knows alone.
+    """Puts one document together, within bounds on all of it, out of elements of Mitsuba 3 alone.
 
     Attributes:
         media: types of the participating media that the scene declares, by name; the document goes without them, since
-            they do nothing where no shape and no sensor refers to them.
+            they do nothing if no shape and no sensor refers to them.
     """
 
     def __init__(self) -> None:

@@ -27,7 +27,7 @@ NODE = {  # the function of a node of MaterialX
 
 
 def identifier(name: str) -> str:
-    """What the functions of a material are named by: brdf_ and the letters and digits of its name."""
+    """The name of the functions of a material: brdf_ and the letters and digits of its name."""
     return "_".join(["brdf", *re.findall("[A-Za-z0-9]+", name)])
 
 

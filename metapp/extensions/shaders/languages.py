@@ -22,8 +22,8 @@ class Language(NamedTuple):
         function: a function's head, of its type, name and arguments.
         argument: of a type and a name.
         declared: a declaration, of `let` or `var`, type and name.
-        plain: what comes after all other numbers.
-        head, tail: what a file begins and ends with.
+        plain: a suffix of all other numbers.
+        head, tail: the beginning and end of a file.
         indexed: whether components are written as [0].
     """
 

@@ -1,7 +1,7 @@
 """A BRDF as source code of a neutral shading language, which `languages` writes in others.
 
 Its statements are those of HLSL, but that declarations say `let` (a name for a value) or `var` (a variable), functions
-`fn`. No arrays and no loops: every language takes sums of products, and compilers make of them what the hardware has.
+`fn`. No arrays and no loops: every language takes sums of products, which compilers map to the hardware.
 """
 
 from __future__ import annotations

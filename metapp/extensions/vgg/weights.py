@@ -62,7 +62,7 @@ def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
 
 
 def stored() -> Origin | None:
-    """The origin of the cache's weights; None where they are missing or damaged."""
+    """The origin of the cache's weights; None if they are missing or damaged."""
     try:
         with opened_tensors(weights_path()) as file:
             notes = file.metadata() or {}
@@ -137,7 +137,7 @@ def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
 
     Args:
         file: its content.
-        source: what errors call it.
+        source: its name in errors.
 
     Raises:
         ValueError: another hash.
@@ -177,7 +177,7 @@ class ArraysOnly(pickle.Unpickler):
     """Unpickles dicts, lists, numbers, texts and numpy arrays; whatever else a pickle names is an error."""
 
     def find_class(self, module: str, name: str) -> object:
-        """Look up what a pickle may call: nothing is imported for it."""
+        """Look up a function that a pickle may call: nothing is imported for it."""
         if (module, name) not in _ARRAY_PARTS:
             raise pickle.UnpicklingError(f"it names {module}.{name}")
         return _ARRAY_PARTS[module, name]

@@ -51,7 +51,7 @@ class Group(NamedTuple):
 
     Attributes:
         title: of the task.
-        section: what it is listed under, such as the application's title.
+        section: of the list, such as the application's title.
         views: of one fit or more.
     """
 
@@ -90,7 +90,7 @@ def picture(pixels: Tensor) -> str:
 
 
 def html(data: Document) -> str:
-    """The page of a document, as of `document`; ValueError where a number is not finite."""
+    """The page of a document, as of `document`; ValueError if a number is not finite."""
     facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
     scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in SCRIPTS)]
     content = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # no text can end the script

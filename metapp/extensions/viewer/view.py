@@ -26,13 +26,13 @@ class View(NamedTuple):
     """One fit, as a viewer of the page reads it.
 
     Attributes:
-        kind: the viewer, one of `page.KINDS`; the text at the head of its script says what it reads.
+        kind: the viewer, one of `page.KINDS`; the text at the head of its script says its input.
         arrays: numbers of float16, float32 or uint8, by name.
         pictures: display values [H, W, 1, 3 or 4] in [0, 1], by name, kept as PNG of 8 bits; the fourth is coverage.
-        facts: what JSON holds.
+        facts: entries of JSON.
         shared: arrays that are the same for all fits of a page that name them.
         thumbnail: display values [h, w, 3] of the fit in the list, small; None for none.
-        label: what tells it from others that stand beside it, such as the paradigm.
+        label: a word that tells it from others beside it, such as the paradigm.
         caption: error, seconds and the like.
     """
 
@@ -47,12 +47,12 @@ class View(NamedTuple):
 
 
 def view_of(app: App, theta: Params, task: Task) -> View:
-    """The view of a fit as its application's page makes it: its pictures, where the application has no page.
+    """The view of a fit as its application's page makes it: its pictures, if the application has no page.
 
     Args:
         app: the application.
         theta: the fit, without a task axis.
-        task: what was fitted, without data where that is not at hand.
+        task: of the fit, without data if that is not at hand.
 
     Raises:
         KeyError: the fit alone is not enough.

@@ -1,4 +1,4 @@
-"""Interactive pages of runs: which fits stand side by side, and what is said of each."""
+"""Interactive pages of runs: the fits that stand side by side, and their labels."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def view_page(
     Args:
         runs: folders of runs, or of their tasks.
         out: the file; None: `view.html` in the first run's folder.
-        inputs: what was fitted, where it is not where records say.
+        inputs: the fitted files, if they are not in the places of records.
         data: the data set that was fitted, for the same.
         task: the one to show; "" for all.
         most: tasks at most.
@@ -96,7 +96,7 @@ def view_page(
 
 
 def _labels(runs: Sequence[Recorded]) -> dict[Path, str]:
-    """Labels that tell the runs of an application apart: the paradigm, and of what differs as much as is needed."""
+    """Labels that tell the runs of an application apart: the paradigm, and as many differences as are needed."""
     settings = {run.folder: run.records[-1]["settings"] for run in runs}
     labels = {folder: of["paradigm"] for folder, of in settings.items()}
     for app in {of["app"] for of in settings.values()}:

@@ -1,10 +1,10 @@
 """Paths by their random numbers, for `metapp.rendering.paths.path_space`, with or without next-event estimation.
 
 With it, the mean over all numbers that a point does not hold is that of paths without it, where these meet the light at
-all: a direction that the point holds decides alone what light it meets, and emitters are sampled from the next surface
+all: a direction that the point holds decides alone its light, and emitters are sampled from the next surface
 on. There multiple importance sampling counts light from both sides once (Veach & Guibas 1995). Emitters that no
-direction meets (point, spot, directional) are sampled at all surfaces but the first. What these send to the first
-surface depends on no direction: it is no part of what a path carries, but comes beside it, for pictures.
+direction meets (point, spot, directional) are sampled at all surfaces but the first. Their light on the first
+surface depends on no direction: it is no part of a path's radiance, but comes beside it, for pictures.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def trace(
         next_event: whether emitters are sampled, too; else a path counts only by the lights that it meets.
 
     Returns:
-        What paths carry; and beside it the light of point, spot and directional emitters at the first surface that
+        The radiance of paths; and beside it the light of point, spot and directional emitters at the first surface that
         scatters, 0 without next-event estimation.
     """
     first = max(len(directions), 1)

@@ -3,7 +3,7 @@
 A point holds the place on the film, x to the right and y down, then two numbers for the direction in which the path
 leaves each of the first surfaces that scatter. Mirrors and glass, which leave no choice of direction, take none. All
 further numbers of a path are drawn within. A path counts if it meets a light, without next-event estimation, or, where
-the tracer has it, as `metapp.rendering.paths.next_event` says: the mean over what is drawn within is the same function
+the tracer has it, as `metapp.rendering.paths.next_event` says: the mean over these numbers is the same function
 of the point. Only light that point, spot and directional emitters send to the first surface comes beside it.
 
 A density q(directions | film) can guide pictures. One path of four is left to the uniform density (defensive sampling),
@@ -64,7 +64,7 @@ class Tracer:
             rng: of all numbers that the points do not hold.
 
         Returns:
-            float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there,
+            float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is the radiance there,
             without the light that `parts` has beside it.
 
         Raises:
@@ -130,7 +130,7 @@ class ImageSum:
         self._hits = torch.zeros(IMAGE_PX**2, dtype=torch.float64)
 
     def add(self, points: Tensor, carried: Tensor) -> None:
-        """Add what paths [N, 3] of points [N, d] carry."""
+        """Add the radiance [N, 3] of paths of points [N, d]."""
         pixel = (points[:, 1] * IMAGE_PX).long() * IMAGE_PX + (points[:, 0] * IMAGE_PX).long()
         self._hits += torch.bincount(pixel, minlength=IMAGE_PX**2)
         self._total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE_PX**2) for channel in carried.T])
@@ -145,7 +145,7 @@ def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Te
     """Points of primary sample space in proportion to the luminance of their paths, by rejection.
 
     A path is kept with a probability of its luminance over the lights' greatest, which none exceeds where surfaces
-    conserve energy. Should one do so, the bound is raised to it and what was kept before is thinned. All random numbers
+    conserve energy. Should one do so, the bound is raised to it and earlier samples are thinned. All random numbers
     of a path but DIMENSIONS are marginalised.
 
     Args:

@@ -51,7 +51,7 @@ def resampled(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tenso
         As `path_samples`.
 
     Raises:
-        FewPaths: what meets a light is too little.
+        FewPaths: too few paths meet a light.
     """
     points, weights, image = _pool(tracer, count, rng)
     ends = weights[:, 0].double().cumsum(0)

@@ -1,9 +1,9 @@
 """Mitsuba scenes that paths can be traced in: checked, loaded, and refused where they cannot be.
 
-A scene is what Mitsuba's `load_dict` takes, as far as JSON holds it, with matrices as nested lists; or the text of an
+A scene is an argument of Mitsuba's `load_dict` as JSON, with matrices as nested lists; or the text of an
 XML document, {"xml": text}.
 
-Mitsuba gets nothing but what was checked, and no folder of a scene: it would run a library that lies there and that the
+Mitsuba gets checked scenes alone, and no folder of a scene: it would run a library that lies there and that the
 scene names as a plugin. All file names are absolute, and the files lie in folders that the user named.
 """
 

@@ -1,4 +1,4 @@
-"""Scene dictionaries: their text, their checks, and what Mitsuba makes of a checked one; imports no torch.
+"""Scene dictionaries: their text, their checks, and Mitsuba's object of a checked one; imports no torch.
 
 A scene may name plugins that Mitsuba ships, names without paths, and files that were let in alone.
 """
@@ -113,7 +113,7 @@ def check_parameters(kind: str, given: Mapping[str, object]) -> None:
 
     Args:
         kind: name of the plugin.
-        given: its parameters and what is within it, by name; numbers may be text.
+        given: its parameters and nested objects, by name; numbers may be text.
 
     Raises:
         ValueError: a count, size or temperature that is out of range.
@@ -258,7 +258,7 @@ class CheckedDict:
 
 
 def _media(scene: SceneDict) -> dict[str, SceneDict]:
-    """The participating media that a scene declares, by key; they do nothing where no shape and no sensor has them."""
+    """The participating media that a scene declares, by key; they do nothing if no shape and no sensor has them."""
     objects = {key: value for key, value in scene.items() if isinstance(value, dict)}
     return {key: value for key, value in objects.items() if value.get("type") in tuple(_MEDIA)}
 
@@ -303,7 +303,7 @@ def _is_list(value: Json, kind: str) -> bool:
 
 
 def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
-    """A checked scene in Mitsuba, in this thread: others would write what they have to say to the screen."""
+    """A checked scene in Mitsuba, in this thread: others would write their messages to the screen."""
     if "xml" in scene:
         return mi.load_string(scene["xml"], parallel=False)
     return mi.load_dict(_matrices(mi, scene), parallel=False)

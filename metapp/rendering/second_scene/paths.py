@@ -1,4 +1,4 @@
-"""Paths of the second scene, counted by where they leave it.
+"""Paths of the second scene, counted by the direction in which they leave it.
 
 The last surface before the light is connected to every texel in turn (next-event estimation), unless it is the glossy
 sphere seen from a matte surface: those few paths are found by turning the sphere's normal to where it mirrors the
@@ -118,14 +118,14 @@ class Paths:
         return si.is_valid() & mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.GlossyReflection)
 
     def _lit(self, si: mt.Interaction, to_light: mt.Vector3, active: mt.Mask) -> mt.Float:
-        """Radiance of what was hit, in unit light from a direction, per solid angle of the light."""
+        """Radiance of the surface that was hit, in unit light from a direction, per solid angle of the light."""
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(to_light), active).x
         active &= value > 0
         active &= ~self.scene.ray_test(si.spawn_ray(to_light), active)
         return dr.select(active, value, 0)
 
     def _mirrored(self, si: mt.Interaction, to_light: mt.Vector3, place: mt.Point2) -> mt.Float:
-        """The same, of what was hit if it is matte, in light that comes by way of the glossy sphere."""
+        """The same, of a matte surface that was hit, in light that comes by way of the glossy sphere."""
         centre = mi.Point3f(GLOSSY_CENTRE)
         # The normal that mirrors the light to here lies between both directions; bisection finds it to 0.2 degrees.
         lightwards, hitherwards = to_light, dr.normalize(si.p - centre)

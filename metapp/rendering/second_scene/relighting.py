@@ -1,6 +1,6 @@
 """The second scene, in which inferred illumination is judged: a matte and a glossy sphere on a floor, by Mitsuba.
 
-All is neutral grey, as the grey and the mirror ball that film sets are lit by: what colour there is in a picture is the
+All is neutral grey, as the grey and the mirror ball that film sets are lit by: any colour in a picture is the
 light's. The floor fills the picture and reaches to the horizon, so no pixel shows the map itself, and the lower half of
 a map does nothing. Pictures are linear in the map, which makes the scene a matrix: a thousand maps cost one rendering.
 
@@ -79,7 +79,7 @@ def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
 
 
 def _build(height: int, width: int) -> Tensor:
-    """The matrix of `transfer`: what the map lights, and what sees patches that are lit."""
+    """The matrix of `transfer`: surfaces that the map lights, and those that see lit patches."""
     load_mitsuba()
     from metapp.rendering.second_scene.paths import PIXELS, ROWS, Paths
 

@@ -29,7 +29,11 @@ def resampled(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.n
 
 
 def interval_of(values: np.ndarray) -> tuple[float, float]:
-    """The two values between which 95 % of them lie."""
+    """The two values between which 95 % of them lie.
+
+    >>> interval_of(np.arange(101.0))
+    (2.5, 97.5)
+    """
     low, high = np.quantile(values, (0.025, 0.975))
     return float(low), float(high)
 
@@ -40,6 +44,9 @@ def statistics_of(errors: Errors, groups: Mapping[str, str]) -> dict[str, float 
     Args:
         errors: of tasks.
         groups: the subject that a task shows, by the task's name.
+
+    >>> statistics_of({"gold": 1.0, "chalk": 3.0}, {"gold": "gold", "chalk": "chalk"})
+    {'error': 2.0, 'median': 2.0, 'worst': 3.0, 'low': 1.0, 'high': 3.0}
     """
     if not errors:
         return dict.fromkeys(("error", "median", "worst", "low", "high"))
@@ -100,6 +107,10 @@ def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic
 
     Returns:
         None if they have no task in common, or if there is no ratio, as the other's errors are 0.
+
+    >>> groups = {name: name for name in "abcdef"}
+    >>> paired(dict.fromkeys("abcdef", 1.0), dict.fromkeys("abcdef", 2.0), groups, logarithmic=False).value
+    0.5
     """
     names = [name for name in one if name in other]
     if not names:

@@ -73,7 +73,7 @@ def _seconds(text: str, shutter: str) -> float:
 
 
 def exif_exposure(path: Path) -> float:
-    """Seconds by ISO / 100 over the square of the f-number, as EXIF says; 0 where it does not say the time.
+    """Seconds by ISO / 100 over the square of the f-number, as EXIF says; 0 if it does not say the time.
 
     ISO and f-number count as 100 and 1 where EXIF does not say them.
     """
@@ -157,7 +157,7 @@ def merged(pictures: Floats, exposures: Floats, power: float) -> tuple[Floats, N
 
     Returns:
         Linear RGB [3, S, S], of which 1 is white in a photograph of exposure 1; where all photographs are white,
-        [S, S]; by what share each one's radiance typically differs from the merged one.
+        [S, S]; the share by which each one's radiance typically differs from the merged one.
     """
     shown = linear_to_srgb(torch.from_numpy(pictures[:, :3])).numpy()
     radiances = pictures[:, :3] ** power / exposures[:, None, None, None]

@@ -43,7 +43,7 @@ class Capture(NamedTuple):
         exposures: [N], the chosen one's 1.
         power: of the camera's curve, as of `power_of`.
         residuals: of each photograph, as of `merged`.
-        data: of a task: `photos`, the ball as a camera far away sees it in the chosen photograph, and what it mirrors,
+        data: of a task: `photos`, the ball of the chosen photograph seen from far away, and the light that it mirrors,
             `seen` and `certain`, as of `unwrapped`.
     """
 
@@ -113,7 +113,7 @@ def capture(
 
 
 def capture_one(pixels: Pixels, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
-    """The data of a task of one photograph: of the ball in it, and of what that mirrors if it is surely a mirror.
+    """The data of a task of one photograph: of the ball in it, and of its light if it is surely a mirror.
 
     Args:
         pixels: the photograph.
@@ -168,7 +168,7 @@ def unwrapped(
     Args:
         radiance: [3, S, S] of the ball, which fills the picture.
         is_clipped: where it is a lower bound.
-        shown: where it is known, 1, and where it is not, 0.
+        shown: if it is known, 1, and if it is not, 0.
         ball: in the photograph.
         rows: of the map.
 

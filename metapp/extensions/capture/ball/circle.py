@@ -88,7 +88,7 @@ def _scored(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> Ball:
     """A ball whose score is how edges agree with it, up to about 1: -1 where half of the contour is not in the picture.
 
     The share of the contour that lies on edges along it; more where edges just inside run along it, too, as a mirror
-    presses all that is around into its rim, and less where edges just outside do, as if it was inside a larger one.
+    presses its surroundings into its rim, and less where edges just outside do, as if it was inside a larger one.
     """
     px = ball.to_px(_UNITS[:, :rings])
     _, height, width = slopes.shape

@@ -67,9 +67,9 @@ def ball(
     """Read the light around a mirror ball from photographs of it.
 
     The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
-    (after Debevec & Malik 1997, the camera's curve a power of sRGB's), and what the ball mirrors is unwrapped. Writes
+    (after Debevec & Malik 1997, the camera's curve a power of sRGB's), and the light in the ball is unwrapped. Writes
     a data set for `metapp meta illumination --data DIR --observe photo`, the map DIR/NAME.exr, whose alpha says where
-    it is seen and does not clip, and pictures of what was found in DIR/found/.
+    it is seen and does not clip, and pictures of the balls that were found in DIR/found/.
 
     Examples:
       metapp data ball a.jpg b.jpg c.jpg --shutter 1/20,1/60,1/160 --out garden

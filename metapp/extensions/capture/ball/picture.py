@@ -78,7 +78,7 @@ def photo_of(pixels: Pixels, ball: Ball, angle: float) -> Tensor:
 
 
 def is_mirror(pixels: Pixels, ball: Ball) -> bool:
-    """True if a ball is surely a mirror; False where it cannot be told.
+    """True if a ball is surely a mirror; False if it cannot be told.
 
     A mirror shows edges as sharp as the photograph, all over, and things that are dark; a ball with a body of its own
     or a rough one shows neither. A logistic regression on three numbers says which.
@@ -92,7 +92,7 @@ def features(light: Floats) -> Floats:
     """Three numbers about a ball, linear RGB [3, S, S]; each grows with how much of a mirror it is.
 
     The logarithms of: how much of it has steep gradients; how much steeper these are when less smoothed; how dark it
-    gets beside what a diffuse ball of the same mean would send out there.
+    gets beside the radiosity of a diffuse ball of the same mean.
     """
     size = light.shape[1]
     inside = np.hypot(*disc(size)) < _WITHIN

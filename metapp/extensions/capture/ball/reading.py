@@ -43,7 +43,7 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_ra
 
     Returns:
         `photos` uint8 [1, 3, 64, 64], black outside the ball; of one that is surely a mirror also `seen` and `certain`,
-        as of `metapp.extensions.capture.ball.capture.unwrapped`, 1 where the photograph is white.
+        as of `metapp.extensions.capture.ball.capture.unwrapped`, 1 if the photograph is white.
 
     Raises:
         ValueError: as `data_tools.readers.photos.photo_of`; a picture twice as wide as high; a disc that is black.

@@ -91,7 +91,7 @@ def write_set(
     folder: Path,
     done: Callable[[str], object] = str,
 ) -> None:
-    """Write pictures 00.png, ..., what was found in each, and the texts.
+    """Write pictures 00.png, ..., pictures of the markers in each, and the texts.
 
     Args:
         cameras: of the photographs.

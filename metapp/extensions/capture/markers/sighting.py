@@ -28,7 +28,7 @@ class Sighting(NamedTuple):
     Attributes:
         path: of the photograph.
         height, width: of the upright photograph in px.
-        focal_mm: as of 35 mm film; 0 where it is not known.
+        focal_mm: as of 35 mm film; 0 if it is not known.
         opening_cm: its side; lengths are the sheet's own.
         markers: corners of those found [M, 4, 2], px.
         points_cm, points_px: corners [N, 2] that lie in one plane, on the sheet (x right, y up) and in the photograph.

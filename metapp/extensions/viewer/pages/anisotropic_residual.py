@@ -62,7 +62,7 @@ def penalties() -> sparse.csr_array:
 def reached() -> Tensor:
     """Cells, bool [*CELLS], that any two directions above the horizon may touch, and some more: others may be 0.
 
-    Both are above it where tan theta_h tan theta_d |cos phi_d| < 1, here at what is least within a cell of the centre.
+    Both are above it where tan theta_h tan theta_d |cos phi_d| < 1, here at the least one within a cell of the centre.
     """
     x, y, azimuth, grazing = torch.meshgrid(*((torch.arange(count) + 0.5) / count for count in CELLS), indexing="ij")
     x, y, aside = 2 * x - 1, 2 * y - 1, math.sqrt(2) * 2 / CELLS[0]

@@ -26,7 +26,7 @@ PLOTTED = 8192  # samples of plots, at most
 
 
 def view(app: Brdf, theta: Params, task: Task) -> View:
-    """The fit, its samples where the task has some, and a reference where the material is known everywhere."""
+    """The fit, its samples if the task has some, and a reference where the material is known everywhere."""
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
     lobes = fit_lobes(evaluate, folded.turn)
@@ -54,7 +54,7 @@ def packed(layers: list[tuple[Tensor, Tensor]]) -> Tensor:
     """Three layers as one list of four numbers each, [N, 4] float32; sizes are rounded up to multiples of four.
 
     For every four neurons of the first layer their weights, neuron by neuron, and their biases; for every neuron of the
-    second its weights, what it adds to the three outputs, and its bias behind that; at last the biases of the outputs.
+    second its weights, its factors in the three outputs, and its bias behind that; at last the biases of the outputs.
     """
     (w1, b1), (w2, b2), (w3, b3) = ((_padded(weights), _padded(bias[:, None])[:, 0]) for weights, bias in layers)
     first = torch.cat([w1.reshape(-1, 4 * w1.shape[1]), b1.reshape(-1, 4)], 1)
@@ -88,7 +88,7 @@ def _residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Ta
 def gridded(angles: Tensor, values: Tensor) -> Tensor:
     """Values [N, 3] at angles [N, 3] in rad, phi_d in [0, 2 pi), on a grid [*CELLS, 4], float16.
 
-    Each value counts in the cells about it by its distance along each axis; cells without any take what is near.
+    Each value counts in the cells about it by its distance along each axis; cells without any take those of near ones.
     """
     shares = angles / angles.new_tensor([math.pi / 2, math.pi / 2, math.tau])
     places = torch.stack([shares[:, 2], shares[:, 1], shares[:, 0].sqrt()], 1) * shares.new_tensor(CELLS) - 0.5

@@ -46,7 +46,7 @@ class Lit(NamedTuple):
 
 @torch.no_grad()
 def svbrdf_nonstationary(app: SvbrdfNonstationary, theta: Params, task: Task) -> View:
-    """The maps as `pictures` has them, the photographs, and the true maps where the task has them."""
+    """The maps as `pictures` has them, the photographs, and the true maps if the task has them."""
     flashes = app.flashes(theta, task)
     photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
     taken = app.protocol == "photo"  # else the photo was rendered from the maps
@@ -59,7 +59,7 @@ def svbrdf_nonstationary(app: SvbrdfNonstationary, theta: Params, task: Task) ->
 
 
 def svbrdf_stationary(app: SvbrdfStationary, theta: Params, task: Task) -> View:
-    """The maps as `pictures` has them, and the photograph where it is at hand."""
+    """The maps as `pictures` has them, and the photograph if it is at hand."""
     photographed = []
     if "image" in task.data:
         photo = app.exemplar(task.data["image"][None].float() / 255)
@@ -69,7 +69,7 @@ def svbrdf_stationary(app: SvbrdfStationary, theta: Params, task: Task) -> View:
 
 
 def texture(app: Texture, theta: Params, task: Task) -> View:
-    """The texture as `pictures` has it, the exemplar where it is at hand, and one quilted of that, at one scale."""
+    """The texture as `pictures` has it, the exemplar if it is at hand, and one quilted of that, at one scale."""
     fit = app.pictures(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
@@ -92,7 +92,7 @@ def surface_view(
         surface: the fit.
         photographed: its photographs, or none.
         falloff: of flashes in pictures, as of `metapp.appearance.flash.render`.
-        reference: the true maps, where they are known.
+        reference: the true maps, if they are known.
     """
     small = _reduced(surface)
     if small.maps is None:

@@ -1,4 +1,4 @@
-"""The page of a light map: radiance, the reference, the photographed ball, and where a fit is not sure."""
+"""The page of a light map: radiance, the reference, the photographed ball, and if a fit is not sure."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def view(app: Illumination, theta: Params, task: Task) -> View:
 
 
 def _note(pixels: Tensor, light: Tensor, task: Task) -> str:
-    """Note what `light` shows at another size than it has: the map [H, W, 3], and the reference."""
+    """Keep the arrays that `light` shows at another size: the map [H, W, 3], and the reference."""
     (rows, columns), size_shown = pixels.shape[:2], tuple(light.shape[1:])
     size = f"{size_shown[0]} x {size_shown[1]} texels"
     lines = [f"The map has {rows} x {columns} texels; this page shows {size}."] if size_shown != (rows, columns) else []
@@ -70,7 +70,7 @@ def _note(pixels: Tensor, light: Tensor, task: Task) -> str:
 
 
 def _ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
-    """Display values [3, S, S] of the ball of a fit's photograph, lit by the fit, above 1 where it would clip.
+    """Display values [3, S, S] of the ball of a fit's photograph, lit by the fit, above 1 if it would clip.
 
     Args:
         app: the application.

@@ -47,7 +47,7 @@ class Progress(NamedTuple):
 
 
 def view(app: Transport, theta: Params, task: Task) -> View:
-    """Pictures of the scene in equal time; densities where there is no scene."""
+    """Pictures of the scene in equal time; densities if there is no scene."""
     if "scene" in task.data:
         return scene_view(app.network, theta, task)
     shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.network, theta)}
