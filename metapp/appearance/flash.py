@@ -1,4 +1,4 @@
-"""A flat patch of material under a point flash: maps of a material to a photo of it, and where a photo's flash was.
+"""A flat patch of material under a point flash: photos of maps, and the position of the flash.
 
 The patch lies in the plane z = 0 about the origin and its half side is 1, x to the right, y up, z towards the camera.
 The camera looks down from `camera()`, so high that a square photo covers the patch. Pictures live in texture space, a
@@ -191,9 +191,9 @@ def render(
 
     Args:
         maps: of the patch, or of any crop of it.
-        positions: [2, h, w] or [B, 2, h, w] from `positions`: where in the patch the maps' texels are.
-        light: [3] or [B, 3], where the flash is; z > 0.
-        view: [3] or [B, 3], where the viewer is; z > 0.
+        positions: [2, h, w] or [B, 2, h, w] from `positions`: of the maps' texels in the patch.
+        light: [3] or [B, 3], position of the flash; z > 0.
+        view: [3] or [B, 3], position of the viewer; z > 0.
         intensity: of the flash: a number, [3] or [B, 3] linear RGB, or [B, 1]. With 1 a white Lambertian patch has
             radiance 1 right below a flash at the camera's height.
         falloff: power of the cosine with the flash's axis, which points straight down: 0 is a uniform point light, 1 a

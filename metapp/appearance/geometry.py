@@ -58,7 +58,7 @@ def rusinkiewicz_to_directions(angles: Tensor) -> tuple[Tensor, Tensor]:
         angles: [..., 3 or 4], (theta_h, theta_d, phi_d) in rad, and phi_h, which is 0 without.
 
     Returns:
-        wi and wo, [..., 3] each, unit length; below the horizon where the angles say so.
+        wi and wo, [..., 3] each, unit length; also below the horizon, as the angles say.
 
     >>> wi, wo = rusinkiewicz_to_directions(torch.tensor([0.0, torch.pi / 6, 0.0]))
     >>> torch.round(wi @ wo, decimals=4)
@@ -74,7 +74,7 @@ def rusinkiewicz_to_directions(angles: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
-    """Two directions to half and difference angles; gradients are finite also where an angle is undefined.
+    """Two directions to half and difference angles; gradients are finite also if an angle is undefined.
 
     Args:
         wi: [..., 3], unit length.

@@ -71,7 +71,7 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
 
     Args:
         photos: display values in [0, 1].
-        light: where the flash is, and the camera above the same point, [B, 3].
+        light: position of the flash, and the camera above the same point, [B, 3].
 
     Returns:
         Roughness to about 10 %, below 0.2, where the lobe is a few px wide, to 25 %.

@@ -119,7 +119,7 @@ def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
 
 
 def _top(values: Tensor) -> Tensor:
-    """Where the parabola through three values is highest, from the middle one, in [-0.5, 0.5]."""
+    """The place of the maximum of the parabola through three values, from the middle one, in [-0.5, 0.5]."""
     before, middle, behind = values
     top: Tensor = 0.5 * (before - behind) / (before - 2 * middle + behind).clamp_max(-1e-12)
     return top.clamp(-0.5, 0.5)

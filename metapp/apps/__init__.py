@@ -23,13 +23,13 @@ def class_of(name: str) -> type[App]:
 
 
 def recipe_of(app: str, name: str, protocol: str = "") -> Recipe:
-    """The recipe of that name of an application under a protocol, its default one where none is named."""
+    """The recipe of that name of an application under a protocol, its default one if none is named."""
     result: Recipe = recipe_entries(app, protocol)[name].load()
     return result
 
 
 def recipes_of(app: str, protocol: str = "") -> Mapping[str, Recipe]:
-    """The recipes of an application under a protocol, its default one where none is named.
+    """The recipes of an application under a protocol, its default one if none is named.
 
     They are "quick", "full", of the size that people use, and "paper"; some applications have more.
     """

@@ -1,6 +1,6 @@
 """The terminal: standard output, messages and progress bars, and the one place that turns errors into one line.
 
-rich is imported where something is printed, since completion prints nothing.
+rich is imported when something is printed, since completion prints nothing.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Terminal(Reporter):
             _leave(sys.stderr)
 
     def say_at_times(self, line: str, *, last: bool) -> None:
-        """Print a line about long work, where the one before is old enough or this is the last."""
+        """Print a line about long work, if the one before is old enough or this is the last."""
         if last or time.monotonic() - self._last_line > LINE_SECONDS:
             self._last_line = time.monotonic()
             self.say(line)

@@ -110,7 +110,7 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
 
 
 def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
-    """Each application under each protocol; one that was not named is left out where a checkpoint of it is missing."""
+    """Each application under each protocol; one that was not named is left out if a checkpoint of it is missing."""
     from metapp.evaluation.subject import Subject
     from metapp.runs.naming import title_of
     from metapp.runs.run import Run

@@ -130,7 +130,7 @@ def table_of(
 ) -> Table:
     """One line a task, and their mean; of more than `most` those of the largest errors.
 
-    Where there is no error, as of photos, it says how many pictures were made instead.
+    If there is no error, as of photos, it says how many pictures were made instead.
 
     Args:
         app: the application.

@@ -1,4 +1,4 @@
-"""Help of commands: panels of options with their placeholders, one line each where there is room.
+"""Help of commands: panels of options with their placeholders, one line each if there is room.
 
 typer's own help has columns of types and ranges, which leave half of a terminal to texts.
 """

@@ -74,7 +74,7 @@ def check_folder(path: Path | None) -> Path | None:
 
 
 class Split(enum.StrEnum):
-    """Where tasks belong."""
+    """The split that tasks belong to."""
 
     TRAIN = "train"
     TEST = "test"

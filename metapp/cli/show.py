@@ -42,7 +42,7 @@ def rich_table(table: Table) -> RichTable:
 
 
 def heading(column: Column) -> list[str]:
-    """A title on two lines where it is long: most columns are of short numbers."""
+    """A title on two lines if it is long: most columns are of short numbers."""
     first, _, last = column.title.rpartition(" ")
     return [first, last] if first and len(column.title) > 9 else [column.title]
 

@@ -52,7 +52,7 @@ def _legend(figure: Figure) -> None:
 
 
 def _lines(subject: Subject, lines: Mapping[str, Mapping[int, float]], x_label: str) -> Figure:
-    """Errors of paradigms as lines, on a logarithmic scale where all are positive."""
+    """Errors of paradigms as lines, on a logarithmic scale if all are positive."""
     figure, axis = _panel(subject, 3.2, x_label)
     for name, line in lines.items():
         size, x, y = 7 if name == "meta" else 4, list(line), list(line.values())
@@ -124,7 +124,7 @@ def curves(subject: Subject) -> Drawn | None:
 def trajectories(subject: Subject) -> Drawn | None:
     """Meta's and Overfit's paths in the plane of most variance of their parameters, a few tasks.
 
-    None if their networks differ, as they do where a rule solves for the last layer.
+    None if their networks differ, as they do if a rule solves for the last layer.
     """
     records = [record for record in trace_records(subject) if record["paths"]["meta"]][:PATHS]
     if not records:

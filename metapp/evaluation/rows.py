@@ -159,7 +159,7 @@ def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:
 def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
     """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit.
 
-    There is no gap to close where Overfit is no better than General.
+    There is no gap to close if Overfit is no better than General.
     """
     by_name = {row["paradigm"]: row for row in rows}
     general, overfit, meta = (by_name[name] for name in ("general", "overfit", "meta"))

@@ -101,7 +101,7 @@ COMMON = {
 
 
 def columns(*items: str | Column) -> tuple[Column, ...]:
-    """Columns from left to right, of COMMON where they are given by name."""
+    """Columns from left to right, of COMMON if they are given by name."""
     return tuple(column for item in items for column in ([item] if isinstance(item, Column) else COMMON[item]))
 
 

@@ -34,7 +34,7 @@ Made = TypeVar("Made")
 
 
 def with_detail(recipe: Recipe, side: int) -> Recipe:
-    """A recipe for exemplars of another side in px: that of training, or where there is a layout twice that.
+    """A recipe for exemplars of another side in px: that of training, or, with a layout, twice that.
 
     Raises:
         ValueError: its application has no such choice.
@@ -97,7 +97,7 @@ class ExemplarApp(App):
         return sum(self.taps_of(each) for each in range(octave, self.octaves))
 
     def parts(self, maps: list[Tensor], octave: int) -> list[Tensor]:
-        """The maps that a summary has parts of: where finer octaves are not seen, the finest one stands for them."""
+        """The maps that a summary has parts of: if finer octaves are not seen, the finest one stands for them."""
         finest = maps[self.maps_from(octave + 1) :]
         return maps + [each for finer in reversed(range(octave)) for each in finest[: self.taps_of(finer)]]
 
@@ -108,7 +108,7 @@ class ExemplarApp(App):
 
     @property
     def layout_size(self) -> tuple[int, int]:
-        """Height and width of layouts: twice those of the coarsest pictures in training, where there are finer ones."""
+        """Height and width of layouts: twice those of the coarsest pictures in training, if there are finer ones."""
         octave = max(0, self.octaves - 2) + self.finer
         return self.height >> octave, self.width >> octave
 

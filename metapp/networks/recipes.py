@@ -23,7 +23,7 @@ def generator(
         steps: gradient steps of a fit.
         outputs: channels of a picture.
         tasks: of each outer step of a rule.
-        rate: of General's encoder where rules train it.
+        rate: of General's encoder if rules train it.
         searched: the first Adam of the search for that of rules.
         general: how General's encoder is trained.
     """

@@ -24,9 +24,9 @@ _PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/li
 
 
 def load_mitsuba() -> Mitsuba:
-    """Import Mitsuba: in the variant cuda_ad_rgb where torch has a GPU, else in llvm_ad_rgb with as many threads.
+    """Import Mitsuba: in the variant cuda_ad_rgb if torch has a GPU, else in llvm_ad_rgb with as many threads.
 
-    There are two threads at least, also where torch has one.
+    There are two threads at least, also if torch has one.
 
     Returns:
         The module `mitsuba`. The variant is the whole program's: code that needs another one sets it again.
@@ -78,7 +78,7 @@ def choose_llvm() -> Path:
 
 
 def choose_kernels() -> None:
-    """Have Dr.Jit, when it is imported, keep compiled kernels where nobody else can have put any."""
+    """Have Dr.Jit, when it is imported, keep compiled kernels in a folder that nobody else can write to."""
     with suppress(OSError, RuntimeError):  # no such folder can be made, or there is no home: then there are none
         folder = os.environ.get(KERNELS_VARIABLE) or Path.home() / ".drjit"
         os.environ[KERNELS_VARIABLE] = str(code_folder(Path(folder), KERNELS_VARIABLE))
@@ -128,7 +128,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def _own_folder() -> Path:
-    """The folder where tools/setup.sh puts the library, and those it needs, if it may not install them."""
+    """The folder in which tools/setup.sh puts the library, and those it needs, if it may not install them."""
     return Path(sys.prefix) / "lib" / "llvm"
 
 

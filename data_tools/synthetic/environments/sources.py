@@ -23,7 +23,7 @@ class Sources(NamedTuple):
     """K points, or directions, that send light.
 
     Attributes:
-        places: [K, 3] m; where `far`, directions, shorter than 1 as those that each stands for differ.
+        places: [K, 3] m; if `far`, directions, shorter than 1 as those that each stands for differ.
         normals: [K, 3] unit length; zeros for sources that shine to all sides.
         power: [K, 3] radiance times area, or irradiance of far ones, that they send to places below them.
         power_up: the same to places above: through a window these see the ground.

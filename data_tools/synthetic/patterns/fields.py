@@ -40,7 +40,7 @@ def _shaped_noise(rng: Rng, size: int, amplitude: Field) -> Field:
 
 
 def _radius(size: int, stretch: float, angle_rad: float) -> Field:
-    """Frequency in cycles per tile, where structure is `stretch` times as long along the angle as across it."""
+    """Frequency in cycles per tile, for structure `stretch` times as long along the angle as across it."""
     fx, fy = _frequencies(size)
     if stretch == 1:
         return np.hypot(fx, fy)

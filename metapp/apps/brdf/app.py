@@ -135,7 +135,7 @@ class Brdf(App):
         return self.errors_of(self.network.reflectance(theta, where).clamp_min(0), tasks)
 
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """That no sample was held out, where a measurement has few; that phi_h counts for nothing; energy.
+        """That no sample was held out, if a measurement has few; that phi_h counts for nothing; energy.
 
         `albedo`, of isotropic fits: the share of light that is reflected, the greatest of the channels', from each of
         the angles of `metapp.apps.brdf.energy.INCIDENT_RAD`.
@@ -163,7 +163,7 @@ class Brdf(App):
         return {"error": (torch.log1p(answer * cos) - target).abs().mean((1, 2))}
 
     def evaluated(self, theta: Params, task: Task) -> Task:
-        """The fit's own reflectance at the task's angles, all over the hemisphere where it has few.
+        """The fit's own reflectance at the task's angles, all over the hemisphere if it has few.
 
         Raises:
             ValueError: the fit is anisotropic.

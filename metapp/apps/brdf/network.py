@@ -94,7 +94,7 @@ class BrdfNetwork(ABC):
         raise NotImplementedError
 
     def conserved(self, theta: Params) -> Params:
-        """Materials whose last layer is such that they reflect no more than all, where `can_conserve`."""
+        """Materials whose last layer is such that they reflect no more than all, if `can_conserve`."""
         raise NotImplementedError
 
     @abstractmethod

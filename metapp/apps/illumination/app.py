@@ -47,7 +47,7 @@ class Illumination(CodedApp):
     """One environment map a task, of mean luminance 1.
 
     Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
-    alone, and is the light by which a sphere of some material looks so through some camera. Where that sphere is a
+    alone, and is the light by which a sphere of some material looks so through some camera. If that sphere is a
     mirror, the task may hold the light in it (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
 
     Attributes:

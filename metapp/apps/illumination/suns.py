@@ -1,4 +1,4 @@
-"""The brightest lights of a map in closed form: where they are, their light and their size.
+"""The brightest lights of a map in closed form: their directions, light and size.
 
 A sun has 10 numbers: the mean direction of its light, the light itself (radiance times solid angle, RGB), its mean
 squared angle to that direction in rad^2, and the radiance round it. There the network does not count.
@@ -108,7 +108,7 @@ def joined(theta: Params) -> Tensor:
 
 
 def _covered(lobes: Tensor) -> Tensor:
-    """Where suns count alone, in [0, 1]."""
+    """The weight of suns alone, in [0, 1]."""
     return (COVERED_PARTS * lobes / lobes.amax((-2, -1), keepdim=True).clamp_min(1e-12)).clamp_max(1)
 
 

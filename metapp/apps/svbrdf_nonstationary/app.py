@@ -194,7 +194,7 @@ class SvbrdfNonstationary(CodedApp):
     def _logs(self, maps: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
         """Log of radiance of maps [T, ...] under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
 
-        Of parts of the patch `place` [T, 2, H, W] says where they are.
+        Of parts of the patch `place` [T, 2, H, W] has their positions.
         """
         if place is None:
             place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]

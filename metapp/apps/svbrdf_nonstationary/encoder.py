@@ -71,7 +71,7 @@ class Encoder(NamedTuple):
     def __call__(self, encoder: Params, photos: Tensor) -> Params:
         """Read linear photographs [T, 3, H, H]: `z`, the code [T, code, H, H], and `flash` [T, FLASH].
 
-        Where there are finer levels, H is at most BASE, or BASE times a power of two.
+        If there are finer levels, H is at most BASE, or BASE times a power of two.
         """
         added, finer = self._finer_down(encoder, photos)
         base = adaptive_avg_pool2d(photos, min(BASE, photos.shape[-1])) if finer else photos

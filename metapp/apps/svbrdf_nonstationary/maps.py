@@ -52,7 +52,7 @@ def pooled(maps: Tensor, size: Sequence[int]) -> Tensor:
 
 
 def of_length_1(vectors: Tensor) -> Tensor:
-    """Vectors [..., 3, H, W] of length 1; many times as fast as torch's own where channels come first."""
+    """Vectors [..., 3, H, W] of length 1; many times as fast as torch's own if channels come first."""
     return vectors * vectors.square().sum(-3, keepdim=True).clamp_min(1e-24).rsqrt()
 
 
@@ -72,7 +72,7 @@ class Flash(NamedTuple):
     Attributes:
         place: [T, 3].
         gain: [T, 1], its intensity, as `metapp.appearance.flash.render` has it.
-        eye: where the camera is, [T, 3] or [3].
+        eye: position of the camera, [T, 3] or [3].
     """
 
     place: Tensor
@@ -92,7 +92,7 @@ def flash_of(flash: Tensor) -> Flash:
 
 
 def photographed(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
-    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; of parts of the patch `place` [T, 2, H, W] says where."""
+    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; of parts of the patch at positions `place` [T, 2, H, W]."""
     like = maps.diffuse
     if place is None:
         place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
@@ -124,7 +124,7 @@ def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 def inputs_of(photo: Tensor) -> Tensor:
     """The field's inputs at each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
 
-    The log of its colour, how brightness differs from and among its neighbours, and where it is. Neighbours are as far
+    The log of its colour, how brightness differs from and among its neighbours, and its position. Neighbours are as far
     apart in the patch whatever the resolution, so that a field that was fitted at one works at others.
     """
     logs = (photo + 0.02).log()

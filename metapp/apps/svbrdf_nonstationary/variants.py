@@ -129,7 +129,7 @@ def _at_most(slopes: Tensor, steepest: float) -> Tensor:
 
 
 def _standard(values: Tensor) -> Tensor:
-    """Values [T, 1, H, W] of mean 0 and standard deviation 1, or 0 where they are all the same."""
+    """Values [T, 1, H, W] of mean 0 and standard deviation 1, or 0 if they are all the same."""
     mean, std = values.mean((2, 3), keepdim=True), values.std((2, 3), keepdim=True)
     return (values - mean) / (std + 1e-4)
 

@@ -75,7 +75,7 @@ class SvbrdfStationary(ExemplarApp):
         """Of photos [B, 3, h, w] of the size of an octave.
 
         Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
-        [B, 3] where the flash was, `chroma` [B, 2], how much colours vary, `shine` [B, 3], estimates of the highlight
+        [B, 3] position of the flash, `chroma` [B, 2], how much colours vary, `shine` [B, 3], estimates of the highlight
         of specular and roughness and how clearly, `summary`.
         """
         maps, light = self.features(exemplars, octave), self.light_of(exemplars)
@@ -92,7 +92,7 @@ class SvbrdfStationary(ExemplarApp):
         return torch.cat([moments(ring) for ring in rings], 1)
 
     def light_of(self, photos: Tensor) -> Tensor:
-        """Where the flash of photos [B, 3, h, w] was, [B, 3]."""
+        """The position of the flash of photos [B, 3, h, w], [B, 3]."""
         place = flash_position(photos)
         height = camera(dtype=photos.dtype, device=photos.device)[2].expand(len(photos), 1)
         return torch.cat([place.to(photos), height], 1)
@@ -177,7 +177,7 @@ class SvbrdfStationary(ExemplarApp):
         return loss + self.prior * _unusual(maps, theta["gloss"]) if self.prior else loss
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The same, but how far the maps are from the truth, or how unusual where that is unknown, [T].
+        """The same, but how far the maps are from the truth, or how unusual if that is unknown, [T].
 
         Without it General comes to explain all photographs by one bright, rough, specular surface without colour: one
         flash photo does not tell diffuse, specular and relief apart.

@@ -1,4 +1,4 @@
-"""General's encoder: a small picture of a scene to the code of its flow and to where on the film its light is."""
+"""General's encoder: a small picture of a scene to the code of its flow and to the light's places on the film."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ def _further(
 
 
 def project_paths(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
-    """Both paths in the plane of most variance, and its share; no places where Meta's rule has another network."""
+    """Both paths in the plane of most variance, and its share; no places if Meta's rule has another network."""
 
     def vector(theta: Params) -> Tensor:
         return torch.cat([theta[key].detach().flatten().cpu() for key in sorted(theta)])

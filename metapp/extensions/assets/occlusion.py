@@ -59,7 +59,7 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
 
 
 def _enlarged(field: Tensor, size: tuple[int, ...], periodic: bool) -> Tensor:
-    """A field [B, 1, h, w] at another size, interpolated between its texels, across its edges where it tiles."""
+    """A field [B, 1, h, w] at another size, interpolated between its texels, across its edges if it tiles."""
     wide = _widened(field, 1, periodic)
     down, across = (
         2 * ((torch.arange(count, dtype=field.dtype, device=field.device) + 0.5) * few / count + 0.5) / (few + 1) - 1
@@ -78,7 +78,7 @@ def _distances(farthest: int) -> list[int]:
 
 
 def _widened(field: Tensor, margin: int, periodic: bool) -> Tensor:
-    """A field [..., H, W] with a margin on each side: its other side where it tiles, else its edges."""
+    """A field [..., H, W] with a margin on each side: its other side if it tiles, else its edges."""
     for axis in (-2, -1):
         size = field.shape[axis]
         places = torch.arange(-margin, size + margin, device=field.device)

@@ -63,7 +63,7 @@ def to_metallic(diffuse: Tensor, specular: Tensor) -> tuple[Tensor, Tensor]:
     """Base colour [..., 3, H, W] and metallic [..., 1, H, W] of diffuse and specular colour, all in [0, 1].
 
     Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s - c) = 0, linear in d and s: it is solved for their
-    means over the channels. The base colour is then d + s - c (1 - m). Both are exact where such maps exist
+    means over the channels. The base colour is then d + s - c (1 - m). Both are exact if such maps exist
     (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a specular colour below 0.04 or of another hue
     than the body's is lost, which is why formats that can hold F0 itself get that.
 

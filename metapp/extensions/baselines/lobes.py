@@ -100,7 +100,7 @@ def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, f
 
 
 def _first(cosines: Cosines, target: Tensor, alphas: tuple[float, ...]) -> Floats:
-    """Where a descent begins: colours that fit best at these alphas and F0 = 0.04, none below 0."""
+    """The initialisation of a descent: colours that fit best at these alphas and F0 = 0.04, none below 0."""
     shapes = [torch.full_like(cosines.half, 1 / math.pi)]
     fresnel = fresnel_schlick(cosines.difference, 0.04)
     shapes += [_shape(torch.tensor(math.log(alpha), dtype=torch.float64), cosines) * fresnel for alpha in alphas]

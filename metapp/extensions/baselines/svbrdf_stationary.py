@@ -32,7 +32,7 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
 
     Args:
         photo: one, [1, 3, H, W], display values in [0, 1].
-        light: where its flash is, [1, 3].
+        light: position of its flash, [1, 3].
         rng: chooses among pieces that fit about as well.
     """
     highlight, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)

@@ -182,7 +182,7 @@ def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str
 
 
 def _labels(first: Document, second: Document) -> tuple[str, str]:
-    """Labels that tell two runs apart, a word each; A and B where nothing in LABEL_KEYS does."""
+    """Labels that tell two runs apart, a word each; A and B if nothing in LABEL_KEYS does."""
     first, second = ({"paradigm": each.get("method"), **each} for each in (first, second))
     for key in LABEL_KEYS:
         if first.get(key) != second.get(key):

@@ -48,7 +48,7 @@ class FewSamples(Brdf):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """The samples that a fit sees, again and again, and how many different ones, `count` [T].
 
-        Where all materials have SHORT_BATCH or fewer, a batch has no more: the solve takes half the time.
+        If all materials have SHORT_BATCH or fewer, a batch has no more: the solve takes half the time.
         """
         seen = tasks.data["count"][tasks.rows]
         count = min(count, SHORT_BATCH) if bool((seen <= SHORT_BATCH).all()) else count

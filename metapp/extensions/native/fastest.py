@@ -1,4 +1,4 @@
-"""The fastest steps there are for a loss and a rule: in C, else by torch, compiled where that pays."""
+"""The fastest steps there are for a loss and a rule: in C, else by torch, compiled if that pays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COMPILED = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads a
 
 
 def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: bool = False) -> Steps:
-    """Steps in C where the loss and the rule are to be had there, else by torch.
+    """Steps in C if the loss and the rule are to be had there, else by torch.
 
     Args:
         rule, loss, theta, order: as of `torch_steps`.

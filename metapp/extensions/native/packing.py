@@ -93,7 +93,7 @@ def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
 
     Args:
         step: of the rule.
-        alpha: its hyperparameters [K, ...], or [K, T, ...] where each task has its own.
+        alpha: its hyperparameters [K, ...], or [K, T, ...] if each task has its own.
         layout: of theta.
 
     Returns:
@@ -113,7 +113,7 @@ def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
 
 
 def _by_task(value: Tensor, axes: int) -> Tensor:
-    """A hyperparameter of so many axes, [K, ...] or [K, T, ...], as [K, T, ...], T being 1 where tasks share it."""
+    """A hyperparameter of so many axes, [K, ...] or [K, T, ...], as [K, T, ...], T being 1 if tasks share it."""
     if value.ndim == axes + 1:
         return value.unsqueeze(1)
     return value if value.requires_grad or value.stride(1) else value[:, :1]

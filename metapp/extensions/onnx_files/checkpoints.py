@@ -26,7 +26,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         path: a checkpoint, or the name of one that ships: svbrdf_nonstationary, or with a recipe
             svbrdf_nonstationary/pretrained.
         kind: onnx or onnx-page.
-        folder: where to.
+        folder: of the files.
         quiet: no messages.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Places where files of scenes may lie: regular files of a bounded size, in folders that the user named alone.
+"""Places of files of scenes: regular files of a bounded size, in folders that the user named alone.
 
 Pictures and volumes are of a size that Mitsuba can take.
 """
@@ -29,7 +29,7 @@ _read_before: set[Path] = set()
 
 @dataclass(frozen=True)
 class Places(Files):
-    """Places where the files of a scene may lie.
+    """Places of the files of a scene.
 
     Attributes:
         search: folders in which relative names are looked for, in this order.

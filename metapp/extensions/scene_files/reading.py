@@ -154,7 +154,7 @@ def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
 
     Args:
         scene: a dictionary, or {"xml": text}.
-        places: where its files may lie.
+        places: of its files.
         name: resolved path of its file, if it has one.
 
     Raises:

@@ -69,7 +69,7 @@ def _ended(code: int) -> str:
 
 
 def _limit(memory: bool) -> None:
-    """Limit the process, where the system can: Windows cannot, and macOS not the memory."""
+    """Limit the process, if the system can: Windows cannot, and macOS not the memory."""
     try:
         import resource
     except ImportError:

@@ -43,7 +43,7 @@ def checked_xml(text: str, places: Places, name: str = "") -> str:
 
     Args:
         text: a document.
-        places: where its files may lie.
+        places: of its files.
         name: resolved path of its file, if it has one.
 
     Raises:

@@ -45,7 +45,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         return super().prepare(task) | {"others": small, "places": places if len(places) else above}
 
     def known(self, tasks: Tasks) -> Params:
-        """Where to begin to look for the flashes."""
+        """Initial flashes."""
         places = tasks.data["places"][tasks.rows]
         return {"flash": places.new_zeros(len(places), FLASH, places.shape[1])}
 
@@ -126,7 +126,7 @@ def radiance_of(maps: Maps, flashes: Flash) -> Tensor:
 
 
 def first_flashes(maps: Maps, batch: Batch) -> Tensor:
-    """Where fits begin to look for the flashes, [T, FLASH, N]: at the places given.
+    """Initial flashes of fits, [T, FLASH, N]: at the places given.
 
     Each as bright as it must be for General's maps to have the photograph's mean where that does not clip: cameras
     expose each photograph anew, and General takes the first for a calibrated one.

@@ -27,7 +27,7 @@ FARTHEST = 1000.0  # sides that camera and flash are away
 
 
 def recognises(path: Path) -> bool:
-    """Test whether a path is a folder that says where a camera or a flash was, or has one below it."""
+    """Test whether a path is a folder with places of cameras or flashes, or has one below it."""
     return path.is_dir() and bool(placed_in(path))
 
 
@@ -41,7 +41,7 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
 
     Args:
         folder: of photographs and text files.
-        size: side in px; where it is more than 256, of photographs as fine as that alone.
+        size: side in px; above 256 only of photographs as fine as that.
         stops: by how many stops all of them are too bright.
 
     Raises:

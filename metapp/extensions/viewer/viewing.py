@@ -135,7 +135,7 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     """Write an interactive page of a fit, as `metapp view` does.
 
     Args:
-        fit: of the Python API, where this is its method `view`.
+        fit: of the Python API, whose method `view` this is.
         path: the HTML file; "" for one of the task's name in the current folder.
 
     Raises:

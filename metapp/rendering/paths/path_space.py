@@ -106,7 +106,7 @@ class Tracer:
 
 @contextlib.contextmanager
 def _traceable() -> Iterator[None]:
-    """Name the scene where Mitsuba loads it, but cannot trace it, such as one with a spectrum that has no colour."""
+    """Name the scene if Mitsuba loads it, but cannot trace it, such as one with a spectrum that has no colour."""
     reason = ""
     try:
         yield

@@ -1,4 +1,4 @@
-"""Samples of light paths where rejection accepts hardly any: small lamps, and lights that no path meets by chance.
+"""Samples of light paths if rejection accepts hardly any: small lamps, and lights that no path meets by chance.
 
 Paths with next-event estimation (`metapp.rendering.paths.next_event`) are resampled in proportion to their luminance
 (sampling importance resampling), then moved by Metropolis and Hastings' rule, which leaves that proportion as it is and
@@ -24,7 +24,7 @@ STEP_DEVIATIONS = (2.0**-12, 2.0**-3)  # standard deviation of proposals in each
 
 
 def draw_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Samples as of `path_samples`, or resampled where there are too few; that sets `next_event` of the tracer.
+    """Samples as of `path_samples`, or resampled if there are too few; that sets `next_event` of the tracer.
 
     Raises:
         ValueError: hardly any path meets a light, even so.

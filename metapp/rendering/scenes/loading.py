@@ -1,4 +1,4 @@
-"""Mitsuba scenes that paths can be traced in: checked, loaded, and refused where they cannot be.
+"""Mitsuba scenes that paths can be traced in: checked, loaded, and refused if they cannot be.
 
 A scene is an argument of Mitsuba's `load_dict` as JSON, with matrices as nested lists; or the text of an
 XML document, {"xml": text}.
@@ -29,7 +29,7 @@ class Loaded(NamedTuple):
     Attributes:
         mitsuba: the module, in its variant.
         scene: Mitsuba's.
-        brightest: the greatest luminance that its lights send out; 0 where they do not tell.
+        brightest: the greatest luminance that its lights send out; 0 if they do not tell.
     """
 
     mitsuba: Mitsuba
@@ -38,7 +38,7 @@ class Loaded(NamedTuple):
 
 
 def checked(scene: SceneDict) -> SceneDict:
-    """The same scene of a data set, checked; XML and files that were read before where an extension checks these.
+    """The same scene of a data set, checked; XML and files that were read before if an extension checks these.
 
     Raises:
         ValueError: something that a scene may not hold.

@@ -153,7 +153,7 @@ class Paths:
 
 
 def _direction(row: mt.UInt32, column: mt.UInt32, shape: tuple[int, int], place: mt.Point2) -> mt.Vector3:
-    """The direction to a place in [0, 1)^2 of a texel: uniform in solid angle where the place is uniform."""
+    """The direction to a place in [0, 1)^2 of a texel: uniform in solid angle if the place is uniform."""
     above, below = (dr.cos((mi.Float(row) + edge) * (dr.pi / shape[0])) for edge in (0, 1))
     y = dr.lerp(above, below, place.y)
     sine, cosine = dr.sincos((mi.Float(column) + place.x) * (dr.two_pi / shape[1]))

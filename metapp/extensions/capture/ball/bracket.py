@@ -75,7 +75,7 @@ def _seconds(text: str, shutter: str) -> float:
 def exif_exposure(path: Path) -> float:
     """Seconds by ISO / 100 over the square of the f-number, as EXIF says; 0 if it does not say the time.
 
-    ISO and f-number count as 100 and 1 where EXIF does not say them.
+    ISO and f-number count as 100 and 1 if EXIF does not say them.
     """
     if is_heif(path):
         return 0.0
@@ -135,7 +135,7 @@ def _moved(ball: Ball, shift: Floats, size: float) -> Ball:
 
 
 def power_of(pictures: Floats, exposures: Floats) -> float:
-    """The power of linear values by which photographs agree, by least squares: 1 where their curve is sRGB's."""
+    """The power of linear values by which photographs agree, by least squares: 1 if their curve is sRGB's."""
     steps = []
     for a, b in itertools.pairwise(np.argsort(exposures)):
         dark, bright = pictures[[a, b], :3]

@@ -20,7 +20,7 @@ _NODES = 2000  # of the splines through where directions are seen
 
 
 class Lens(NamedTuple):
-    """A pinhole camera: its focal length and where its axis meets the picture, in px."""
+    """A pinhole camera: its focal length and its principal point, in px."""
 
     focal: float
     x: float
@@ -34,7 +34,7 @@ class Ball(NamedTuple):
     """A ball in a photograph; px from the picture's upper left corner, so that the first pixel's centre is (.5, .5).
 
     Attributes:
-        x, y: where its centre is seen.
+        x, y: the place of its centre.
         radius: of its contour, measured in the plane through (x, y) that faces the camera.
         lens: of the camera.
         score: how much of the contour is there, in [0, 1].

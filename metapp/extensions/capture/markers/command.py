@@ -92,7 +92,7 @@ def rectify(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Rectify photographs of a material in a marker sheet, and find where camera and flash were.
+    """Rectify photographs of a material in a marker sheet, and find the positions of camera and flash.
 
     Writes square pictures 00.png, 01.png, ... of the sheet's opening, that from nearest to straight above first,
     camera_pos.txt, light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR --observe

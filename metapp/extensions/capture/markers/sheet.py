@@ -1,4 +1,4 @@
-"""The marker sheet: where its markers lie, and the page to print."""
+"""The marker sheet: the places of its markers, and the page to print."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ class Lit(NamedTuple):
     """One of metapp's pictures of a surface.
 
     Attributes:
-        light: where the flash is, [3].
-        eye: where the camera is, [3].
+        light: position of the flash, [3].
+        eye: position of the camera, [3].
         gain: of the flash, the intensity of `metapp.appearance.flash.render`.
         photo: the photograph that it is compared with, linear [3, H, W] in [0, 1].
         part: side of the maps' part that it shows, the upper left one; 1 is all.
