@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import torch
 
 from data_tools.readers.image_files import Pixels
@@ -56,4 +57,4 @@ def write_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Pa
     for points, colour in outlines:
         ends = [tuple(point) for point in (points * image.width / width).tolist()]
         ImageDraw.Draw(image).line([*ends, ends[0]], fill=colour, width=2)
-    write_png(torch.tensor(list(image.tobytes())).view(image.height, image.width, 3) / 255, {"encoding": "sRGB"}, path)
+    write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)

@@ -74,7 +74,7 @@ class RectifyOptions:
     flash: Annotated[
         tuple[float, ...],
         Option(
-            "Where the flash is beside the lens: cm right and up in the photo; default: there.", "X,Y", parse=offset_of
+            "Where the flash is beside the lens: cm right and up in the photo; default: 0,0.", "X,Y", parse=offset_of
         ),
     ] = ()
     ruler: Annotated[float, Option("Measured length of the sheet's printed 10 cm ruler.", "CM", low=5.0, high=20.0)] = (
