@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from data_tools.readers.photos import Floats
 
-FAR = 1e-16  # rad, half the angle that a ball fills for a camera far away
+FAR = 1e-6  # rad, half the angle that a ball fills for a camera far away
 _NODES = 2000  # of the splines through where directions are seen
 
 
@@ -27,7 +27,7 @@ class Lens(NamedTuple):
     y: float
 
 
-TELESCOPE = Lens(1e20, 0.0, 0.0)  # rays are parallel, and contours are circles
+TELESCOPE = Lens(1e9, 0.0, 0.0)  # rays are parallel, and contours are circles
 
 
 class Ball(NamedTuple):
