@@ -1,7 +1,5 @@
 """An anisotropic material for tests, and a network that was solved for it."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

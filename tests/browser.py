@@ -1,7 +1,5 @@
 """Pages in headless Chromium, which draws WebGL by SwiftShader."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shutil

@@ -1,7 +1,5 @@
 """BSDFs of Mitsuba for tests: directions, interactions, its own test of sampling."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 A process of its own takes 1.3 s to import torch, a fork 0.1 s. Forks have an environment, streams and an exit code too.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import runpy

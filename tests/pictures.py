@@ -1,7 +1,5 @@
 """Image files of all kinds, whole and damaged, and how every refusal of one looks."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Applications as their recipes have them."""
 
-from __future__ import annotations
-
 from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 

@@ -1,7 +1,5 @@
 """Data files of scenes, well made and hostile: meshes, volumes."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from typing import Any

@@ -4,8 +4,6 @@ They are small programs in a folder of PATH, which pass their arguments, folder,
 process. Whatever bash makes of a line, such as pipes, patterns and variables, is as it is for a user.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Surfaces and height fields for tests: every map varies, colours of F0 too."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

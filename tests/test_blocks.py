@@ -3,8 +3,6 @@
 A comment in the line before a block, `<!-- not run: takes hours -->`, says of one why no test runs it.
 """
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The examples for clusters, on a local cluster of two workers; make test-cluster installs what they need."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -1,7 +1,5 @@
 """README and docs: links lead somewhere; commands, targets and examples that they name exist."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import importlib.metadata

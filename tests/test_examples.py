@@ -1,7 +1,5 @@
 """The scripts in examples/ run."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """How the code hangs together: who imports whom, who prints, what is installed, and that nothing is unpickled."""
 
-from __future__ import annotations
-
 import configparser
 import os
 import re

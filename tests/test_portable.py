@@ -1,7 +1,5 @@
 """Windows and macOS lack what Linux has: metapp works without it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The registry: names are unique, and an extension with any error is left out as a whole and said."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Lock files and tools/setup.sh: all that is installed is pinned, and checked by SHA-256."""
 
-from __future__ import annotations
-
 import configparser
 import os
 import re

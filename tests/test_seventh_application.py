@@ -1,7 +1,5 @@
 """An application in a package of its own: installed beside metapp, every command takes it; uninstalled, none does."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

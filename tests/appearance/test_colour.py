@@ -1,7 +1,5 @@
 """sRGB, tone mapping, and error measures of pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

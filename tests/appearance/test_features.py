@@ -1,7 +1,5 @@
 """Feature statistics: closed forms, gradients, the fixed random filters, and VGG against a loop written by hand."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The flash renderer: closed forms, Mitsuba's own pictures, gradients, and where a photo's flash was."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

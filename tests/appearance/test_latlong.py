@@ -1,7 +1,5 @@
 """Lat-long maps: agreement with Mitsuba, energy, closed forms of diffuse light, symmetries and gradients."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Lattices of pictures, and how much of their order another picture keeps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Photographs of spheres: energy, agreement with Mitsuba's own pictures, symmetries, exposure and draws."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Fresnel's equations and microfacets: identities, gradients, and Mitsuba's own values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """The reference sphere: its lights, its sky, its shading, and its scenes in the cache."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

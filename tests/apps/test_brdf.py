@@ -1,7 +1,5 @@
 """The BRDF application: its network, losses, samples, encoder and made-up materials."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

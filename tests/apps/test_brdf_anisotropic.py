@@ -1,7 +1,5 @@
 """Anisotropic BRDFs: what is read, what is fitted, what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How much light BRDFs reflect: closed forms, fits that reflect no more than they receive, unmeasured angles."""
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,7 +1,5 @@
 """Learned features of BRDFs, of which least squares combines a material, and the protocol of all their networks."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

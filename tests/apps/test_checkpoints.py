@@ -1,7 +1,5 @@
 """The checkpoints that ship: they load, belong together, are small; golden values hold what they fit."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures from noise, at several octaves: what is compared at each, from coarse to fine, and that relief is kept."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

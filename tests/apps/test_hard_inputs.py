@@ -3,8 +3,6 @@
 The guard's promise: nothing that a fit sees is worse than at its initialisation, nor much worse than by QuickFT.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Illumination: the network of a map, the encoder's views of a photograph, losses, protocols and outputs."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Generator, Tensor

@@ -1,7 +1,5 @@
 """How sure fits of photographs of light are: their distributions, what is told and drawn of them, calibration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

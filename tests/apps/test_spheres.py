@@ -1,7 +1,5 @@
 """Light judged by three spheres: what does not count, and errors that are known in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

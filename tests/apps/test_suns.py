@@ -1,7 +1,5 @@
 """Suns of environment maps in closed form: where, how much light, how wide; and the network beside them."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

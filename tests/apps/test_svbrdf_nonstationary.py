@@ -1,7 +1,5 @@
 """Non-stationary svBRDFs: what is seen of a photo, views, variants, losses, protocols and outputs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

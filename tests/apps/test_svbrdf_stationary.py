@@ -1,7 +1,5 @@
 """Stationary svBRDFs: windows, maps, the light of a photo, and that a highlight stays out of the maps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Textures: what is compared, what is made up for training, that fits learn, and that what they make tiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

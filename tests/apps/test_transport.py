@@ -1,7 +1,5 @@
 """Transport: splines, the flow, its table, the encoder and what an application promises beside the common contract."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

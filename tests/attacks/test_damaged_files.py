@@ -1,7 +1,5 @@
 """Damaged or hostile records, checkpoints and shards: one line that names the file, never a traceback."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Links and pipes among a user's files: what is written follows no link, what is read is a regular file."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`metapp data` end to end: what is written where, exit codes, and one line for every kind of bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

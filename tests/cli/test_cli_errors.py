@@ -1,7 +1,5 @@
 """Errors of commands: one line each, also of what nobody foresaw; names that are no text."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

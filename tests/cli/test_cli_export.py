@@ -1,7 +1,5 @@
 """`metapp export`: the fits of a run in other forms, which their programs load."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

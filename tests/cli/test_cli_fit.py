@@ -1,7 +1,5 @@
 """Fitting and evaluating end to end: tables, JSON, run folders, starts, and one line for every kind of bad input."""
 
-from __future__ import annotations
-
 import errno
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`metapp data images`, `flash`, `laval`, `strips` and `maps` end to end: data sets of image files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands that end while they train, by a signal or a full disk: the same command goes on."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

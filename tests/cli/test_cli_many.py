@@ -1,7 +1,5 @@
 """`--batch` and `--resume`: many inputs, side by side, whatever is broken among them."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

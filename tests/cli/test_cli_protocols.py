@@ -1,7 +1,5 @@
 """`metapp ... illumination` and `metapp ... svbrdf_nonstationary` end to end, on references and on photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`metapp ... texture` and `metapp ... svbrdf_stationary` end to end, at random filters instead of VGG's."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

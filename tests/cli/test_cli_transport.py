@@ -1,7 +1,5 @@
 """`metapp ... transport` end to end, on scenes whose samples take no time."""
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Messages on a terminal, help and completion."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """Comparisons of methods in rows and notes of tables."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

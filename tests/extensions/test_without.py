@@ -1,7 +1,5 @@
 """Without an extension all else works, and its commands are refused with its name."""
 
-from __future__ import annotations
-
 import json
 from importlib.metadata import entry_points
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small valid files of every reader, most made by the project's own writers: {file name: content} each."""
 
-from __future__ import annotations
-
 import io
 import json
 import tempfile

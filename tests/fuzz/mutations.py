@@ -1,7 +1,5 @@
 """Damage to files, drawn by hypothesis: any bytes, or a valid file with a few changes."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable

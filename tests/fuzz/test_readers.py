@@ -3,8 +3,6 @@
 `make test` tries a few of each, the same ones every time; `make fuzz` many more, new ones every time.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import math

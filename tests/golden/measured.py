@@ -3,8 +3,6 @@
 `python -m tests.golden` writes them anew, after a change that is meant to change them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

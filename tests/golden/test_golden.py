@@ -1,7 +1,5 @@
 """Fits, tables and readers give the values of tests/golden/values.json, to rounding."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

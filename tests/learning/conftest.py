@@ -1,7 +1,5 @@
 """Tasks for the tests of learning."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Tasks whose loss is a parabola about a centre of their own, so that descents are known."""
 
-from __future__ import annotations
-
 import torch
 from torch import Generator, Tensor
 

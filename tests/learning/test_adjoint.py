@@ -1,7 +1,5 @@
 """Differentiating through learning: closed forms, an unrolled graph and finite differences must agree with it."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Callable, Sequence
 

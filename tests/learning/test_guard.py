@@ -1,7 +1,5 @@
 """The guard of learned rules: on parabolas, whose descent is known, and on materials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

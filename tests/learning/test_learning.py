@@ -1,7 +1,5 @@
 """learn and the combinators that lift losses."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from contextlib import nullcontext

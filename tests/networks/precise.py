@@ -1,7 +1,5 @@
 """Parameters in float64, for comparisons to rounding."""
 
-from __future__ import annotations
-
 from metapp.learning.task import Params
 
 

@@ -1,7 +1,5 @@
 """Doubts about fits, on pictures and maps that were made to be right or wrong."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Generators of pictures: that they tile, that tasks and pictures beside each other change nothing, how they begin."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -1,7 +1,5 @@
 """What the contract of applications and paradigms is tested on: each application, small."""
 
-from __future__ import annotations
-
 import functools
 
 import pytest

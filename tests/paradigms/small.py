@@ -1,7 +1,5 @@
 """Tasks and recipes small enough for what every application and paradigm promises."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple

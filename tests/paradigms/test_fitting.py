@@ -1,7 +1,5 @@
 """What every application and paradigm promises of fits, on tasks small enough to make here."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Preparation on training tasks: what is kept, what it goes on from, what it never sees."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Properties of the pictures of every application: previews, files with a kind each, measures of pictures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

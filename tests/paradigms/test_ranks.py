@@ -1,7 +1,5 @@
 """Training on two processes: the checkpoint of one; a rank that dies ends the run in one line, which can go on."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """Preparations that are cut off: what goes on from a training checkpoint ends bit for bit as an uninterrupted one."""
 
-from __future__ import annotations
-
 import errno
 import math
 import random

@@ -1,7 +1,5 @@
 """The samples of BRDF tasks: how they are spread, which are warned of, and what measurements make of them."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """HEIF pictures of phones: upright whatever their orientation, and one line where they cannot be read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reading HDR maps and photographs of spheres: every layout a user may have, and one line for each that is no use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

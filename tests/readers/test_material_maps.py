@@ -1,7 +1,5 @@
 """Materials as separate maps: which file is what, and how each becomes a map of the renderer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

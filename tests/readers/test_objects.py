@@ -1,7 +1,5 @@
 """Objects in memory become the tasks of files that hold the same, or are refused in a line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Reading image files: every kind a user may have, and one line for each that cannot be used."""
 
-from __future__ import annotations
-
 import base64
 import math
 import os

@@ -1,7 +1,5 @@
 """Strips of five squares: what they hold, which materials they blend, and that no material is on both sides."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from collections.abc import Callable

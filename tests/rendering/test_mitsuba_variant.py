@@ -1,7 +1,5 @@
 """Which libLLVM Mitsuba gets, and that none that aborts the process is among them."""
 
-from __future__ import annotations
-
 import os
 import stat
 import subprocess

@@ -1,7 +1,5 @@
 """Paths by their random numbers: as Mitsuba renders them, as samples in exact proportion, and guided in pictures."""
 
-from __future__ import annotations
-
 import copy
 import math
 from typing import Any

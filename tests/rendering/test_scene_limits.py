@@ -1,7 +1,5 @@
 """What a scene may hold, at the limits: the largest that is allowed, and what is just beyond."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

@@ -1,7 +1,5 @@
 """The second scene: linear, without loss or gain, with its shadows and reflections in place, as Mitsuba renders it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

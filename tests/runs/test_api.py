@@ -1,7 +1,5 @@
 """The Python API gives what the command line gives."""
 
-from __future__ import annotations
-
 import base64
 import io
 import pickle

@@ -1,7 +1,5 @@
 """The options of fits: by which recipe they go where none is named, and what help shows of which application."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Statistics over many tasks: intervals against known distributions, paired comparisons."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Fits are the same whatever a program has set for torch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial

@@ -1,7 +1,5 @@
 """The procedural materials and the patterns they are made of: ranges, periods, statistics."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

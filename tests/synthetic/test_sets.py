@@ -1,7 +1,5 @@
 """What all synthetic sets have in common: counts, names, tensors, and the same draws for a seed everywhere."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json

@@ -1,7 +1,5 @@
 """The synthetic materials: physical laws for every one of them, Mitsuba's own values for the models it shares."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

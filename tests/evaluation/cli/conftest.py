@@ -1,7 +1,5 @@
 """Three small materials, and the runs of all their tables."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What tests of `metapp evaluate` share: few steps, commands, and what a table is of."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace

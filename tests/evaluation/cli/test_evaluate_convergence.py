@@ -1,7 +1,5 @@
 """What convergence and figures are computed by, and the paper's figures."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The figures and the report of `metapp evaluate`: tables as Markdown, which links to the figures."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

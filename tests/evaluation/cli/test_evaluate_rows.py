@@ -1,7 +1,5 @@
 """Rows of the tables beside the results: ablation, trace, storage, samples, pictures."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Records that are measured where missing: their order, progress, threads, and what is left out."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of `metapp evaluate`: all rows in every format, what they compare, and runs that were killed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Assets of maps, glTF and MaterialX: what is written is what was fitted, and can be read again."""
 
-from __future__ import annotations
-
 import json
 import struct
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Scenes for Mitsuba: they load, and light comes back from them as from the maps that were fitted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """USD: a stage that all of usd-core's validators accept and whose material is the one that was fitted."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`metapp baseline`: methods of the baselines table on a user's own files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Baselines of BRDFs, components of log-relative BRDFs and GGX lobes: minima of their costs, inverses of materials."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Every application has baselines under each of its protocols, and its table prints them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

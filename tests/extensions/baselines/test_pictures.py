@@ -1,7 +1,5 @@
 """Baselines of pictures: quilting, a photo as a flat material, a map of what a mirror ball shows, harmonics of maps."""
 
-from __future__ import annotations
-
 import math
 from typing import cast
 

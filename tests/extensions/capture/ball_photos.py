@@ -1,7 +1,5 @@
 """Photographs of perfect mirror balls under maps in closed form."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Photographs of the marker sheet by a pinhole camera in a known place."""
 
-from __future__ import annotations
-
 import functools
 import io
 import math

@@ -1,7 +1,5 @@
 """`metapp data ball`: files that it writes, and its refusals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

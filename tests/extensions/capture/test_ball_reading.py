@@ -1,7 +1,5 @@
 """Photographs of balls as inputs of fits: old ones stay as they are, a mirror says what it shows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

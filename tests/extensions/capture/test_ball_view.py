@@ -1,7 +1,5 @@
 """Where a ball shows what: reflection, its inverse, the contour of a cone."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

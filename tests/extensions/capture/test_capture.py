@@ -1,7 +1,5 @@
 """From photographs of a ball by hand to a map: registration, brackets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

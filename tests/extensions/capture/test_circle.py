@@ -1,7 +1,5 @@
 """Finding balls: on drawn photographs, where noise, blur, borders and backgrounds are in the way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

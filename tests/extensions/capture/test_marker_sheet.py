@@ -1,7 +1,5 @@
 """The marker sheet: markers that nobody mistakes for others, a page to scale, the same bytes each time."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import zlib

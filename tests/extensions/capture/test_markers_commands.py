@@ -1,7 +1,5 @@
 """`metapp data markers` and `metapp data rectify`: from a sheet and photographs to a folder that fits read."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Photographs of the marker sheet: rectified to the opening, with the places of camera and flash."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """From a photograph of a ball to a map."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

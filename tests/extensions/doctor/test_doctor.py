@@ -1,7 +1,5 @@
 """What `metapp doctor` says there is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`metapp examples`: what it prints works as it is."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable
 from pathlib import Path

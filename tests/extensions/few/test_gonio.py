@@ -1,7 +1,5 @@
 """Goniometer tables: what is read is what was measured, and whatever is no such table is refused in one line."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The Gaussian model of BRDFs for few samples: closed forms, what samples leave open, which directions tell most."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

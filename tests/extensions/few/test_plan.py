@@ -1,7 +1,5 @@
 """`metapp plan`: what to measure, filled in and fitted; nothing that was filled in is lost."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The plugin of Mitsuba on a fit by the model of few samples."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The recipe of few samples: which inputs choose it, what it fits, and goniometer tables that choose others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Path guiding: the cache samples as densely as it says and learns where light comes from, and its prior helps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

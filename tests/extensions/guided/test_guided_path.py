@@ -1,7 +1,5 @@
 """The integrator metapp_guided_path: the mean of Mitsuba's path, less noise, and path itself where it cannot help."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Entries of the extension: the integrator, its row in tables of pictures, `--render`; and all without it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

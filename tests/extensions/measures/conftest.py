@@ -1,7 +1,5 @@
 """Each application, small, and weights of VGG-16 that are drawn."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The table of pictures of each application, with the extension, without it, and without what it needs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Measures of pictures: properties, closed forms, and the numbers of the authors' own programs."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import math

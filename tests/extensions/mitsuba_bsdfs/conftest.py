@@ -1,7 +1,5 @@
 """Fits for the tests of Mitsuba's plugins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

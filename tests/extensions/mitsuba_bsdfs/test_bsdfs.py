@@ -1,7 +1,5 @@
 """BSDFs of fits in Mitsuba: its own tests of a BSDF, and our evaluation of the same network and maps."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Compiled C sources in the cache folder: once for all processes, in a folder of the user alone."""
 
-from __future__ import annotations
-
 import stat
 from pathlib import Path
 

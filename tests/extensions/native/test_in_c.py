@@ -1,7 +1,5 @@
 """Steps in C: against double precision by automatic differentiation, and against steps by torch."""
 
-from __future__ import annotations
-
 import functools
 import os
 import platform

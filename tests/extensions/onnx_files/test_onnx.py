@@ -1,7 +1,5 @@
 """ONNX models: what onnxruntime makes of them is what Python does."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

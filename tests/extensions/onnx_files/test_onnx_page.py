@@ -1,7 +1,5 @@
 """The page that makes maps of photos in a browser: with a runtime of a few lines, and with the real one."""
 
-from __future__ import annotations
-
 import io
 import tarfile
 from collections.abc import Callable, Iterator

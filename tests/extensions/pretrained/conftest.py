@@ -1,7 +1,5 @@
 """Made-up weights of VGG-16, and materials small enough to fit."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

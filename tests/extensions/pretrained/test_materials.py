@@ -1,7 +1,5 @@
 """Real materials for training: what they lack is known, and drawn ones stand beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

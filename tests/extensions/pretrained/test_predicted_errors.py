@@ -1,7 +1,5 @@
 """The error that General predicts of its maps: a likelihood that has its maximum at the true scale."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Generator

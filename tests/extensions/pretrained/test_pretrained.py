@@ -1,7 +1,5 @@
 """The recipe of one photo: where it is the default, its outer loss, both networks, and what it reads of a photo."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

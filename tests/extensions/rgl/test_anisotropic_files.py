@@ -1,7 +1,5 @@
 """RGL files of anisotropic BRDFs: Mitsuba's `measured` has their values, and draws by them, at any azimuth."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Measurements into the files of other programs, by the command line: values are those that were measured."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Callable

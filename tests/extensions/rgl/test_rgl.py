@@ -1,7 +1,5 @@
 """RGL files: Mitsuba loads what is written and evaluates it as the fit; what is read is what Mitsuba evaluates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

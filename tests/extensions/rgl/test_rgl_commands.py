@@ -1,7 +1,5 @@
 """The extension's exports of a run; and the core without it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

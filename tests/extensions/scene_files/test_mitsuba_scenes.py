@@ -1,7 +1,5 @@
 """A user's scenes, in files and in memory: read as tasks that render again from anywhere, or refused in one line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

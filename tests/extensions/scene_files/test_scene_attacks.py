@@ -1,7 +1,5 @@
 """Scene files that are no scenes, or made to run code, read files, end the process or hang it: refused in a line."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

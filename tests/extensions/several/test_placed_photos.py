@@ -1,7 +1,5 @@
 """Folders of photos with the places of camera and flash: one input of non-stationary svBRDFs, and clear refusals."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

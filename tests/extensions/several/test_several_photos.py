@@ -1,7 +1,5 @@
 """Several photographs of one material: the loss, where fits begin, what more photos are worth."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -3,8 +3,6 @@
 No compiler of OSL is at hand: OSL_AS_CPP has C++ read it, which says what it computes, not that OSL takes it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Shader code of BRDFs: what it computes, by whatever can run it."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """The weights of VGG: which files are believed, how they are read, where they are looked for, what the cache holds."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os

@@ -1,7 +1,5 @@
 """The browser that tests of pages share, and the page that each opens."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """BRDFs on the page: what its shader evaluates is `fit(wi, wo)`, its pictures are metapp's."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

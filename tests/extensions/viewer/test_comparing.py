@@ -1,7 +1,5 @@
 """How pages are handled: what stands side by side, keys, handles, fingers; what is left of what cannot be drawn."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

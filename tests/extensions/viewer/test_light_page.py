@@ -1,7 +1,5 @@
 """Light maps on the page: what is kept of them, and its pictures, which are metapp's."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

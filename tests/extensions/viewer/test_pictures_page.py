@@ -1,7 +1,5 @@
 """Pictures on the page: they are metapp's, to the texel, and wipe, difference, tiles and errors are of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Maps of flat materials on the page: they are the fit's, and its pictures are metapp's."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`metapp view` and `metapp try`: which fits are on the page, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

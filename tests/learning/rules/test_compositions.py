@@ -1,7 +1,5 @@
 """Compositions of parts: their names, and what is refused."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The part "network": at first the rule it adds to, exact derivatives, and what its networks see of a grid."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parts and named rules in closed form, before they have learned, and with nothing learned as torch.optim."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Least squares as a rule: closed forms, the derivative through it, what it refuses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
