@@ -1,7 +1,5 @@
 """tools/gpu_check.py: a dry run on the CPU."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 
