@@ -104,7 +104,7 @@ class Application(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe(Entry):
-    """A `metapp.learning.recipe.Recipe`; `help` says in words that by which inputs are of its kind.
+    """A `metapp.learning.recipe.Recipe`; `help` says in words what inputs of its kind have.
 
     Attributes:
         kind: the kind of inputs that take it if none is named; "" if it must be named.
@@ -123,19 +123,20 @@ class Recipe(Entry):
 class Format(Entry):
     """A format of files that tasks come from: a module that finds and reads them.
 
-    The module has `find(paths)`, sources and a line for each file of a folder that is none, ValueError for a bad path;
-    `read_task(source, ...)`, ValueError if it is damaged; of inputs of fits `recognises(path)`, True of a file of
-    the format and of a folder with such files. If the command "data NAME" converts files, a
-    `metapp.options.Converter`, it has UNITS, of the tasks' tensors by name, and, if places or names of sources
-    tell more than the general rule, `entries(sources, folders, split)`: names, groups and splits as
-    `metapp.storage.shards.Entry`, of all sources that are not left out.
+    The module has these names:
+
+    - `find(paths)`: the sources, and a message for each skipped file of a folder; ValueError for a bad path;
+    - `read_task(source, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names;
+    - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files;
+    - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;
+    - `entries(sources, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.Entry`, of all
+      sources that are not left out.
 
     Attributes:
-        help: of the command, paragraphs and examples; "" for no command.
         app: the application whose tasks its files hold.
         inputs: the files in words, for help and errors; "" if fits do not take them as INPUT.
-        kinds: the kinds of its files, and the module's function `tells(path) -> bool` that says which are of the kind,
-            the first that does; "" for all.
+        kinds: the kinds of its files, each with the name of the module's function `tells(path) -> bool`, of which the
+            first that is True counts; "" for all files. `<tells>_task(task)` does the same for objects in memory.
     """
 
     app: str

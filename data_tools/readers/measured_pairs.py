@@ -18,7 +18,7 @@ from metapp.learning.task import Task
 Array = NDArray[np.float64]
 
 LEAST = 4  # pairs of directions
-FEW = 1000  # up to so many none is held out
+FEW = 1000  # with at most this many measurements, none is held out
 LARGEST = 1e9  # of a BRDF, in 1/sr
 LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
 COMPARED, PAIRED = 20_000, 8  # measurements that tell whether phi_h counts, and neighbours of each

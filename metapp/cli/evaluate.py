@@ -35,7 +35,7 @@ class Evaluation:
     which: Annotated[str, Option(f"Which table: {', '.join(WHICH)}; default: results, in a report all.", "NAME")] = ""
     format: Annotated[str, Option(f"One of {', '.join(FORMATS)}.", choices=FORMATS)] = "rich"
     no_run: Annotated[bool, Option("Print what there is; measure nothing, say how much is missing.")] = False
-    table: Annotated[bool, Option("Name of the default: tables are printed, with it or without.")] = False
+    table: Annotated[bool, Option("No effect: tables are always printed.")] = False
     whole: Annotated[bool, Option("Overfit and Finetune on all test tasks, not on three; both protocols.")] = False
     rule: Annotated[str, Option("Meta's learned rule; default: the recipe's.")] = ""
     observe: Annotated[

@@ -112,7 +112,7 @@ class Subject:
             title: for the progress.
             run: by which tasks are fitted.
             tasks: to be fitted.
-            settings: further ones of the figures, if they are no paradigm's own; `rule` names the folder.
+            settings: further ones, of fits that are no paradigm's own; `rule` is appended to the folder's name.
         """
 
         def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:

@@ -26,7 +26,7 @@ class Draw(NamedTuple):
 
 @dataclass(frozen=True)
 class Loss:
-    """Alg. 2 in two halves, so that the random one stays outside of all that is differentiated and compiled.
+    """A loss (alg. 2): `draw` holds all randomness, `value` is deterministic, differentiated and compiled.
 
     Attributes:
         draw: (data, rng, done) -> Draw; all randomness is here; rng is a generator, or one for each task (`draws`);
@@ -101,7 +101,7 @@ class Steps(NamedTuple):
         init: theta -> state.
         value: (theta, batch) -> the plain loss of each task, [T], differentiable once in theta.
         step: (alpha of this step, theta, state, batch) -> (theta, state, losses [T], gradient).
-        vjp: (alpha, theta, state, batch, gradient, pull of theta, pull of state) -> pulls of (theta, state, alpha);
+        vjp: (alpha, theta, state, batch, gradient, cotangents of both results) -> those of theta, state and alpha;
             the batch is {} for order 1, which does not read it.
     """
 

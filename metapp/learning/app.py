@@ -110,7 +110,7 @@ class App(ABC):
         return theta
 
     def known(self, tasks: Tasks) -> Params:
-        """The parameters that tasks give themselves, [T, ...]: constants of the steps, or first values."""
+        """Parameters computed from the tasks' data, [T, ...]: constants of the steps, or their first values."""
         return {}
 
     @abstractmethod
@@ -191,7 +191,7 @@ class App(ABC):
         return {}
 
     def evaluated(self, theta: Params, task: Task) -> Task | None:
-        """The task that a fit reproduces without error, for another network to learn; None if there is but one."""
+        """A task sampled from the fit itself, to distil it into another network; None if there is but one network."""
         return None
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor | None:

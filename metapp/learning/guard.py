@@ -33,8 +33,8 @@ def descend_guarded(
 ) -> Iterator[Step]:
     """Steps of a learned rule, then of Adam for doubtful fits; the result has the lowest visible loss of each task.
 
-    Begin, end and the end of Adam are compared on one batch, by the plain loss: neither other samples nor learned loss
-    parameters make one look better.
+    The initialisation, the rule's result and Adam's result are compared on one batch, by the plain loss: neither other
+    samples nor learned loss parameters make one look better.
 
     Args:
         params: the initialisations, [T, ...].

@@ -31,7 +31,7 @@ from metapp.learning.task import KIND, Params, Tasks
 
 
 class MetaParameters(NamedTuple):
-    """The result of a preparation: phi, an initialisation and a rule's hyperparameters; for General an encoder."""
+    """phi: an initialisation theta_0, or the encoder that predicts it, and the rule's hyperparameters alpha."""
 
     theta: Params = {}  # noqa: RUF012  (never written to)
     alpha: Params = {}  # noqa: RUF012
@@ -209,11 +209,11 @@ def task_outer_loss(app: App, batch: int) -> Loss:
     return _loss_of(replace(app), batch, outer=True)
 
 
-# one object for equal applications, by which compiled steps are found; of copies, whose last pictures it need not hold
+# compiled steps are kept by loss: equal applications give one object; of copies, so that it holds no pictures of fits
 @functools.lru_cache(maxsize=32)
 def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
     sample = app.outer_sample if outer else app.sample
-    # one function for one loss: compiled steps are found by it
+    # not the inherited one: steps in C know `Brdf.loss` by its name
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
     def draw(tasks: Tasks, rng: Rng, done: float) -> Draw:

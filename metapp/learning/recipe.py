@@ -29,8 +29,8 @@ class Guard:
         adam: the fallback, which continues a doubtful fit for as many steps again, from its end or its initialisation.
         fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 if
             losses may be negative.
-        rise: and one whose loss rises in the second half of the steps above so many times its lowest so far; infinite
-            if losses of different steps do not compare, as other samples or learned loss parameters change them.
+        rise: a fit is also doubtful whose loss, in the second half of its steps, exceeds this many times its minimum so
+            far; infinite if losses of different steps are not comparable (other samples, learned loss parameters).
     """
 
     adam: Adam
@@ -128,7 +128,8 @@ class Recipe:
     def training(self, rule: str) -> MetaTraining:
         """The training of a rule, its network, and the guard of its fits after the recipe's number of steps.
 
-        A rule that the recipe does not have is trained as its default rule, and has no guard of its own.
+        A rule that the recipe does not have is trained as its default rule, with that one's network and initialisation,
+        and has no guard of its own.
         """
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 

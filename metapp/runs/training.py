@@ -52,10 +52,10 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
     folder = data_folder(app, options.data, options.quiet)
     first = _first(run, name)
     general = general_of(run, steps) if not first and _needs_general(run, name) else None
-    encoder = general.phi if general else None
+    start = general.phi if general else None
     tasks = _tasks_of(run, name, folder)
-    about = _about(run, name, folder, encoder) | ({"first": first.digest} if first else {})
-    settings = _settings(run, name, steps, folder, encoder) | about
+    about = _about(run, name, folder, start) | ({"first": first.digest} if first else {})
+    settings = _settings(run, name, steps, folder, start) | about
     info = about | {"training_digest": digest(settings)}
     settings |= {"device": str(run.device), "threads": get_num_threads()}  # what rounding depends on
 
@@ -69,7 +69,7 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
     with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
         try:
-            for state in prepare(paradigm, tasks, rng, general=encoder, first=phi, steps=steps, since=since):
+            for state in prepare(paradigm, tasks, rng, general=start, first=phi, steps=steps, since=since):
                 if writes and time.monotonic() - saved >= seconds:
                     save_state(_training_path(path), state._asdict(), settings)
                     saved = time.monotonic()
@@ -202,7 +202,7 @@ def _needs_general(run: Run, name: str) -> bool:
     return name == "quickft" or (name != "general" and run.recipe.training(name).from_general)
 
 
-def _about(run: Run, name: str, folder: Path, encoder: MetaParameters | None) -> Document:
+def _about(run: Run, name: str, folder: Path, general: MetaParameters | None) -> Document:
     """The part of a checkpoint's header about the data it was trained on."""
     return (
         {"data": data_label(folder), "recipe": run.options.recipe, "seed": run.options.seed}
@@ -210,11 +210,11 @@ def _about(run: Run, name: str, folder: Path, encoder: MetaParameters | None) ->
         | run.app.conditions()
         | precision_of(run.app, run.device)
         | {"versions": versions()}
-        | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
+        | ({"encoder": tensor_digest(general.encoder)} if general else {})
     )
 
 
-def _settings(run: Run, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
+def _settings(run: Run, name: str, steps: int | None, folder: Path, general: MetaParameters | None) -> Document:
     """All that the result of a training depends on but for rounding, beside the description in its checkpoint."""
     return {
         "app": run.app.name,
@@ -222,5 +222,5 @@ def _settings(run: Run, name: str, steps: int | None, folder: Path, encoder: Met
         "steps": steps,
         "settings of the recipe": digest(repr(run.recipe)),
         "content of the data": fingerprint(folder),
-        "General": encoder and tensor_digest(encoder.flat()),
+        "General": general and tensor_digest(general.flat()),
     }

@@ -1,7 +1,6 @@
 """Curves as a seventh application of metapp, with their files, an export and a baseline."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from metapp.options import Converter
 from metapp.registry import Application, Entry, Export, Format, Recipe, Registry
@@ -14,9 +13,6 @@ class Curve(Converter):
     Example:
       metapp data curve curves --out set
     """
-
-    noun: ClassVar = "curve"
-    paths: ClassVar = ".curve files, and folders of them."
 
 
 def register(registry: Registry) -> None:

@@ -82,7 +82,7 @@ class Brdf(App):
         return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """From the half that fits do not see, which is without noise and complete."""
+        """Query samples: from the half that fits do not see, of which augmentation leaves out no angle."""
         half = tasks.data["where"].shape[1] // 2
         return samples_at(tasks, half + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
 
@@ -90,7 +90,8 @@ class Brdf(App):
         """Mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)|, [T].
 
         A learned `smoothing` s [T] replaces |d| by sqrt(d^2 + s^2) - s, whose curvature at sign changes autodiff sees;
-        learned `weights` [T, 8] are log weights of samples at knots over theta_h.
+        learned `weights` [T, 8] are log weights of samples at knots over theta_h. The extension `native` has this loss
+        in C and knows it by name: change it in a subclass, or in both places.
         """
         where = batch["where"]
         # without the clamp at 0 a network that is too dark still has a gradient; the clamp only ever helps
@@ -101,7 +102,7 @@ class Brdf(App):
         return (off * sample_weights(where, learned) if "weights" in learned else off).mean(1)
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
+        """Least squares in log(1 + f) that follow the loss, by weights slope^2 / sqrt(d^2 + s^2) of this step."""
         where, target = batch["where"], batch["target"]
         cos = where[:, 6:7]
         features = self.network.features_of(theta, where)

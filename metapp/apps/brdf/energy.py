@@ -61,7 +61,7 @@ def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
 
 
 def conserving(features: Tensor, last: Tensor) -> Tensor:
-    """The last layer of a fit that reflects no more than it receives, near this one; the same if it does not.
+    """The closest last layer whose BRDF conserves energy; unchanged if it already does.
 
     Reflectance is divided by the excess at the steeper one of both directions, so that it stays reciprocal, and
     least squares bring the layer to that.

@@ -32,7 +32,7 @@ TURN = "turn"  # of an anisotropic material, its own: the azimuth of its axes
 
 @dataclass(frozen=True)
 class Featured(BrdfNetwork):
-    """The network's size.
+    """A network of features that all materials share; a material is a code and a linear last layer.
 
     Attributes:
         width: of the two hidden layers.

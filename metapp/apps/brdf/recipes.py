@@ -33,7 +33,7 @@ RIDGE = MetaTraining(
     initialisation="untrained",
     app=Brdf(Featured()),
 )
-# doubtful: what ends at twice the share of its initialisation's loss that any validation material does
+# doubtful: final over initial loss above twice the largest ratio on validation materials
 GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final=0.1), fall=0.13)
 
 QUICK = Recipe(

@@ -1,7 +1,6 @@
 """Help of `metapp data gonio`."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from metapp.options import Converter
 
@@ -19,6 +18,3 @@ class Gonio(Converter):
       metapp data gonio paint.csv --out measured
       metapp data gonio measurements --split test --out measured
     """
-
-    noun: ClassVar = "CSV file"
-    paths: ClassVar = ".csv files, and folders searched at any depth."

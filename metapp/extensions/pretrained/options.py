@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from data_tools.converters import Maps, Size
 
@@ -23,5 +22,4 @@ class Materials(Maps):
       metapp data materials scans/rock scans/bark games --size 512 --out real
     """
 
-    paths: ClassVar = "Folders of maps, searched at any depth, and data sets."
     size: Size = 512

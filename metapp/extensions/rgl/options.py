@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from data_tools.converters import Samples
 from metapp.options import Converter
@@ -23,6 +22,4 @@ class Bsdf(Converter):
       metapp data bsdf measurements --split test --out rgl
     """
 
-    noun: ClassVar = "RGL file"
-    paths: ClassVar = ".bsdf files, and folders searched at any depth."
     samples: Samples = 65_536

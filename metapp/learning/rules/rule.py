@@ -13,7 +13,7 @@ from metapp.learning.task import Params
 
 
 class StepInput(NamedTuple):
-    """The state of a step before it moves: trees of the same names, tensors [T, ...].
+    """The state of a step before it moves: trees of tensors [T, ...], but for `solve` of the names of theta.
 
     Attributes:
         theta: the parameters.
@@ -37,7 +37,7 @@ class Part:
         name: in compositions, such as "adam+curvature".
         is_rate: whether it says how far parameters move: of such parts a rule has one.
         needs_one_of: names of parts; a rule that has this part must have one of them, if there are any.
-        settled: what names of hyperparameters begin with that it takes from gradients of training tasks, before the
+        settled: prefixes of hyperparameters that are estimated from gradients of training tasks, before the
             outer loop and before any search of an Adam.
     """
 

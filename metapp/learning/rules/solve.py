@@ -51,7 +51,7 @@ class NormalEquations(Loss):
 
 
 class Solve(Part):
-    """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of shares that steps keep.
+    """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of forgetting factors.
 
     With the normal equations G of a step (Gram matrix) and M (moments of residuals), P = keep P + G and
     W += M (P + diag(exp(penalty)))^-1, and a prior of the least squares adds its precision to the penalties. These

@@ -26,7 +26,7 @@ WRITERS = 2  # pictures compressed at a time
 
 
 def outputs_of(options: FitOptions) -> list[tuple[Entry, object]]:
-    """The outputs of a run beside files of its fits, and the values of the options that ask for them."""
+    """The registered outputs whose option was given, with its value."""
     given = options.own.given(OUTPUT)
     return [(output, given[name]) for name, output in registry().outputs.of(options.app).items() if name in given]
 
