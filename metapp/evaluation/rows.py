@@ -13,7 +13,7 @@ from metapp.evaluation.table import Row
 from metapp.learning.app import App
 from metapp.runs.fitting import ROSE
 from metapp.runs.naming import is_first_protocol, observe_of
-from metapp.runs.outputs.statistics import FEWEST, Errors, Paired, apart, paired, statistics_of
+from metapp.runs.outputs.statistics import FEWEST, Errors, Paired, is_significant, paired, statistics_of
 from metapp.storage import Document
 from metapp.storage.fits import Record, guarded
 
@@ -108,7 +108,7 @@ def verdict(row: Row, other: str = "quickft") -> list[str]:
         False: "no win",
         True: f"{winner} wins",
     }
-    return [f"{row['paradigm']}: {compared_text(pair, other)}; {says[apart(pair)]}"]
+    return [f"{row['paradigm']}: {compared_text(pair, other)}; {says[is_significant(pair)]}"]
 
 
 def warned(rows: Sequence[Row]) -> list[str]:

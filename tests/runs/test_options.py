@@ -17,7 +17,7 @@ from metapp.cli.fit import SUMMARIES
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.options import BadOption, declared, options_of
-from metapp.registry import app_names, protocols_of
+from metapp.registry import app_names, protocols_of, registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.inputs.sources import sources_to_fit
 from metapp.runs.options import FitOptions, fit_options
@@ -143,6 +143,19 @@ def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
         (source,) = sources_to_fit(planned)[0]
         assert planned.app.read_size in (0, side)
         assert side in source.task().data["map" if app == "illumination" else "image"].shape
+
+
+def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An extension's format of a suffix that is taken neither wins nor loses in silence."""
+    (tmp_path / "paint.csv").write_text("")
+    gonio = registry().formats["gonio"]
+    monkeypatch.setattr("metapp.runs.inputs.sources.inputs_of", lambda app: {"acme": gonio, "gonio": gonio})
+    for path in (tmp_path / "paint.csv", tmp_path):
+        run = Run.of(fit_options("brdf", "general", inputs=[path], recipe="full"))
+        with pytest.raises(
+            ValueError, match=r"paint\.csv: the formats acme and gonio both read it, expected one; leave"
+        ):
+            sources_to_fit(run)
 
 
 # What was learned at the quick size fits at the full one

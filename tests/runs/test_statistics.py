@@ -8,7 +8,7 @@ import OpenImageIO as oiio
 import pytest
 
 from metapp.runs.outputs.pictures import COLUMNS, SIDE, Column, write_sheet
-from metapp.runs.outputs.statistics import Paired, apart, interval_of, paired, statistics_of
+from metapp.runs.outputs.statistics import Paired, interval_of, is_significant, paired, statistics_of
 
 HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170
 
@@ -58,7 +58,7 @@ def test_what_is_a_little_better_on_every_task_is_apart_though_intervals_overlap
     assert (found.kind, found.ahead, found.tasks, found.groups) == ("ratio", 12, 12, 12)
     assert found.value == pytest.approx(sum(ours) / sum(HARD))
     assert 0.93 < found.low < found.value < found.high < 0.97
-    assert apart(found) is True
+    assert is_significant(found) is True
     assert found == compared(ours, HARD)  # the same draws each time
     assert some(compared(HARD, ours)).low == pytest.approx(1 / found.high)
 
@@ -66,9 +66,9 @@ def test_what_is_a_little_better_on_every_task_is_apart_though_intervals_overlap
 def test_what_is_better_on_some_tasks_and_worse_on_others_is_not_apart() -> None:
     found = some(compared([error * (1.5 if i % 2 else 0.6) for i, error in enumerate(HARD)], HARD))
     assert found.low < 1 < found.high
-    assert apart(found) is False
+    assert is_significant(found) is False
     same = some(compared(HARD, HARD))
-    assert (same.value, same.low, same.high, same.ahead, apart(same)) == (1.0, 1.0, 1.0, 0, False)
+    assert (same.value, same.low, same.high, same.ahead, is_significant(same)) == (1.0, 1.0, 1.0, 0, False)
 
 
 def test_tasks_that_show_the_same_are_drawn_together() -> None:
@@ -77,14 +77,14 @@ def test_tasks_that_show_the_same_are_drawn_together() -> None:
     assert alone.value == together.value
     assert together.high - together.low > 1.5 * (alone.high - alone.low)
     assert together.groups == 4
-    assert apart(together) is None
+    assert is_significant(together) is None
 
 
 def test_errors_that_are_logarithms_are_compared_by_differences() -> None:
     found = some(compared([-2.5 - 0.1 * i for i in range(8)], [-2.4 - 0.1 * i for i in range(8)], logarithmic=True))
     assert found.kind == "difference"
     assert (found.value, found.low, found.high) == (pytest.approx(-0.1),) * 3
-    assert apart(found) is True
+    assert is_significant(found) is True
     assert str(found) == "-0.100 [-0.100, -0.100]"
 
 
@@ -93,7 +93,7 @@ def test_there_is_no_ratio_to_errors_of_zero_and_none_without_common_tasks() -> 
     assert compared([1.0] * 6, [-1.0] * 6) is None
     assert some(compared([1.0] * 12, [0.0, *[1.0] * 11])).value == pytest.approx(12 / 11)
     assert paired({"a": 1.0}, {"b": 1.0}, {"a": "a", "b": "b"}, logarithmic=False) is None
-    assert apart(None) is None
+    assert is_significant(None) is None
 
 
 def test_the_interval_holds_the_truth_about_as_often_as_it_says() -> None:

@@ -18,7 +18,7 @@ from metapp.learning.task import Params, Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
 from metapp.runs.naming import caption_of, factor_of
-from metapp.runs.outputs.statistics import apart
+from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.run import Checkpoint
 from metapp.storage.checkpoints import tensor_digest
 from metapp.storage.fits import Record
@@ -60,7 +60,7 @@ def ablation(subject: Subject) -> Table:
             entries = {"start": start, "rule": by, "steps": row["steps"]}
             rows.append(row_of(subject, f"{start}+{by}", records, entries, COMPARED))
         rows.append(row | {"start": f"meta ({row['rule']})"})
-    rows = [row | {"apart": apart(row["vs_quickft"])} for row in rows]
+    rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in rows]
     notes = [
         "adam: QuickFT's, searched on validation tasks for General's initialisation",
         caption_of(subject.app),

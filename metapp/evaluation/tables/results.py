@@ -22,7 +22,7 @@ from metapp.evaluation.table import Row, Table, columns
 from metapp.learning.app import App
 from metapp.paradigms import PARADIGMS
 from metapp.runs.naming import caption_of, factor_of, is_first_protocol
-from metapp.runs.outputs.statistics import apart
+from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.reporter import number
 
 COMPARED = ("quickft", "general")
@@ -105,7 +105,7 @@ def change(one: Row, other: Row) -> str:
 
 def quickft(subject: Subject) -> Table:
     """General, QuickFT and Meta, each with whether chance could be why its error is not QuickFT's."""
-    rows = [row | {"apart": apart(row["vs_quickft"])} for row in result_rows(subject, EQUAL)]
+    rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in result_rows(subject, EQUAL)]
     _, of_quickft, meta = rows
     notes = [*verdict(meta), *verdict(meta, "general"), *warned(rows)]
     if None not in (meta["paper_error"], of_quickft["paper_error"]):

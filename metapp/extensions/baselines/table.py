@@ -21,7 +21,7 @@ from metapp.extensions.baselines.fits import (
 )
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import caption_of, factor_of, name_of
-from metapp.runs.outputs.statistics import apart
+from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.reporter import say
 from metapp.storage.fits import PARAMS, Record
 
@@ -112,8 +112,8 @@ def _row_of_baseline(subject: Subject, name: str, records: list[Record]) -> Row:
 def _compared(all_rows: list[Row]) -> list[str]:
     """The baselines of a lower error than Meta's, of a higher one, and those not told apart."""
     pairs = {row["paradigm"]: pair for row in all_rows if (pair := row["vs_meta"])}
-    higher = [name for name, pair in pairs.items() if apart(pair) and pair.value > pair.level]
-    level = [name for name, pair in pairs.items() if not apart(pair)]
+    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.level]
+    level = [name for name, pair in pairs.items() if not is_significant(pair)]
     return [
         *(f"{name}: {compared_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *level)),
         *([f"a higher error than meta's: {', '.join(higher)}"] if higher else []),

@@ -97,12 +97,18 @@ def sources_to_fit(run: Run) -> tuple[list[Source], str]:
 
 
 def _sources_of_files(run: Run) -> list[Source]:
-    """Files, also those of folders, each once, in the order of inputs."""
+    """Files, also those of folders, each once, in the order of inputs; ValueError for one that two formats read."""
     sources: dict[str, Source] = {}
+    form_of: dict[str, str] = {}
     for path in run.options.paths:
-        for places, read in _found(run, path):
+        for form, places, read in _found(run, path):
             for place in places:
                 whole, is_named = str(place.resolve()), len(places) == 1 or place == path
+                if (other := form_of.setdefault(whole, form)) != form:
+                    raise ValueError(
+                        f"{place}: the formats {other} and {form} both read it, expected one; leave one extension "
+                        f"out by {WITHOUT}."
+                    )
                 sources.setdefault(whole, Source(as_text(whole), functools.partial(read, place), is_named, [path]))
     return list(sources.values())
 
@@ -140,8 +146,8 @@ def told_apart(read: Iterable[tuple[str, Task]]) -> list[Task]:
     ]
 
 
-def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
-    """Sources that each reader finds at a path that it recognises, and the function that reads one of them.
+def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Path], Task]]]:
+    """The name of each format that recognises a path, its sources there, and the function that reads one of them.
 
     Raises:
         ValueError: there is no such path, or it is no input of the application.
@@ -150,10 +156,10 @@ def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], 
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
-    forms = inputs_of(app.name).values()
-    readers = [reader for form in forms if (reader := form.load()).recognises(path)]
+    forms = inputs_of(app.name)
+    readers = {name: reader for name, form in forms.items() if (reader := form.load()).recognises(path)}
     if not readers:
-        inputs = ", ".join(form.inputs for form in forms)
+        inputs = ", ".join(form.inputs for form in forms.values())
         expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
         every = (form for form in registry().formats.values() if form.inputs)
         others = sorted({form.app for form in every if form.load().recognises(path)})
@@ -165,11 +171,11 @@ def _found(run: Run, path: Path) -> Iterator[tuple[list[Path], Callable[[Path], 
             ):
                 more = f"; the extension {name} reads it, which {WITHOUT} leaves out; unset it"
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
-    for reader in readers:
+    for name, reader in readers.items():
         places, skipped = reader.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(reader.read_task, **_taken(reader, _arguments(run)))
+        yield name, places, functools.partial(reader.read_task, **_taken(reader, _arguments(run)))
 
 
 def _taken(reader: ModuleType, arguments: Mapping[str, object]) -> dict[str, object]:
@@ -193,7 +199,7 @@ def _arguments(run: Run) -> dict[str, object]:
 def _merged(run: Run, option: str) -> Source:
     """The one source of all inputs, as an option merges them."""
     app = run.app
-    places = [place for path in run.options.paths for some, _ in _found(run, path) for place in some]
+    places = [place for path in run.options.paths for _, some, _ in _found(run, path) for place in some]
     (reader, *_) = (form.load() for form in inputs_of(app.name).values() if form.load().recognises(places[0]))
 
     def read() -> Task:

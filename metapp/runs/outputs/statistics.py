@@ -128,7 +128,7 @@ def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic
     return Paired(value, *interval_of(values), ahead, len(names), len(set(of_tasks)), kind)
 
 
-def apart(pair: Paired | None) -> bool | None:
+def is_significant(pair: Paired | None) -> bool | None:
     """True if two methods differ by more than chance; None if that is not known, or on too few tasks to tell."""
     if pair is None or pair.groups < FEWEST:
         return None
