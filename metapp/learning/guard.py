@@ -14,7 +14,7 @@ from torch import Tensor
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.draws import Rng, clone_rng, select_rng
-from metapp.learning.learn import Step, check_finite, descend, final_item
+from metapp.learning.learn import DescentState, check_finite, descend, final_item
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import append_axes, fixed_adam
 from metapp.learning.task import Params, Tasks
@@ -30,7 +30,7 @@ def descend_guarded(
     guard: Guard,
     steps: int,
     steps_of: StepsOf = torch_steps,
-) -> Iterator[Step]:
+) -> Iterator[DescentState]:
     """Steps of a learned rule, then of Adam for doubtful fits; the result has the lowest visible loss of each task.
 
     The initialisation, the rule's result and Adam's result are compared on one batch, by the plain loss: neither other

@@ -59,7 +59,7 @@ class MetaParameters(NamedTuple):
         return cls(**parts)
 
 
-class Step(NamedTuple):
+class DescentState(NamedTuple):
     """The state of a descent between two steps: with the state of its generator, all that the rest depends on.
 
     Attributes:
@@ -87,9 +87,9 @@ def descend(
     *,
     steps: int,
     rng: Rng,
-    since: Step | None = None,
+    since: DescentState | None = None,
     steps_of: StepsOf = torch_steps,
-) -> Iterator[Step]:
+) -> Iterator[DescentState]:
     """Descend a loss from an initialisation by a rule (alg. 1), one step at a time.
 
     Args:
@@ -113,17 +113,17 @@ def descend(
     [1.0, 0.5, 0.25]
     """
     theta = {key: value.detach() for key, value in params.items()}
-    by = steps_of(rule, loss, theta, 1)
-    now = since or Step(0, theta, by.init(theta))
+    functions = steps_of(rule, loss, theta, 1)
+    now = since or DescentState(0, theta, functions.init(theta))
     yield now
     for i in range(now.step, steps):
         names, batch = loss.draw(data, rng, i / steps)
-        theta, state, losses, _ = by.step(at_step(by.alpha, i), now.theta, now.state, batch)
-        now = Step(i + 1, theta, state, losses, names)
+        theta, state, losses, _ = functions.step(at_step(functions.alpha, i), now.theta, now.state, batch)
+        now = DescentState(i + 1, theta, state, losses, names)
         yield now
 
 
-def check_finite(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
+def check_finite(descent: Iterator[DescentState], every: int = 50) -> Iterator[DescentState]:
     """The same descent; the losses of some steps, of the first and of the last must be finite.
 
     Args:
@@ -133,7 +133,7 @@ def check_finite(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
     Raises:
         FloatingPointError: a loss is not finite; names the tasks and the step.
 
-    >>> list(check_finite(iter([Step(1, {}, {}, torch.tensor([float("nan")]), ("gold",))])))
+    >>> list(check_finite(iter([DescentState(1, {}, {}, torch.tensor([float("nan")]), ("gold",))])))
     Traceback (most recent call last):
     FloatingPointError: gold: the loss is not finite at step 0; lower the learning rate or clip earlier.
     """
@@ -149,7 +149,7 @@ def check_finite(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
         _require_finite(unchecked)
 
 
-def _require_finite(now: Step) -> None:
+def _require_finite(now: DescentState) -> None:
     assert now.loss is not None
     bad = [name for name, fine in zip(now.names, torch.isfinite(now.loss).tolist(), strict=False) if not fine]
     if bad:
@@ -316,9 +316,9 @@ def after_learning(
         theta = encoding.encode(parts.encoder, condition) if encoding else expand_tasks(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_per_task(theta, expand_tasks(parts.alpha, count, 1), clip / count)
-        by = rule(alpha)
-        final = learn_through(theta, by, inner, loss, order=order, steps_of=steps_of)
-        return steps_of(by, last_loss, final, 1).value(final, outer)
+        update_rule = rule(alpha)
+        final = learn_through(theta, update_rule, inner, loss, order=order, steps_of=steps_of)
+        return steps_of(update_rule, last_loss, final, 1).value(final, outer)  # in C where that is to be had
 
     return Loss(draw, value)
 

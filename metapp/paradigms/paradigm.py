@@ -14,7 +14,7 @@ from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
 from metapp.learning.draws import Rng
 from metapp.learning.guard import descend_guarded
-from metapp.learning.learn import MetaParameters, Step, check_finite, descend, final_item, task_loss
+from metapp.learning.learn import DescentState, MetaParameters, check_finite, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
@@ -136,7 +136,7 @@ class Paradigm(ABC):
         """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""
         return final_item(self.descend(phi, tasks, rng)).theta
 
-    def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[Step]:
+    def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[DescentState]:
         """Fit tasks, one or many: descend from the initialisation by the rule, one step at a time.
 
         Args:
@@ -152,7 +152,7 @@ class Paradigm(ABC):
         """
         theta, steps = self.initialisation(phi, tasks, rng), self.steps
         if steps == 0:
-            yield Step(0, theta, {})
+            yield DescentState(0, theta, {})
             return
         rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if self.guarding else None
         if guard:

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, Step, check_finite, descend
+from metapp.learning.learn import DescentState, MetaParameters, check_finite, descend
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
@@ -111,7 +111,7 @@ def _outer_loop(
     if ranks.count() > 1:
         loss = ranks.SummedOverRanks(loss.draw, loss.value, loss.shared)
     rule, app = outer_adam(training, state.current), paradigm.app
-    since = Step(state.step, state.current, state.moments) if state.moments else None
+    since = DescentState(state.step, state.current, state.moments) if state.moments else None
     for now in check_finite(descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1):
         losses = state.losses
         if now.loss is not None:

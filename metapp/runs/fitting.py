@@ -15,7 +15,7 @@ from torch import Generator
 
 from metapp.learning.app import stack
 from metapp.learning.draws import Rng, draw_per_task
-from metapp.learning.learn import Step, final_item
+from metapp.learning.learn import DescentState, final_item
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
 from metapp.runs.inputs.sources import Source
@@ -216,7 +216,7 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
         )
 
 
-def warnings_of(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
+def warnings_of(run: Run, stacked: Tasks, first: DescentState, fit: DescentState) -> list[list[str]]:
     """Warnings of fits that are doubtful, as some applications see themselves, or worse than they began.
 
     Fits that a guard compared with their beginning are none of the latter.
@@ -236,7 +236,7 @@ def warnings_of(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[s
     return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
 
 
-def _rises(run: Run, stacked: Tasks, first: Step, fit: Step) -> list[list[str]]:
+def _rises(run: Run, stacked: Tasks, first: DescentState, fit: DescentState) -> list[list[str]]:
     """Warnings of fits whose visible loss is above their initialisation's: learned rules can fail."""
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():

@@ -20,7 +20,7 @@ from metapp.appearance.flash import Maps, pack
 from metapp.appearance.latlong import directions, solid_angles, sphere_normals
 from metapp.apps import recipes_of
 from metapp.learning.app import App, stack
-from metapp.learning.learn import MetaParameters, Step, final_item
+from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.quickft import QuickFT
@@ -40,7 +40,7 @@ class Found(NamedTuple):
     first: Params
     quickft: Params
     alone: Params
-    guarded: Step
+    guarded: DescentState
 
 
 def fitted(app: App, sources: Iterable[Task]) -> Found:

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.guard import descend_guarded
-from metapp.learning.learn import Step, descend, expand_tasks, final_item, learn, task_loss
+from metapp.learning.learn import DescentState, descend, expand_tasks, final_item, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Params, Tasks
@@ -48,7 +48,7 @@ def loss_of(theta: Params, tasks: Tasks) -> Tensor:
 
 def fit(
     rule: UpdateRule, start: Params, tasks: Tasks, *, loss: Loss = EXACT, guard: Guard = GUARD
-) -> tuple[Step, Params]:
+) -> tuple[DescentState, Params]:
     """A guarded fit, and the rule's own."""
     path = list(guarded_descent(start, rule, tasks, loss, Generator().manual_seed(1), guard))
     alone = final_item(descend(start, rule, tasks, loss, steps=STEPS, rng=Generator().manual_seed(1)))
@@ -59,7 +59,7 @@ def fit(
 
 def guarded_descent(
     start: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Generator, guard: Guard
-) -> Iterator[Step]:
+) -> Iterator[DescentState]:
     return descend_guarded(start, rule, tasks, loss, rng=rng, guard=guard, steps=STEPS)
 
 

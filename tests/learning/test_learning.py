@@ -14,9 +14,9 @@ from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Draw
 from metapp.learning.app import stack
 from metapp.learning.learn import (
+    DescentState,
     Encoding,
     MetaParameters,
-    Step,
     after_encoding,
     after_learning,
     check_finite,
@@ -124,7 +124,7 @@ def test_a_descent_goes_on_from_any_of_its_steps(tasks: Tasks) -> None:
     expected = learn(start, rule, tasks, NOISY, steps=6, rng=Generator().manual_seed(1))
     rng = Generator().manual_seed(1)
     middle = next(now for now in descend(start, rule, tasks, NOISY, steps=6, rng=rng) if now.step == 4)
-    others = descend({}, rule, tasks, NOISY, steps=6, rng=rng, since=Step(4, middle.theta, middle.state))
+    others = descend({}, rule, tasks, NOISY, steps=6, rng=rng, since=DescentState(4, middle.theta, middle.state))
     *_, final = others
     assert torch.equal(final.theta["x"], expected["x"])
 
@@ -134,7 +134,10 @@ def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
     """Counted from 0: every so many, and the last, unless it is the first alone."""
     for bad in range(10):
         losses = [torch.tensor([(math.nan, math.inf)[bad % 2] if i == bad else 1.0]) for i in range(10)]
-        descent = [Step(0, {}, {}), *(Step(i + 1, {}, {}, loss, ("felt",)) for i, loss in enumerate(losses))]
+        descent = [
+            DescentState(0, {}, {}),
+            *(DescentState(i + 1, {}, {}, loss, ("felt",)) for i, loss in enumerate(losses)),
+        ]
         message = rf"^felt: the loss is not finite at step {bad}; lower the learning rate or clip earlier\.$"
         with pytest.raises(FloatingPointError, match=message) if bad in expected else nullcontext():
             final_item(check_finite(iter(descent), every))
