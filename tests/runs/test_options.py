@@ -1,7 +1,7 @@
 """The options of fits: by which recipe they go where none is named, and what help shows of which application."""
 
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +143,25 @@ def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
         (source,) = sources_to_fit(planned)[0]
         assert planned.app.read_size in (0, side)
         assert side in source.task().data["map" if app == "illumination" else "image"].shape
+
+
+NO_FIGURE = {
+    "inputs",
+    "train",
+    "train_steps",
+    "batch",
+    "resume",
+    "export",
+    "out",
+    "quiet",
+}  # of no figure
+
+
+def test_records_state_all_options_that_figures_depend_on() -> None:
+    run = with_checkpoint(Run.of(fit_options("illumination", recipe="quick", observe="photo")))
+    named = {"options" if field.name == "own" else field.name for field in fields(FitOptions)} - NO_FIGURE
+    run = replace(run, options=replace(run.options, own=replace(run.options.own, fov=60.0)))
+    assert named <= run.settings("none").keys()
 
 
 def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
