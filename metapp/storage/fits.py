@@ -16,7 +16,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from safetensors import SafetensorError
 from safetensors.torch import save
@@ -227,8 +227,7 @@ class Fits(NamedTuple):
 
     def hold(self, record: Document) -> bool:
         """True if a record is of these settings."""
-        as_read: Any = json.loads(json.dumps(as_text(self.settings)))
-        return bool(record.get("settings") == as_read)
+        return bool(record.get("settings") == as_text(self.settings))
 
     def records(self) -> dict[str, Document]:
         """The records of these settings, by the inputs' names; none of fits whose seconds are a batch's shares."""
