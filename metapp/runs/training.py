@@ -52,10 +52,10 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
     folder = data_folder(app, options.data, options.quiet)
     first = _first(run, name)
     general = general_of(run, steps) if not first and _needs_general(run, name) else None
-    start = general.phi if general else None
+    general_phi = general.phi if general else None
     tasks = _tasks_of(run, name, folder)
-    about = _about(run, name, folder, start) | ({"first": first.digest} if first else {})
-    settings = _settings(run, name, steps, folder, start) | about
+    about = _about(run, name, folder, general_phi) | ({"first": first.digest} if first else {})
+    settings = _settings(run, name, steps, folder, general_phi) | about
     info = about | {"training_digest": digest(settings)}
     settings |= {"device": str(run.device), "threads": get_num_threads()}  # what rounding depends on
 
@@ -69,7 +69,7 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
     with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
         try:
-            for state in prepare(paradigm, tasks, rng, general=start, first=phi, steps=steps, since=since):
+            for state in prepare(paradigm, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
                 if writes and time.monotonic() - saved >= seconds:
                     save_state(_training_path(path), state._asdict(), settings)
                     saved = time.monotonic()

@@ -98,19 +98,19 @@ def sources_to_fit(run: Run) -> tuple[list[Source], str]:
 
 def _sources_of_files(run: Run) -> list[Source]:
     """Files, also those of folders, each once, in the order of inputs; ValueError for one that two formats read."""
-    sources: dict[str, Source] = {}
-    form_of: dict[str, str] = {}
+    sources: dict[str, tuple[str, Source]] = {}  # and the format that reads it
     for path in run.options.paths:
         for form, places, read in _found(run, path):
             for place in places:
                 whole, is_named = str(place.resolve()), len(places) == 1 or place == path
-                if (other := form_of.setdefault(whole, form)) != form:
+                source = Source(as_text(whole), functools.partial(read, place), is_named, [path])
+                other, _ = sources.setdefault(whole, (form, source))
+                if other != form:
                     raise ValueError(
                         f"{place}: the formats {other} and {form} both read it, expected one; leave one extension "
                         f"out by {WITHOUT}."
                     )
-                sources.setdefault(whole, Source(as_text(whole), functools.partial(read, place), is_named, [path]))
-    return list(sources.values())
+    return [source for _, source in sources.values()]
 
 
 def sources_of(tasks: Sequence[Task]) -> list[Source]:
