@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow test-cluster lint types docs lock bench bench-size bench-growth bench-cluster bench-samples guiding tables figures report paper paper-brdf fuzz real real-photos \
+.PHONY: help setup demo test test-long test-slow test-cluster mutants lint types docs lock bench bench-size bench-growth bench-cluster bench-samples guiding tables figures report paper paper-brdf fuzz real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -42,6 +42,9 @@ test-slow: setup  ## the tests that take minutes each
 
 fuzz: setup  ## damaged files for all readers, new ones every time: N=1000 of each, 20 minutes
 	METAPP_FUZZ=$(or $(N),1000) $(VENV)/bin/python -m pytest tests/fuzz $(WORKERS) -o faulthandler_timeout=7200
+
+mutants: setup  ## small faults put into the sources: how many the tests notice; N=12 of each package, half an hour
+	$(VENV)/bin/python tools/mutants.py $(or $(N),12)
 
 lint: setup  ## ruff, layers
 	$(VENV)/bin/ruff check .
