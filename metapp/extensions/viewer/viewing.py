@@ -57,8 +57,13 @@ def view_page(
     """
     read = [read_run(path, task) for path in runs]
     labels, page = _labels(read), out or read[0].folder / PAGE
+    names = dict.fromkeys((record["settings"]["app"], record["name"]) for _, records in read for record in records)
+    shown = list(names)[:most]
+    if len(names) > most:
+        say(f"view: {most} of {len(names)} tasks; --most {len(names)} shows all.")
     by_task: dict[tuple[str, str], list[tuple[str, Run, Task, Document]]] = {}
     for folder, records in read:
+        records = [record for record in records if (record["settings"]["app"], record["name"]) in shown]
         missing = 0
         for some in by_settings(records):
             run = Run.of_settings(some[-1]["settings"])
@@ -71,13 +76,10 @@ def view_page(
         if missing:
             what = f"the inputs of {missing} of {len(records)} fits are not at hand"
             say(f"view: {what}; give them by --input or --data to see references.")
-    if len(by_task) > most:
-        say(f"view: {most} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
     make_folder(page.parent)  # before what takes time
     groups, lacking = [], list[str]()
-    tasks_shown = list(by_task.values())[:most]
-    with progress("view", len(tasks_shown), quiet=quiet) as bar:
-        for several in tasks_shown:
+    with progress("view", len(by_task), quiet=quiet) as bar:
+        for several in by_task.values():
             views = []
             for label, run, fitted, record in several:
                 try:

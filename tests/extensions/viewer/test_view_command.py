@@ -115,7 +115,8 @@ def test_one_task_reads_its_own_input_alone(
     task = Source.task
     monkeypatch.setattr(Source, "task", lambda self: read.append(Path(self.place).name) or task(self))
     metapp("view", run, "--no-open", "--out", "p.html", "--task", "m1")
-    assert read == ["m1"]
+    metapp("view", run, "--no-open", "--out", "q.html", "--most", "1")
+    assert read == ["m1", "m0"]
 
 
 def test_runs_that_differ_in_steps_alone_are_told_apart(metapp: Callable, fitted: Callable) -> None:

@@ -94,6 +94,7 @@ class DrawnViewer extends ComparingViewer {
     if (this.stale || this.finished() || begin - this.shownAt > 4 * this.showCost) {
       this._show();
       this.renderer.getContext().readPixels(0, 0, 1, 1, 0x1908, 0x1401, new Uint8Array(4));  // waits until all is drawn
+      if (this.coarse.looked || this.coarse.count || this.fine.looked || this.fine.count) this.element.classList.remove("waiting");
       this.stale = false; this.shownAt = performance.now(); this.showCost = this.shownAt - begin;
     }
     (this.bar ??= new Progress(this)).show();
