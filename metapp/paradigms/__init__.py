@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from metapp.paradigms.finetune import Finetune
-from metapp.paradigms.general import General
+from metapp.paradigms.adam import Finetune, General, Overfit, QuickFT
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.overfit import Overfit
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.quickft import QuickFT
 
 __all__ = ["PARADIGMS", "Paradigm"]
 

@@ -11,7 +11,7 @@ from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, 
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms.general import encoding, predict
+from metapp.paradigms.adam import encoding, predict
 from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, fastest
 from metapp.rules import rule_of
 
@@ -24,7 +24,7 @@ class Meta(Paradigm):
     name = "meta"
 
     @property
-    def learned(self) -> LearnedRule:
+    def learned_rule(self) -> LearnedRule:
         """The learned rule before its hyperparameters are known."""
         return rule_of(self.rule_name)
 
@@ -50,13 +50,13 @@ class Meta(Paradigm):
 
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
         """The learned rule, for so many steps."""
-        alpha = self.learned.for_steps(phi.alpha, steps)
-        return self.learned.rule(expand_tasks(alpha, next(iter(theta.values())).shape[0], 1))
+        alpha = self.learned_rule.for_steps(phi.alpha, steps)
+        return self.learned_rule.rule(expand_tasks(alpha, next(iter(theta.values())).shape[0], 1))
 
     @property
     def loss(self) -> Loss:
         """The loss that the steps of the learned rule descend."""
-        return self.learned.loss(self.app, super().loss)
+        return self.learned_rule.loss(self.app, super().loss)
 
     @property
     def guard(self) -> Guard:
@@ -83,16 +83,16 @@ class Meta(Paradigm):
         elif general and kind == "mean":
             theta = {key: value.mean(0) for key, value in predict(app, general, tasks, rng).items()}
         random = {key: value[0] for key, value in app.init(rng, 1).items()}
-        alpha = self.learned.alpha(app, random, self.steps, self.training.first)
+        alpha = self.learned_rule.alpha(app, random, self.steps, self.training.first)
         phi = MetaParameters({} if encoder else theta or random, alpha, encoder)
         return self._with_gradients(phi, tasks, rng)
 
     def outer_loss(self, phi: MetaParameters) -> Loss:
         """The loss that is left after the steps of a fit (alg. 3)."""
         app, training = self.app, self.training
-        learned = after_learning(
+        lifted = after_learning(
             self.loss,
-            self.learned.rule,
+            self.learned_rule.rule,
             steps=self.steps,
             order=training.order,
             clip=training.clip,
@@ -100,19 +100,19 @@ class Meta(Paradigm):
             outer_loss=task_outer_loss(app, self.recipe.batch),
             steps_of=fastest(compiles=app.compiles),
         )
-        return over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
+        return over_tasks(lifted, count=training.tasks, augment=app.augment if training.augment else None)
 
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
         """phi whose rule is this Adam at first, but for hyperparameters that gradients settled."""
         theta = {key: value[0] for key, value in self.app.init(Generator().manual_seed(0), 1).items()}
-        fresh = self.learned.alpha(self.app, theta, self.steps, adam)
-        settled = {name: value for name, value in phi.alpha.items() if name.startswith(self.learned.settled)}
+        fresh = self.learned_rule.alpha(self.app, theta, self.steps, adam)
+        settled = {name: value for name, value in phi.alpha.items() if name.startswith(self.learned_rule.settled)}
         return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | settled).items()})
 
     def _with_gradients(self, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
         """phi with the values that parts of its rule, if any, take from the gradients of fits of training tasks."""
-        learned = self.learned
-        if not learned.settled:
+        learned_rule = self.learned_rule
+        if not learned_rule.settled:
             return phi
         total: Params = {}
         count = min(len(tasks), GATHERED)
@@ -124,9 +124,9 @@ class Meta(Paradigm):
             def recording(
                 alpha: Params, theta: Params, grads: Params, state: Params, step: RuleStep = rule.step
             ) -> tuple[Params, Params]:
-                for name, value in learned.gather(phi.alpha, grads).items():
+                for name, value in learned_rule.gather(phi.alpha, grads).items():
                     total[name] = total.get(name, 0) + value
                 return step(alpha, theta, grads, state)
 
             learn(theta, rule._replace(step=recording), part, self.loss, steps=self.steps, rng=rng)
-        return phi._replace(alpha=learned.settle(phi.alpha, total))
+        return phi._replace(alpha=learned_rule.settle(phi.alpha, total))

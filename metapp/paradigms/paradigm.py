@@ -41,27 +41,26 @@ class Paradigm(ABC):
     Attributes:
         app: the application.
         recipe: its settings.
-        learned_rule: Meta's rule, a name or a composition (`rules.rule_of`); "" for the recipe's.
+        rule_name: Meta's rule, a name or a composition (`rules.rule_of`); "" at first for the recipe's.
         asked_steps: gradient steps instead of the recipe's number; None keeps that.
         guarding: whether the guard of learned rules is on.
         name: as on the command line.
+        needs: checkpoints: of its initialisation ("general" or a rule), then of its tuning ("quickft").
     """
 
     app: App
     recipe: Recipe
-    learned_rule: str = ""
+    rule_name: str = ""
     asked_steps: int | None = None
     guarding: bool = True
     name: ClassVar[str]
 
-    @property
-    def rule_name(self) -> str:
-        """The name of Meta's learned rule."""
-        return self.learned_rule or self.recipe.rule
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rule_name", self.rule_name or self.recipe.rule)
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Names of checkpoints: of its initialisation ("general" or a rule), then of its tuning ("quickft")."""
+        """As the attributes say."""
         return ()
 
     @property

@@ -16,8 +16,7 @@ from metapp.learning.learn import DescentState, MetaParameters, check_finite, de
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms import PARADIGMS, ranks
-from metapp.paradigms.meta import Meta
+from metapp.paradigms import ranks
 from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm
 
 
@@ -230,13 +229,6 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
                 return float("inf")
             total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
     return app.scale * total / (seeds * float(weights.sum()))
-
-
-def preparing(paradigm: Paradigm, name: str) -> Paradigm:
-    """The paradigm that trains "general", "quickft" or a learned rule, for the recipe's number of steps."""
-    if name in PARADIGMS:
-        return PARADIGMS[name](paradigm.app, paradigm.recipe, paradigm.rule_name)
-    return Meta(paradigm.app, paradigm.recipe, name)
 
 
 def with_steps(training: OuterLoop, steps: int | None) -> OuterLoop:

@@ -14,7 +14,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.networks.field import regridded
 from metapp.paradigms import PARADIGMS
-from metapp.paradigms.quickft import TUNED
+from metapp.paradigms.adam import TUNED
 from metapp.rules import rule_of
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.naming import is_first_protocol, name_of

@@ -14,7 +14,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.options import BadOption
 from metapp.paradigms import PARADIGMS, ranks
-from metapp.paradigms.training import TrainState, describe, prepare, preparing
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.training import TrainState, describe, prepare
 from metapp.runs.checkpoints import ships_general, trained_path, with_checkpoint
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.naming import name_of, observe_of
@@ -46,7 +47,7 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
         ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
     """
     name, app, options = _name_of(run), run.app, run.options
-    paradigm, path = preparing(run.paradigm, name), trained_path(run, name)
+    paradigm, path = PARADIGMS.get(name, Meta)(app, run.recipe, run.paradigm.rule_name), trained_path(run, name)
     make_folder(options.out)
     make_folder(path.parent)
     folder = data_folder(app, options.data, options.quiet)

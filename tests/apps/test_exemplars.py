@@ -20,7 +20,7 @@ from metapp.networks.exemplar import SOFTNESS, ExemplarApp
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
-from metapp.paradigms.overfit import Overfit
+from metapp.paradigms.adam import Overfit
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
 SHARE = 0.6  # of the steps at half the size

@@ -22,8 +22,8 @@ from metapp.apps import recipes_of
 from metapp.learning.app import App, stack
 from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks
+from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.quickft import QuickFT
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import shipped_path
 from metapp.storage.checkpoints import load_checkpoint

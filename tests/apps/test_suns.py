@@ -13,7 +13,7 @@ from metapp.apps.illumination.suns import SUNS, WIDEST_RAD, joined, parted, suns
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
-from metapp.paradigms.general import encoding
+from metapp.paradigms.adam import encoding
 
 pytestmark = pytest.mark.usefixtures("scene")
 HEIGHT, WIDTH = 64, 128

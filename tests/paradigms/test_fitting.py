@@ -82,7 +82,7 @@ def test_the_five_paradigms(app: App, fits: dict[str, Paradigm]) -> None:
 
 @pytest.mark.parametrize(("app", "rule"), [*PAIRS, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"])
 def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    meta = replace(fits["meta"], learned_rule=rule)
+    meta = replace(fits["meta"], rule_name=rule)
     start = prepared_for(meta)
     theta = meta.fit(start, tasks.select([0, 1]), rng())
     assert all(torch.isfinite(value).all() for value in theta.values())

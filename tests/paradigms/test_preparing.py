@@ -15,9 +15,9 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
 from metapp.paradigms import Paradigm, training
+from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.quickft import QuickFT
-from metapp.paradigms.training import TrainState, prepare, preparing, split_validation, validation_error
+from metapp.paradigms.training import TrainState, prepare, split_validation, validation_error
 from metapp.rules import rule_of
 from tests.marked import long
 from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, prepared_for, result, rng
@@ -70,7 +70,7 @@ EVERY = pytest.mark.parametrize(
 @pytest.fixture
 def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
     """What prepares the checkpoint of a name."""
-    return preparing(fits["meta"], name)
+    return fits[name] if name in fits else replace(fits["meta"], rule_name=name)
 
 
 def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:

@@ -15,8 +15,8 @@ from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
 from metapp.learning.task import Params, Tasks
+from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.quickft import QuickFT
 from metapp.runs.naming import caption_of, factor_of
 from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.run import Checkpoint

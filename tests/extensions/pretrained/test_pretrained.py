@@ -30,7 +30,7 @@ from metapp.learning.learn import descend, final_item, task_loss
 from metapp.learning.rules import fixed_adam, outer_adam
 from metapp.learning.task import Batch, Tasks
 from metapp.networks.field import LocalField
-from metapp.paradigms.general import General
+from metapp.paradigms.adam import General
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import tensor_digest
