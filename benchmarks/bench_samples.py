@@ -20,6 +20,7 @@ from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
 from benchmarks.measured import as_measured
 from metapp.cli.console import run
+from metapp.evaluation.statistics import paired
 from metapp.evaluation.style import COLOURS, MUTED, STYLE, new, save
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Training
@@ -30,7 +31,6 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fitting import fit_tasks, rng_of
 from metapp.runs.inputs.sources import data_folder, tasks_of_data
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.statistics import paired
 from metapp.runs.run import Run
 
 COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from metapp.registry import application_of, protocol_of, recipe_entries
+from metapp.registry import application_of, protocol_of, protocols_of, recipe_entries
 
 if TYPE_CHECKING:
     from metapp.learning.app import App
@@ -47,3 +47,8 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
     """
     app = (recipe.training(rule).app if rule else None) or recipe.app
     return replace(app, protocol=protocol_of(name, protocol))
+
+
+def is_first_protocol(app: App) -> bool:
+    """True if an application is under its first protocol, or has no other."""
+    return app.protocol in ("", *protocols_of(app.name)[:1])

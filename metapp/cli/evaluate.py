@@ -112,7 +112,6 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
 def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
     """Each application under each protocol; one that was not named is left out if a checkpoint of it is missing."""
     from metapp.evaluation.subject import Subject
-    from metapp.runs.naming import title_of
     from metapp.runs.run import Run
 
     names = apps or app_names()
@@ -139,21 +138,19 @@ def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
         except ValueError as error:
             if apps:
                 raise
-            say(f"{title_of(run.app)} is left out: {error}")
+            say(f"{run.app.full_title} is left out: {error}")
     return subjects
 
 
 def say_missing(subjects: list[Subject]) -> None:
     """Say how much has no record yet of each application."""
-    from metapp.runs.naming import name_of
-
     remedy = ""
     for subject in subjects:
         asked = subject.asked.items()
         if empty := [title for title, (tasks, records) in asked if not tasks or len(records) < len(tasks)]:
             total, there = (sum(len(pair[i]) for pair in subject.asked.values()) for i in (0, 1))
             missing = f"{total - there:,} of {total:,}" if total else "all"
-            say(f"{name_of(subject.app)}: {missing} records missing: {', '.join(empty)}")
+            say(f"{subject.app.full_name}: {missing} records missing: {', '.join(empty)}")
             remedy = "the same command without --no-run measures them"
     if remedy:
         say(remedy)

@@ -142,7 +142,6 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.runs.naming import caption_of, factor_of, title_of
     from metapp.storage.fits import guarded, summary
 
     remarks = []
@@ -158,11 +157,11 @@ def table_of(
         remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
     total = summary(records)
     measured = total["error"] is not None
-    caption = "\n".join([caption_of(app, measured), *remarks])
-    table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
+    caption = "\n".join([app.caption(measured), *remarks])
+    table = Table(title=f"{app.full_title}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
     table.add_column("task", "mean error; other columns: median" if measured else "median")
     if measured:
-        table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
+        table.add_column(f"error{app.factor}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
     pictures = {} if measured else {each["name"]: len([*Path(each["folder"]).glob("*.png")]) for each in listed}
     if any(pictures.values()):

@@ -24,7 +24,6 @@ from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, trace_
 from metapp.learning.task import Params
 from metapp.registry import registry
 from metapp.rules import rule_of
-from metapp.runs.naming import factor_of, name_of
 from metapp.storage.files import write_atomically
 
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
@@ -41,7 +40,7 @@ def _panel(subject: Subject, height: float, x_label: str) -> tuple[Figure, Axes]
     axis: Axes = axes[0, 0]
     axis.set_title(subject.title)
     axis.set_xlabel(x_label)
-    axis.set_ylabel(f"error{factor_of(subject.app)}")
+    axis.set_ylabel(f"error{subject.app.factor}")
     return figure, axis
 
 
@@ -236,7 +235,7 @@ def write_figures(subjects: Sequence[Subject], folder: Path) -> dict[Path, str]:
     for subject in subjects:
         for name in FIGURES:
             if drawn := draw(name, subject):
-                stem = f"{name_of(subject.app)} {name}".replace(" ", "-")
+                stem = f"{subject.app.full_name} {name}".replace(" ", "-")
                 save(drawn.figure, folder / f"{stem}.pdf")
                 captions[save(drawn.figure, folder / f"{stem}.png")] = drawn.caption
     return captions

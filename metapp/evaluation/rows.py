@@ -8,12 +8,12 @@ import statistics
 from collections.abc import Sequence
 from importlib import resources
 
+from metapp.apps import is_first_protocol
+from metapp.evaluation.statistics import FEWEST, Errors, Paired, is_significant, paired, statistics_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Row
 from metapp.learning.app import App
 from metapp.runs.fitting import ROSE
-from metapp.runs.naming import is_first_protocol, observe_of
-from metapp.runs.outputs.statistics import FEWEST, Errors, Paired, is_significant, paired, statistics_of
 from metapp.storage import Document
 from metapp.storage.fits import Record, guarded
 
@@ -48,7 +48,7 @@ def row_of(
     row = {
         "app": app.name,
         "paradigm": name,
-        **observe_of(app),
+        **app.protocol_entry(),
         **statistics_of(errors_of(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),

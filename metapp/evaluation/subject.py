@@ -14,11 +14,10 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fitting import fit_tasks
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import content_of, tasks_of_data
-from metapp.runs.naming import name_of, title_of
 from metapp.runs.outputs.pictures import COMPARED, column_of, write_compared
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.surroundings import make_folder, threads
 from metapp.storage.fits import FIT, Fits, Record
 
 LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
@@ -52,7 +51,7 @@ class Subject:
             ValueError: a checkpoint is missing that fits need; if nothing is measured it is printed, and rows stay
                 empty.
         """
-        self.run, self.app, self.title = run, run.app, title_of(run.app)
+        self.run, self.app, self.title = run, run.app, run.app.full_title
         self.measuring, self.whole = measuring, whole
         self.asked: dict[str, tuple[list[Task], list[Record]]] = {}
         self._tables: dict[str, Table] = {}
@@ -145,9 +144,9 @@ class Subject:
         names = {record["name"] for record in records}
         missing = [task for task in tasks if task.name not in names]
         if fits and missing and self.measuring:
-            name, each, total = f"{name_of(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
+            name, each, total = f"{self.app.full_name} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
-            with bars as bar, threads(threads_of(self.app)):
+            with bars as bar, threads(single=self.app.single_threaded):
                 bar.at(0, total, name)
                 for i, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
                     fits.write({**record, "content": content_of(task)}, tensors)

@@ -7,7 +7,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from metapp.runs.outputs.statistics import Paired
+from metapp.evaluation.statistics import Paired
 from metapp.storage import Document
 from metapp.storage.fits import Record
 

@@ -92,6 +92,31 @@ class App(ABC):
         """The parameter [C, F] that the network is linear in; "" if there is none."""
         return ""
 
+    @property
+    def full_name(self) -> str:
+        """Its name with its protocol, if any: illumination photo."""
+        return f"{self.name} {self.protocol}".rstrip()
+
+    @property
+    def full_title(self) -> str:
+        """Its title with its protocol, if any."""
+        return f"{self.title} ({self.protocol})" if self.protocol else self.title
+
+    @property
+    def factor(self) -> str:
+        """The factor that errors are printed with: " x100"; "" if it is 1."""
+        return f" x{self.scale:g}" if self.scale != 1 else ""
+
+    def caption(self, measured: bool = True) -> str:
+        """The caption of a table about its errors, or that there are none, as of photos without a reference."""
+        protocol = {"fits see": self.protocol} if self.protocol else {}
+        conditions = "".join(f"; {key}: {value}" for key, value in (protocol | self.conditions()).items())
+        return (f"error: {self.measure}{self.factor}" if measured else "no error: there is no reference") + conditions
+
+    def protocol_entry(self) -> dict[str, str]:
+        """The protocol as records, rows and headers of checkpoints state it; {} if there is none."""
+        return {"observe": self.protocol} if self.protocol else {}
+
     def conditions(self) -> dict[str, str]:
         """The further conditions of its errors, by name: part of every record and caption."""
         return {}

@@ -23,7 +23,7 @@ from metapp.runs.outputs.recorded import read_run, tasks_as
 from metapp.runs.recipes import recipe_of_tasks
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import threads
 from metapp.storage.fits import read_params
 
 COMMAND_LINE = ("train", "train_steps", "resume", "export")  # options of folders of fits
@@ -130,7 +130,7 @@ def load(folder: str | PathLike[str]) -> Fit:
 def _fitted(options: FitOptions) -> list[Fit]:
     """Fits of the inputs that options name."""
     run = Run.of(options)
-    with threads(threads_of(run.app)):
+    with threads(single=run.app.single_threaded):
         sources, label = sources_to_fit(run)
         if options.objects and not options.recipe:
             run = Run.of(replace(options, recipe=recipe_of_tasks(options, [source.task() for source in sources])))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torch import Generator, Tensor
 
-from metapp.apps import recipes_of
+from metapp.apps import is_first_protocol, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
@@ -17,7 +17,6 @@ from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import TUNED
 from metapp.rules import rule_of
 from metapp.runs.inputs.sources import data_folder, data_label
-from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.recipes import QUICK, shipped_path, ships
 from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
@@ -157,7 +156,7 @@ def _checkpoint_path(run: Run, name: str) -> Path:
     if path.is_file() and _has_shipped(run):
         return path
     raise ValueError(
-        f"{name_of(run.app)} {name}, recipe {run.options.recipe}: no checkpoint ships; train one with --train, or "
+        f"{run.app.full_name} {name}, recipe {run.options.recipe}: no checkpoint ships; train one with --train, or "
         "name one with --checkpoint."
     )
 

@@ -15,12 +15,11 @@ from metapp.runs.checkpoints import tuned_by, with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
-from metapp.runs.naming import name_of, observe_of
 from metapp.runs.outputs.files import export_fit, export_path, outputs_of, write_outputs, write_pictures
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.surroundings import make_folder, threads
 from metapp.storage import Document
 from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.files import named
@@ -88,7 +87,7 @@ class Execution:
         fields = ("name", "error", "seconds", "counts", "note", "warning", "folder")
         return {
             "app": app.name,
-            **observe_of(app),
+            **app.protocol_entry(),
             "paradigm": settings["paradigm"],
             "rule": settings["rule"],
             "steps": settings["steps"],
@@ -201,7 +200,7 @@ def execute(run: Run) -> Execution | None:
         ValueError: bad inputs, no checkpoint, a folder that cannot be written to; nothing could be fitted.
         FloatingPointError: training is not finite.
     """
-    with threads(threads_of(run.app)):
+    with threads(single=run.app.single_threaded):
         if ranks.number() > 0:
             if run.options.train:
                 with reporting(Reporter()):
@@ -213,7 +212,7 @@ def execute(run: Run) -> Execution | None:
         assert run.checkpoint is not None
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
-            say(f"{name_of(run.app)} {run.paradigm.name}: {count}; {run.steps} steps, from {run.checkpoint.source}")
+            say(f"{run.app.full_name} {run.paradigm.name}: {count}; {run.steps} steps, from {run.checkpoint.source}")
         execution = Execution(run, sources, Fits(run.path(label), run.settings(label)))
         execution.fit()
         return execution

@@ -19,12 +19,11 @@ from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT, left_out_with, registry
-from metapp.runs.naming import factor_of, title_of
 from metapp.runs.options import check_export
 from metapp.runs.outputs.files import export_fit, outputs_of
 from metapp.runs.outputs.pictures import beside, image_of
 from metapp.runs.run import Run
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
 from metapp.storage.images import png_address
@@ -122,8 +121,8 @@ class Fit:
 
     def _repr_html_(self) -> str:
         """The view in notebooks: the picture and one line."""
-        error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
-        line = f"{self.name}: {title_of(self.app)}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
+        error = "no reference" if self.error is None else f"error{self.app.factor} {self.error:.3f}"
+        line = f"{self.name}: {self.app.full_title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.steps} steps" + (f"; warning: {self.warning}" if self.warning else "")
         return f'<img src="{png_address(self.picture())}"><div>{escape(line)}</div>'
 
@@ -145,7 +144,7 @@ class Fit:
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
-        with threads(threads_of(self.app)), torch.no_grad():
+        with threads(single=self.app.single_threaded), torch.no_grad():
             values = self.app.reflectance(self.parameters, directions_to_four_angles(light, viewer).float())
         if values is None:
             raise ValueError(
@@ -162,20 +161,20 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        with threads(threads_of(self.app)):
+        with threads(single=self.app.single_threaded):
             maps = self.app.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def pictures(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        with threads(threads_of(self.app)):
+        with threads(single=self.app.single_threaded):
             return self.app.preview(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
         """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
         made = outputs_of(self.run.options)
-        with threads(threads_of(self.app)):
+        with threads(single=self.app.single_threaded):
             files = [output.load()(self.app, self.task, self.parameters, value).files for output, value in made]
         return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from metapp.apps import app_of, recipe_of
+from metapp.apps import app_of, is_first_protocol, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -18,7 +18,6 @@ from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
 from metapp.registry import did_you_mean, rule_words
 from metapp.rules import rule_of
-from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.options import FitOptions, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import chosen_recipe, usual_recipe
 from metapp.runs.surroundings import find_device, precision_of, versions
@@ -143,7 +142,7 @@ class Run:
         assert self.checkpoint is not None
         return {
             "app": app.name,
-            **observe_of(app),
+            **app.protocol_entry(),
             "paradigm": paradigm.name,
             "rule": paradigm.rule_name if paradigm.name == "meta" else ("adam" if adam else "none"),
             "steps": self.steps,

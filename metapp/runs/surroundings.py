@@ -19,11 +19,6 @@ _MKLDNN: Any = torch.backends.mkldnn  # whose members are made at its import
 _PRODUCTS = (_MKLDNN.matmul, _MKLDNN.conv, torch.backends.cuda.matmul)
 
 
-def threads_of(app: App) -> int | None:
-    """The threads of an application's fits: 1 if threads only wait for each other, else None, all there are."""
-    return 1 if app.single_threaded else None
-
-
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA if there is one, but the CPU if the application is single-threaded."""
     if name == "cuda" and not torch.cuda.is_available():
@@ -62,8 +57,8 @@ def make_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def threads(count: int | None) -> Iterator[None]:
-    """Have torch work with so many threads and by its own defaults; afterwards by the program's.
+def threads(*, single: bool) -> Iterator[None]:
+    """Have torch work with one thread or with all it has, and by its own defaults; afterwards by the program's.
 
     Autocast, default dtype and device, precision of products and modes without gradients are put aside.
 
@@ -73,13 +68,13 @@ def threads(count: int | None) -> Iterator[None]:
     in torch: start processes by `spawn` or `forkserver`, or set one thread before.
 
     Args:
-        count: of threads; None: as many as torch has.
+        single: whether threads would only wait for each other, as of `App.single_threaded`.
     """
     count_around, dtype = torch.get_num_threads(), torch.get_default_dtype()
     precisions = [product.fp32_precision for product in _PRODUCTS]
     with contextlib.ExitStack() as aside:
         aside.callback(_set, count_around, dtype, precisions)
-        _set(count or count_around, torch.float32, ["ieee"] * len(_PRODUCTS))
+        _set(1 if single else count_around, torch.float32, ["ieee"] * len(_PRODUCTS))
         for kind in ("cpu", "cuda"):
             if torch.is_autocast_enabled(kind):
                 aside.enter_context(torch.autocast(kind, enabled=False))

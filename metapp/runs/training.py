@@ -18,7 +18,6 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.training import TrainState, describe, prepare
 from metapp.runs.checkpoints import ships_general, trained_path, with_checkpoint
 from metapp.runs.inputs.sources import data_folder, data_label
-from metapp.runs.naming import name_of, observe_of
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
 from metapp.runs.surroundings import make_folder, precision_of, versions
@@ -132,7 +131,7 @@ def _tasks_of(run: Run, name: str, folder: Path) -> Tasks:
     """The training tasks of a data set."""
     app = run.app
     tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), run.device)
-    say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    say(f"training {app.full_name} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     return tasks
 
 
@@ -207,7 +206,7 @@ def _about(run: Run, name: str, folder: Path, general: MetaParameters | None) ->
     """The part of a checkpoint's header about the data it was trained on."""
     return (
         {"data": data_label(folder), "recipe": run.options.recipe, "seed": run.options.seed}
-        | ({} if name == "general" else observe_of(run.app))
+        | ({} if name == "general" else run.app.protocol_entry())
         | run.app.conditions()
         | precision_of(run.app, run.device)
         | {"versions": versions()}

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from metapp.evaluation.rows import carried, paired_note, verdict
+from metapp.evaluation.statistics import Paired
 from metapp.evaluation.table import flat
 from metapp.evaluation.tables.results import change
-from metapp.runs.outputs.statistics import Paired
 
 
 def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:

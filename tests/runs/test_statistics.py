@@ -7,8 +7,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from metapp.evaluation.statistics import Paired, interval_of, is_significant, paired, statistics_of
 from metapp.runs.outputs.pictures import COLUMNS, SIDE, Column, write_sheet
-from metapp.runs.outputs.statistics import Paired, interval_of, is_significant, paired, statistics_of
 
 HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170
 

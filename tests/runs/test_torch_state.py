@@ -72,12 +72,12 @@ def test_a_fit_is_the_same_within_settings_of_the_program(setting: Callable, exp
 
 
 def test_work_within_work_and_what_fails_have_their_threads() -> None:
-    with threads(None):
-        with threads(1):
+    with threads(single=False):
+        with threads(single=True):
             assert torch.get_num_threads() == 1
-            with threads(None):
+            with threads(single=False):
                 assert torch.get_num_threads() == 1
         assert torch.get_num_threads() == 2
-    with pytest.raises(ZeroDivisionError), threads(1):
+    with pytest.raises(ZeroDivisionError), threads(single=True):
         raise ZeroDivisionError
     assert torch.get_num_threads() == 2

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 
 from metapp.evaluation.rows import paired_note, row_of, warned
+from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Table, columns
 from metapp.evaluation.tables.results import COMPARED, result_rows
@@ -17,8 +18,6 @@ from metapp.learning.recipe import Guard
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
-from metapp.runs.naming import caption_of, factor_of
-from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.run import Checkpoint
 from metapp.storage.checkpoints import tensor_digest
 from metapp.storage.fits import Record
@@ -63,7 +62,7 @@ def ablation(subject: Subject) -> Table:
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in rows]
     notes = [
         "adam: QuickFT's, searched on validation tasks for General's initialisation",
-        caption_of(subject.app),
+        subject.app.caption(),
         *(
             f"{subject.runs[name].paradigm.rule_name} begins at General's own prediction: rows that differ in the "
             "initialisation alone are of the same fits"
@@ -73,7 +72,7 @@ def ablation(subject: Subject) -> Table:
         *warned(rows),
         *paired_note(rows),
     ]
-    title = f"mean error{factor_of(subject.app)} of initialisations and rules"
+    title = f"mean error{subject.app.factor} of initialisations and rules"
     return Table(subject.title, "Ablation: initialisation and rule", title, COLUMNS, rows, notes)
 
 

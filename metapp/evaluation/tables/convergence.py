@@ -19,7 +19,6 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fitting import rng_of
-from metapp.runs.naming import factor_of, observe_of
 from metapp.storage.checkpoints import digest
 from metapp.storage.fits import Record, read_params
 
@@ -62,7 +61,7 @@ def convergence(subject: Subject) -> Table:
         notes.append(f"{last['near']} of {len(records)} tasks come so near (paper: {known['steps']} further steps)")
     notes.append(f"traces of {len(_traced(subject))} of {len(subject.tasks)} tasks, evenly spaced")
     rows = [*(after("meta", part) for part in PARTS), last, after("overfit", 1.0)]
-    title = f"error{factor_of(subject.app)} along Meta's steps"
+    title = f"error{subject.app.factor} along Meta's steps"
     return Table(subject.title, "Convergence", title, COLUMNS, rows, notes)
 
 
@@ -95,7 +94,7 @@ def trace_records(subject: Subject) -> list[Record]:
     kept, fits = None, [subject.runs[name] for name in CURVES]
     if all(fit.checkpoint for fit in fits):
         keys = [digest(fit.settings(subject.label)) for fit in fits]
-        settings: Record = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
+        settings: Record = {"app": subject.app.name, **subject.app.protocol_entry(), "fits": keys}
         settings |= {"further": FURTHER, "walked": WALKED}
         kept = subject.kept("trace", settings, ENTRIES)
 

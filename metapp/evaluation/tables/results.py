@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Collection
 
+from metapp.apps import is_first_protocol
 from metapp.evaluation.rows import (
     carried,
     errors_of,
@@ -17,12 +18,11 @@ from metapp.evaluation.rows import (
     verdict,
     warned,
 )
+from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Row, Table, columns
 from metapp.learning.app import App
 from metapp.paradigms import PARADIGMS
-from metapp.runs.naming import caption_of, factor_of, is_first_protocol
-from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.reporter import number
 
 COMPARED = ("quickft", "general")
@@ -49,14 +49,14 @@ def results(subject: Subject) -> Table:
         closing(subject.app, rows),
         *(line for other in COMPARED for line in verdict(meta, other)),
         *warned(rows),
-        f"meta: {meta['rule']}; {caption_of(subject.app)}",
+        f"meta: {meta['rule']}; {subject.app.caption()}",
         *measures_note(subject, rows),
         *paired_note(rows),
         *threads_note(rows),
         *few_note(subject, rows),
         *(["the paper's figures are of its own data and machine"] if is_first_protocol(subject.app) else []),
     ]
-    title = f"mean error{factor_of(subject.app)}, median seconds of inference"
+    title = f"mean error{subject.app.factor}, median seconds of inference"
     fits = {name: subject.records(name) for name in PARADIGMS}
     return Table(subject.title, "Error and time", title, COLUMNS, rows, notes, fits)
 
@@ -110,7 +110,7 @@ def quickft(subject: Subject) -> Table:
     notes = [*verdict(meta), *verdict(meta, "general"), *warned(rows)]
     if None not in (meta["paper_error"], of_quickft["paper_error"]):
         notes.append(f"paper: meta {meta['paper_error']:.3f}, quickft {of_quickft['paper_error']:.3f}")
-    notes += [caption_of(subject.app), "quickft's Adam is searched on validation tasks"]
+    notes += [subject.app.caption(), "quickft's Adam is searched on validation tasks"]
     notes += [*paired_note(rows), *threads_note(rows)]
-    title = f"mean error{factor_of(subject.app)} after as many steps"
+    title = f"mean error{subject.app.factor} after as many steps"
     return Table(subject.title, "Against as many steps of fine-tuning", title, EQUAL_COLUMNS, rows, notes)

@@ -19,7 +19,6 @@ from metapp.learning.task import Params, Task
 from metapp.runs.fitting import rng_of
 from metapp.runs.inputs.embedded import embedded_data, embedded_exists
 from metapp.runs.inputs.sources import data_folder, data_label
-from metapp.runs.naming import observe_of
 from metapp.runs.outputs.pictures import PICTURE
 from metapp.runs.run import Run
 from metapp.runs.surroundings import versions
@@ -61,7 +60,7 @@ def settings_of(plan: Run, baseline: Baseline, label: str) -> Record:
     own, source = options.own.recorded(), training_folder(plan, baseline)
     return {
         "app": app.name,
-        **observe_of(app),
+        **app.protocol_entry(),
         "method": baseline.name,
         "data": label,
         "training": source and data_label(source),

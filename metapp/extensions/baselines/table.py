@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from metapp.evaluation.rows import compared_text, few_note, measures_note, of_paper, paired_note, row_of, threads_note
+from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.evaluation.tables.storage import size, stored
@@ -20,8 +21,6 @@ from metapp.extensions.baselines.fits import (
     training_folder,
 )
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import caption_of, factor_of, name_of
-from metapp.runs.outputs.statistics import is_significant
 from metapp.runs.reporter import say
 from metapp.storage.fits import PARAMS, Record
 
@@ -52,7 +51,7 @@ def baselines(subject: Subject) -> Table:
         *_missing(subject, rows, able),
         *_described(able),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
-        caption_of(subject.app),
+        subject.app.caption(),
         *measures_note(subject, rows),
         *paired_note(rows, "meta"),
         *threads_note(rows),
@@ -60,7 +59,7 @@ def baselines(subject: Subject) -> Table:
     ]
     pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}
     meta = subject.records("meta")
-    title = f"mean error{factor_of(subject.app)} and what is kept, of paradigms and of methods without a network"
+    title = f"mean error{subject.app.factor} and what is kept, of paradigms and of methods without a network"
     fits = {"meta": meta} | pictures if meta and pictures else {}
     return Table(subject.title, "Methods without a network", title, COLUMNS, rows, notes, fits)
 
@@ -89,7 +88,7 @@ def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
             for record, picture, _ in fit_baselines(subject.run, baseline, tasks):
                 yield record, picture
         except ValueError as error:
-            say(f"{name_of(subject.app)} {baseline.name}: {error}")
+            say(f"{subject.app.full_name} {baseline.name}: {error}")
 
     return subject.measured(baseline.name, kept, measured, subject.tasks)
 

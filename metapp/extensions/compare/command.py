@@ -59,12 +59,11 @@ def _table(compared: Comparison) -> Table:
     """One line a task, and the means."""
     from rich.table import Table
 
-    from metapp.runs.naming import caption_of, title_of
-    from metapp.runs.outputs.statistics import FEWEST
+    from metapp.evaluation.statistics import FEWEST
 
     one, other = compared.sides
     overall, app = compared.ratio, one.app
-    said = [caption_of(app)]
+    said = [app.caption()]
     if overall:
         few = overall.groups < FEWEST
         ahead = f"{one.label} has the lower error on {overall.ahead} of {overall.tasks}"
@@ -74,7 +73,7 @@ def _table(compared: Comparison) -> Table:
             said[0] = said[0].replace(" over ", " minus ")
     for title, (means, pair) in compared.measures.items():
         said.append(f"{title}: {means[0]:.3f} and {means[1]:.3f}" + (f", ratio {pair}" if pair else ""))
-    table = Table(title=f"{title_of(app)}: {one.label} and {other.label}", caption="\n".join(said), show_footer=True)
+    table = Table(title=f"{app.full_title}: {one.label} and {other.label}", caption="\n".join(said), show_footer=True)
     table.add_column("task", "mean error, median time")
     for side in compared.sides:
         table.add_column(f"error, {side.label}", number(side.mean(), ".3f"), justify="right")

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from metapp.appearance.colorimetry import colour_difference
+from metapp.evaluation.statistics import Paired, paired
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of, write_compared
 from metapp.runs.outputs.recorded import read_run, tasks_as
-from metapp.runs.outputs.statistics import Paired, paired
 from metapp.runs.reporter import progress
 from metapp.runs.run import Run
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.fits import PARAMS, summary
 
@@ -150,7 +150,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
     drawn, app = compared.tasks[:COMPARED], compared.sides[0].app
     columns = []
-    with progress("picture", len(drawn), quiet=quiet) as bar, threads(threads_of(app)):
+    with progress("picture", len(drawn), quiet=quiet) as bar, threads(single=app.single_threaded):
         for task in drawn:
             pairs = zip(compared.sides, records, strict=True)
             columns.append(column_of(task, [(side.label, side.app, of[task.name]) for side, of in pairs]))

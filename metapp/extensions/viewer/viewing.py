@@ -16,12 +16,11 @@ from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Task
 from metapp.runs.execution import execute
 from metapp.runs.fit import Fit
-from metapp.runs.naming import factor_of, title_of
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import Recorded, by_settings, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.surroundings import make_folder, threads
 from metapp.storage import Document
 from metapp.storage.files import file_name
 from metapp.storage.fits import read_params
@@ -87,13 +86,13 @@ def view_page(
                 except ValueError as error:
                     lacking.append(f"{label} of {error}")
             _, run, fitted, _ = several[0]
-            groups += [Group(fitted.name, title_of(run.app), views)] if views else []
+            groups += [Group(fitted.name, run.app.full_title, views)] if views else []
             bar.advance(fitted.name)
     if not groups:
         raise ValueError(lacking[0])
     for line in lacking:
         say(f"warning: left out: {line}")
-    titles = dict.fromkeys(title_of(several[0][1].app) for several in by_task.values())
+    titles = dict.fromkeys(several[0][1].app.full_title for several in by_task.values())
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
@@ -120,7 +119,7 @@ def labelled_view(fit: Fit, label: str) -> View:
         ValueError: the view needs the input, which is not at hand.
     """
     try:
-        with threads(threads_of(fit.app)):
+        with threads(single=fit.app.single_threaded):
             view = view_of(fit.app, fit.parameters, fit.task)
     except KeyError as missing:
         if fit.task.data:
@@ -129,7 +128,7 @@ def labelled_view(fit: Fit, label: str) -> View:
             f"{fit.name}: its view is made of the fit and its input ({missing}), expected both; "
             "give what was fitted by --input or --data."
         ) from None
-    error = "" if fit.error is None else f"error{factor_of(fit.app)} {number(fit.error, '.3f')}, "
+    error = "" if fit.error is None else f"error{fit.app.factor} {number(fit.error, '.3f')}, "
     return view._replace(label=label, caption=f"{error}{number(fit.seconds, '.3g')} s")
 
 
@@ -143,7 +142,7 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    title, views = title_of(fit.app), [labelled_view(fit, fit.settings["paradigm"])]
+    title, views = fit.app.full_title, [labelled_view(fit, fit.settings["paradigm"])]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
     return write_page(f"metapp: {title}", [Group(fit.name, title, views)], page)
 

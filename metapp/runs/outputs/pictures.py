@@ -15,7 +15,6 @@ from torch import Tensor
 from metapp.appearance.colour import to_srgb
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.runs.naming import factor_of, title_of
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.fits import read_params, summary
@@ -142,9 +141,9 @@ def picture_of_run(
         The file.
     """
     mean = summary(records)["error"]
-    whole = "" if mean is None else f": mean error{factor_of(app)} {mean:.3f}"
+    whole = "" if mean is None else f": mean error{app.factor} {mean:.3f}"
     labelled = [column._replace(error=_label(record)) for column, record in columns]
-    return write_sheet(labelled, f"{title_of(app)}, {paradigm}{whole}", folder / "pictures.png")
+    return write_sheet(labelled, f"{app.full_title}, {paradigm}{whole}", folder / "pictures.png")
 
 
 def column_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Column:
@@ -160,7 +159,7 @@ def column_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Column:
 
 def write_compared(app: App, columns: list[Column], file: Path) -> Path:
     """Write columns of fits that are compared as one picture."""
-    return write_sheet(columns, f"{title_of(app)}: mean error{factor_of(app)} of each fit below it", file)
+    return write_sheet(columns, f"{app.full_title}: mean error{app.factor} of each fit below it", file)
 
 
 def _label(record: Document) -> str:

@@ -12,7 +12,7 @@ from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.reporter import Bar
-from metapp.runs.surroundings import find_device, threads_of
+from metapp.runs.surroundings import find_device
 from metapp.storage.fits import Fits, Record
 from tests.evaluation.cli.subjects import subject_of
 from tests.quick import app_by
@@ -95,14 +95,14 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        for threads in (1, 3, None):
-            monkeypatch.setattr("metapp.evaluation.subject.threads_of", lambda app, threads=threads: threads)
-            measure(f"{threads}", lambda _: counts.append(torch.get_num_threads()))
+        for single in (True, False):
+            monkeypatch.setattr("metapp.apps.brdf.app.Brdf.single_threaded", single)
+            measure(f"{single}", lambda _: counts.append(torch.get_num_threads()))
         find_device("cpu", app_by("illumination"))  # looking for a device changes nothing
-        assert [*counts[::3], torch.get_num_threads()] == [1, 3, 2, 2]
+        assert [*counts[::3], torch.get_num_threads()] == [1, 2, 2]
     finally:
         torch.set_num_threads(before)
-    assert (threads_of(app_by("illumination")), threads_of(app_by("texture"))) == (1, None)
+    assert (app_by("illumination").single_threaded, app_by("texture").single_threaded) == (True, False)
 
 
 def test_an_application_without_what_its_checkpoints_need_is_left_out(

@@ -96,7 +96,7 @@ def _kept(what: str, of: Sequence[Tensor], make: Callable[[], dict[str, Tensor]]
 def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
     """The reference, with its own error, and the pictures of regular and guided paths as `Progress` has them."""
     studio = studio_of(task, SIDE_PX)
-    with threads(1):  # the table is made of small tensors, for which threads only wait
+    with threads(single=True):  # the table is made of small tensors, for which threads only wait
         halves = _kept("reference", [task.data["scene"]], lambda: {"halves": _reference_halves(studio)})["halves"]
         reference = halves.mean(0)
         begin = time.process_time()
