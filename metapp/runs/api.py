@@ -135,9 +135,10 @@ def _fitted(options: FitOptions) -> list[Fit]:
         if options.objects and not options.recipe:
             run = Run.of(replace(options, recipe=recipe_of_tasks(options, [source.task() for source in sources])))
         run = with_checkpoint(run)
-        fits, places = [], []
-        for source, fit in fit_sources(run, sources, run.settings(label)):
-            if not isinstance(fit, Exception):
+        fits, places, settings = [], [], run.settings(label)
+        for source, fit in fit_sources(run, sources):
+            if isinstance(fit, Fit):
+                fit.record["settings"] = settings
                 fits.append(fit)
                 places.append(source.place)
             elif source.named or not isinstance(fit, BadInput):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,17 +12,17 @@ import torch
 
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
-from metapp.runs.checkpoints import tuned_by, with_checkpoint
+from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
 from metapp.runs.outputs.files import export_fit, export_path, outputs_of, write_outputs, write_pictures
-from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, picture_of_run
+from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, write_sheet
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
+from metapp.runs.training import trained
 from metapp.storage import Document
-from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.files import named
 from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
 
@@ -49,7 +50,7 @@ class Execution:
 
     Attributes:
         run: with its checkpoint.
-        fits: the folder and the settings of the fits.
+        fits: their folder and settings.
         records: of all fits, in the order of the sources, those of before among them that are skipped.
         replaced: the number of fits that replace fits of before.
         skipped: the number of fits of before.
@@ -59,14 +60,15 @@ class Execution:
             if there was nothing left to fit.
     """
 
-    def __init__(self, run: Run, sources: list[Source], fits: Fits) -> None:
-        self.run, self.fits = run, fits
+    def __init__(self, run: Run, sources: list[Source], label: str) -> None:
+        self.run, self.fits = run, Fits(run.path(label), run.settings(label))
         self.replaced = self.skipped = 0
         self.failures: list[Failure] = []
         self.remarks: list[str] = []
         self.tasks_per_second: float | None = None
         self._sources = sources
         self._records: dict[str, Document] = {}  # by the sources' places
+        self._earlier: set[str] = set()  # places of fits of before
         self._columns: dict[str, Column] = {}
         self._outputs = outputs_of(run.options)
         self._bar = Bar()
@@ -111,12 +113,12 @@ class Execution:
         """
         begin, options = time.perf_counter(), self.run.options
         with progress(self.run.paradigm.name, len(self._sources), quiet=options.quiet) as self._bar:
-            for source, fit in fit_sources(self.run, self._sources, self.fits.settings, self._is_fitted):
-                if isinstance(fit, Exception):
-                    self._fail(source, fit)
-                    continue
+            for source, fit in fit_sources(self.run, self._sources, self._is_fitted):
                 try:
-                    self._keep(source, fit)
+                    if isinstance(fit, Fit):
+                        self._keep(source, fit)
+                    else:
+                        self._fail(source, fit)
                 except ValueError as error:
                     self._fail(source, error)
         if fitted := len(self._records) - self.skipped:
@@ -129,11 +131,14 @@ class Execution:
 
     def _is_fitted(self, source: Source, task: Task) -> bool:
         """True if --resume skips a source: there is a fit of these settings, of an input of this content."""
-        record = find_fit(self.fits.path, task.name, source.place) if self.run.options.resume else None
-        if not (record and self.fits.hold(record) and record.get("content") == content_of(task)):
+        record = find_fit(self.fits.path, task.name, source.place)
+        if record:
+            self._earlier.add(source.place)
+        same = record and self.fits.hold(record) and record.get("content") == content_of(task)
+        if not (record and same and self.run.options.resume):
             return False
-        self._records[source.place] = record
         self.skipped += 1
+        self._finish(source, record, task, lambda: read_params(record["folder"]))
         self._bar.advance(f"{task.name}: fitted before")
         return True
 
@@ -155,11 +160,9 @@ class Execution:
 
         origin = self.run.origin(source.given)
         record = fit.record | {"source": source.place, "content": content_of(fit.task), "origin": origin}
-        self.replaced += find_fit(self.fits.path, fit.name, source.place) is not None
         kept = self.fits.write(record, theta, draw)
-        if len(self._columns) < COMPARED:
-            self._add_column(source, fit.task._replace(name=kept["name"]), theta)
-        self._records[source.place] = kept
+        self.replaced += source.place in self._earlier
+        self._finish(source, kept, fit.task, lambda: theta)
         self._bar.advance(f"{kept['name']} {number(kept['error'], '.3f')}".removesuffix(" -"))
         for form in self.run.options.exports:
             self._export(fit, kept, form)
@@ -176,18 +179,20 @@ class Execution:
             line = f"{path}: not written as {form}: {why}; the fit is kept, write it by {again} --out FOLDER."
             self.failures.append(Failure(str(path), line, kept=True))
 
-    def _draw(self) -> None:
-        """Write the picture of the first fits beside their references."""
-        first = [source for source in self._sources if source.place in self._records][:COMPARED]
-        for source in first:
-            if source.place not in self._columns:  # fitted before
-                self._add_column(source, source.task(), read_params(self._records[source.place]["folder"]))
-        columns = [(self._columns[source.place], self._records[source.place]) for source in first]
-        picture_of_run(self.run.app, self.run.paradigm.name, columns, self.records, self.fits.path)
+    def _finish(self, source: Source, record: Document, task: Task, theta: Callable[[], Params]) -> None:
+        """Take over the record of a fit; of the first ones a column of the run's picture."""
+        self._records[source.place] = record
+        if len(self._columns) < COMPARED:
+            with torch.no_grad():
+                self._columns[source.place] = column_of_fit(self.run.app, task, theta(), record)
 
-    def _add_column(self, source: Source, task: Task, theta: Params) -> None:
-        with torch.no_grad():
-            self._columns[source.place] = column_of_fit(self.run.app, task, theta)
+    def _draw(self) -> None:
+        """Write `pictures.png`, the first fits beside their references."""
+        app, mean = self.run.app, summary(self.records)["error"]
+        title = f"{app.full_title}, {self.run.paradigm.name}"
+        title += "" if mean is None else f": mean error{app.factor} {mean:.3f}"
+        columns = [self._columns[source.place] for source in self._sources if source.place in self._columns]
+        write_sheet(columns, title, self.fits.path / "pictures.png")
 
 
 def execute(run: Run) -> Execution | None:
@@ -204,28 +209,15 @@ def execute(run: Run) -> Execution | None:
         if ranks.number() > 0:
             if run.options.train:
                 with reporting(Reporter()):
-                    _with_checkpoint(replace(run, options=replace(run.options, quiet=True)))
+                    trained(replace(run, options=replace(run.options, quiet=True)))
             return None
         make_folder(run.options.out)
         sources, label = sources_to_fit(run)
-        run = replace(run, checkpoint=_with_checkpoint(run).checkpoint)
+        run = replace(run, checkpoint=(trained(run) if run.options.train else with_checkpoint(run)).checkpoint)
         assert run.checkpoint is not None
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
             say(f"{run.app.full_name} {run.paradigm.name}: {count}; {run.steps} steps, from {run.checkpoint.source}")
-        execution = Execution(run, sources, Fits(run.path(label), run.settings(label)))
+        execution = Execution(run, sources, label)
         execution.fit()
         return execution
-
-
-def _with_checkpoint(run: Run) -> Run:
-    """The run with its checkpoint, trained first if that is asked for, by all ranks together."""
-    if run.options.train:
-        from metapp.runs.training import train_checkpoint
-
-        with ranks.joined(run.device):
-            path, general = train_checkpoint(run, run.options.train_steps)
-        run = replace(run, options=replace(run.options, checkpoint=path))
-        if run.paradigm.name == "quickft" and general:  # which may ship
-            return replace(run, checkpoint=tuned_by(general, load_checkpoint(path)[0], path))
-    return with_checkpoint(run) if ranks.number() == 0 else run

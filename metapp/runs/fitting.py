@@ -34,17 +34,13 @@ class BadInput(ValueError):
 
 
 def fit_sources(
-    run: Run,
-    sources: Sequence[Source],
-    settings: Document,
-    skip: Callable[[Source, Task], bool] = lambda source, task: False,
+    run: Run, sources: Sequence[Source], skip: Callable[[Source, Task], bool] = lambda source, task: False
 ) -> Iterator[tuple[Source, Fit | Exception]]:
-    """Fits of sources, each read when its turn comes, `--batch` of them side by side.
+    """Fits of sources, each read when its turn comes, `--batch` of them side by side; their warnings are said.
 
     Args:
         run: with a checkpoint.
         sources: to fit.
-        settings: of the records.
         skip: tells sources that are not to be fitted, once they are read.
 
     Yields:
@@ -59,7 +55,10 @@ def fit_sources(
             if not is_warm:
                 warm_up(run, group[0][1])
                 is_warm = True
-            yield from _fit_group(run, group, settings)
+            for source, fit in _fit_group(run, group):
+                if isinstance(fit, Fit):
+                    _say_warnings(fit)
+                yield source, fit
 
 
 def _readable(
@@ -75,13 +74,11 @@ def _readable(
             yield source, BadInput(str(named(error, Path(source.place))))
 
 
-def _fit_group(
-    run: Run, pairs: Sequence[tuple[Source, Task]], settings: Document
-) -> Iterator[tuple[Source, Fit | Exception]]:
+def _fit_group(run: Run, pairs: Sequence[tuple[Source, Task]]) -> Iterator[tuple[Source, Fit | Exception]]:
     """Fits side by side; if that fails, one by one."""
     failure: Exception | None = None
     try:
-        fits = fit_side_by_side(run, [task for _, task in pairs], settings, warns=True)
+        fits = fit_side_by_side(run, [task for _, task in pairs])
     except FAILURES as error:
         failure = error.with_traceback(None)  # whose frames hold the tensors of the batch
     if failure is None:
@@ -90,7 +87,15 @@ def _fit_group(
         yield pairs[0][0], failure
     else:
         for pair in pairs:
-            yield from _fit_group(run, [pair], settings)
+            yield from _fit_group(run, [pair])
+
+
+def _say_warnings(fit: Fit) -> None:
+    if "note" in fit.record:
+        say(f"{fit.name}: {fit.record['note']}")
+    for clause in filter(None, fit.warning.split("; ")):
+        remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
+        say(f"warning: {fit.name}: {clause}{remedy}")
 
 
 def of_equal_sizes(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
@@ -102,29 +107,26 @@ def of_equal_sizes(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Sour
     return list(groups.values())
 
 
-def fit_tasks(
-    run: Run, tasks: Sequence[Task], settings: Document | None = None, *, warns: bool = False
-) -> Iterator[Fit]:
-    """Fits of tasks, each alone, so that its time is its own.
-
-    The time is from the task's samples to the final parameters, warm. The error is None if a task holds no
-    reference.
+def fit_tasks(run: Run, tasks: Sequence[Task]) -> Iterator[Fit]:
+    """Fits of tasks, each alone, so that its time is its own; warnings are recorded, not said.
 
     Args:
         run: with a checkpoint.
         tasks: to fit.
-        settings: of the records.
-        warns: whether warnings are also said, not only recorded; tables of hundreds of fits count them instead.
 
     Yields:
         Each fit as it comes.
+
+    Raises:
+        FloatingPointError: a fit is not finite.
+        ValueError: a task lacks a tensor, before the first fit.
     """
     for task in tasks:
         check_task(run, task)
     for number, task in enumerate(tasks):
         if number == 0:
             warm_up(run, task)
-        yield from fit_side_by_side(run, [task], settings, warns=warns)
+        yield from fit_side_by_side(run, [task])
 
 
 def check_task(run: Run, task: Task) -> None:
@@ -144,13 +146,13 @@ def warm_up(run: Run, task: Task) -> None:
     run.paradigm.unguarded(few).fit(run.phi, stack(run.app, [task], run.device), rng_of(run, task))
 
 
-def fit_side_by_side(
-    run: Run, tasks: Sequence[Task], settings: Document | None = None, *, warns: bool = False
-) -> list[Fit]:
+def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     """Fits of tasks of equal sizes, each as if it were alone; its seconds are its share of those that all took.
 
+    The time is from the tasks' samples to the final parameters, warm. The error is None if a task holds no reference.
+
     Args:
-        run, settings, warns: as of `fit_tasks`.
+        run: with a checkpoint.
         tasks: one or more.
 
     Raises:
@@ -169,10 +171,9 @@ def fit_side_by_side(
     measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, end)
     fits = []
     for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
-        errors = {key: float(value[i]) for key, value in measures.items()}
-        errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+        errors = {key: float(value[i]) * (app.scale if key == "error" else 1) for key, value in measures.items()}
         parameters = {key: value[i] for key, value in theta.items()}
-        require_finite(task, parameters, errors)
+        _require_finite(task, parameters, errors)
         # sums depend on the number of threads, in their last digits: the record says it, but not its settings, since
         # that is no reason to fit anew
         record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds}
@@ -180,19 +181,8 @@ def fit_side_by_side(
         record |= {"guarded": end.guarded is not None and bool(end.guarded[i])} if run.paradigm.guard else {}
         record |= {"warning": "; ".join(clauses)} if clauses else {}
         record |= {"batch": len(tasks)} if len(tasks) > 1 else {}
-        fits.append(Fit(run, task, record | {"settings": settings or {}}, parameters))
-        if warns:
-            _tell(fits[-1], clauses)
+        fits.append(Fit(run, task, record, parameters))
     return fits
-
-
-def _tell(fit: Fit, clauses: Sequence[str]) -> None:
-    """Say the note and the warnings of a fit."""
-    if "note" in fit.record:
-        say(f"{fit.name}: {fit.record['note']}")
-    for clause in clauses:
-        remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
-        say(f"warning: {fit.name}: {clause}{remedy}")
 
 
 def _now(device: torch.device) -> float:
@@ -202,48 +192,41 @@ def _now(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
+def _require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
     """Refuse a fit of a task, parameters without a task axis, that holds NaN or infinite values, or has such an error.
 
     Raises:
         FloatingPointError: it does.
     """
     finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
-    if not finite or (errors and not math.isfinite(errors["error"])):
+    if not finite or not math.isfinite(errors.get("error", 0.0)):
         what = "error is" if finite else "parameters are"
         raise FloatingPointError(
             f"{task.name}: the fit's {what} not finite; use another checkpoint or paradigm, or fewer steps."
         )
 
 
-def warnings_of(run: Run, stacked: Tasks, first: DescentState, fit: DescentState) -> list[list[str]]:
-    """Warnings of fits that are doubtful, as some applications see themselves, or worse than they began.
+def warnings_of(run: Run, stacked: Tasks, first: DescentState, end: DescentState) -> list[list[str]]:
+    """Clauses about each fit that is doubtful, as some applications see themselves, or whose visible loss rose.
 
-    Fits that a guard compared with their beginning are none of the latter.
+    Learned rules can fail; a guard has compared its fits with their beginning.
 
     Args:
         run: of the fits.
         stacked: the tasks.
-        first, fit: their fits at their beginning and end.
-
-    Returns:
-        Clauses for each task, [] for none.
+        first, end: of their descent.
     """
-    app = run.app
-    doubts = app.doubts(fit.theta, stacked)
-    compared = fit.guarded is not None or not run.steps
-    rises = [[] for _ in range(len(stacked))] if compared else _rises(run, stacked, first, fit)
-    return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
-
-
-def _rises(run: Run, stacked: Tasks, first: DescentState, fit: DescentState) -> list[list[str]]:
-    """Warnings of fits whose visible loss is above their initialisation's: learned rules can fail."""
+    doubts = run.app.doubts(end.theta, stacked)
+    if end.guarded is not None or not run.steps:
+        return doubts
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = draw_per_task(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)
-        before, after = (run.app.loss(step.theta, batch, {}).tolist() for step in (first, fit))
-    pairs = zip(before, after, strict=True)
-    return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]
+        before, after = (run.app.loss(state.theta, batch, {}).tolist() for state in (first, end))
+    return [
+        [*([] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"]), *doubt]
+        for low, high, doubt in zip(before, after, doubts, strict=True)
+    ]
 
 
 def rng_of(run: Run, task: Task) -> Generator:

@@ -16,7 +16,7 @@ from metapp.options import BadOption
 from metapp.paradigms import PARADIGMS, ranks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.training import TrainState, describe, prepare
-from metapp.runs.checkpoints import ships_general, trained_path, with_checkpoint
+from metapp.runs.checkpoints import ships_general, trained_path, tuned_by, with_checkpoint
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
@@ -30,12 +30,18 @@ from metapp.storage.training_checkpoint import load_state, save_state
 SECONDS = 60.0  # between two training checkpoints; METAPP_CHECKPOINT_SECONDS is another number
 
 
-def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | None]:
-    """Train the checkpoint that the paradigm of a run needs, together with the other ranks if there are any.
+def trained(run: Run) -> Run:
+    """The run with the checkpoint that is trained for it, which all ranks but the first do not read."""
+    with ranks.joined(run.device):
+        path, general = train_checkpoint(run)
+    run = replace(run, options=replace(run.options, checkpoint=path))
+    if run.paradigm.name == "quickft" and general:  # which may ship
+        return replace(run, checkpoint=tuned_by(general, load_checkpoint(path)[0], path))
+    return with_checkpoint(run) if ranks.number() == 0 else run
 
-    Args:
-        run: of the fits.
-        steps: outer steps instead of the recipe's.
+
+def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
+    """Train the checkpoint that the paradigm of a run needs, together with the other ranks if there are any.
 
     Returns:
         The file of the checkpoint (the one it replaces is kept as `<name>.previous.safetensors`), and the General that
@@ -45,24 +51,21 @@ def train_checkpoint(run: Run, steps: int | None) -> tuple[Path, Checkpoint | No
         BadOption: there is nothing to train, or a folder of checkpoints was given.
         ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
     """
-    name, app, options = _name_of(run), run.app, run.options
+    name, app, options, steps = _name_of(run), run.app, run.options, run.options.train_steps
     paradigm, path = PARADIGMS.get(name, Meta)(app, run.recipe, run.paradigm.rule_name), trained_path(run, name)
     make_folder(options.out)
     make_folder(path.parent)
-    folder = data_folder(app, options.data, options.quiet)
     first = _first(run, name)
-    general = general_of(run, steps) if not first and _needs_general(run, name) else None
+    general = _general_of(run) if not first and _needs_general(run, name) else None
     general_phi = general.phi if general else None
-    tasks = _tasks_of(run, name, folder)
-    about = _about(run, name, folder, general_phi) | ({"first": first.digest} if first else {})
-    settings = _settings(run, name, steps, folder, general_phi) | about
-    info = about | {"training_digest": digest(settings)}
-    settings |= {"device": str(run.device), "threads": get_num_threads()}  # what rounding depends on
+    tasks = _tasks_of(run, name)
+    header = _settings(run, name, general_phi, first)
+    settings = header | {"device": str(run.device), "threads": get_num_threads()}  # what rounding depends on
 
     def keep(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
         phi = state.phi._replace(encoder={}) if name == "quickft" else state.phi
-        save_checkpoint(file, phi, describe(paradigm, state, steps) | info, previous)
+        save_checkpoint(file, phi, describe(paradigm, state, steps) | header, previous)
 
     writes, seconds, saved = ranks.number() == 0, _seconds(), time.monotonic()
     state = since = _since(path, settings, run)
@@ -127,9 +130,9 @@ def _training_path(path: Path) -> Path:
     return path.with_suffix(".training.safetensors")
 
 
-def _tasks_of(run: Run, name: str, folder: Path) -> Tasks:
+def _tasks_of(run: Run, name: str) -> Tasks:
     """The training tasks of a data set."""
-    app = run.app
+    app, folder = run.app, data_folder(run.app, run.options.data, run.options.quiet)
     tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), run.device)
     say(f"training {app.full_name} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     return tasks
@@ -153,7 +156,7 @@ def _previous(path: Path) -> Path:
     return path.with_suffix(".previous.safetensors")
 
 
-def general_of(run: Run, steps: int | None = None) -> Checkpoint:
+def _general_of(run: Run) -> Checkpoint:
     """The General that QuickFT is tuned for or that Meta's training begins at.
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now, for as many steps. A
@@ -165,27 +168,18 @@ def general_of(run: Run, steps: int | None = None) -> Checkpoint:
     options = replace(run.options, paradigm="general")
     run = replace(run, options=options, paradigm=PARADIGMS["general"](run.app, run.recipe, run.paradigm.rule_name))
     if not options.checkpoint and not ships_general(run):
-        begin = replace(run, options=replace(options, checkpoint=None))
-        path = trained_path(begin, "general")
-        if path.is_file() and not _is_trained(begin, steps):
-            found = "a General that was trained by other settings"
-            raise ValueError(f"{path}: {found}; begin at it with --checkpoint {path}, or move it to train another one.")
+        path, steps = trained_path(run, "general"), options.train_steps
         if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
-            train_checkpoint(begin, steps)
+            train_checkpoint(run)
+        elif not _settings(run, "general").items() <= load_checkpoint(path)[1].items():
+            found = "a General that was trained by other settings"
+            raise ValueError(f"{path}: {found}; begin at it with --checkpoint {path}, or move it to train another one.")
         run = replace(run, options=replace(options, checkpoint=path))
     checkpoint = with_checkpoint(run).checkpoint
     assert checkpoint is not None
     say(f"General: {checkpoint.source}")
     return checkpoint
-
-
-def _is_trained(run: Run, steps: int | None) -> bool:
-    """True if the General that would be trained now is there, by the same settings."""
-    path = trained_path(run, "general")
-    folder = data_folder(run.app, run.options.data, run.options.quiet)
-    settings = _settings(run, "general", steps, folder, None) | _about(run, "general", folder, None)
-    return load_checkpoint(path)[1].get("training_digest") == digest(settings)
 
 
 def _name_of(run: Run) -> str:
@@ -202,25 +196,16 @@ def _needs_general(run: Run, name: str) -> bool:
     return name == "quickft" or (name != "general" and run.recipe.training(name).from_general)
 
 
-def _about(run: Run, name: str, folder: Path, general: MetaParameters | None) -> Document:
-    """The part of a checkpoint's header about the data it was trained on."""
+def _settings(run: Run, name: str, general: MetaParameters | None = None, first: Checkpoint | None = None) -> Document:
+    """All that the result of a training depends on but for rounding, which the header of its checkpoint states."""
+    folder = data_folder(run.app, run.options.data, run.options.quiet)
     return (
-        {"data": data_label(folder), "recipe": run.options.recipe, "seed": run.options.seed}
+        {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
+        | {"recipe": run.options.recipe, "recipe_digest": digest(repr(run.recipe)), "seed": run.options.seed}
+        | {"steps": run.options.train_steps, "versions": versions()}
         | ({} if name == "general" else run.app.protocol_entry())
         | run.app.conditions()
         | precision_of(run.app, run.device)
-        | {"versions": versions()}
         | ({"encoder": tensor_digest(general.encoder)} if general else {})
+        | ({"first": first.digest} if first else {})
     )
-
-
-def _settings(run: Run, name: str, steps: int | None, folder: Path, general: MetaParameters | None) -> Document:
-    """All that the result of a training depends on but for rounding, beside the description in its checkpoint."""
-    return {
-        "app": run.app.name,
-        "checkpoint": name,
-        "steps": steps,
-        "settings of the recipe": digest(repr(run.recipe)),
-        "content of the data": fingerprint(folder),
-        "General": general and tensor_digest(general.flat()),
-    }

@@ -17,7 +17,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
-from metapp.storage.fits import read_params, summary
+from metapp.storage.fits import read_params
 from metapp.storage.images import in_8_bits
 
 if TYPE_CHECKING:
@@ -120,30 +120,9 @@ GIVEN = ("reference", "samples")  # pictures that are the task's, not of a fit
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
-def column_of_fit(app: App, task: Task, theta: Params) -> Column:
-    """The reference of a task above its fit, parameters without a task axis."""
-    return Column(_shown(app.preview(theta, task)), task.name)
-
-
-def picture_of_run(
-    app: App, paradigm: str, columns: Sequence[tuple[Column, Document]], records: Sequence[Document], folder: Path
-) -> Path:
-    """Write `pictures.png` into a run's folder: a column for each of some tasks, with the error of its record.
-
-    Args:
-        app: the application.
-        paradigm: its name.
-        columns: of the first tasks, and their records.
-        records: of all tasks.
-        folder: the run's.
-
-    Returns:
-        The file.
-    """
-    mean = summary(records)["error"]
-    whole = "" if mean is None else f": mean error{app.factor} {mean:.3f}"
-    labelled = [column._replace(error=_label(record)) for column, record in columns]
-    return write_sheet(labelled, f"{app.full_title}, {paradigm}{whole}", folder / "pictures.png")
+def column_of_fit(app: App, task: Task, theta: Params, record: Document) -> Column:
+    """The reference of a task above its fit, parameters without a task axis, and the error of its record."""
+    return Column(_shown(app.preview(theta, task)), record["name"], _label(record))
 
 
 def column_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Column:
