@@ -61,18 +61,17 @@ def command(
       metapp export runs/brdf/meta bsdf
       metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.recorded import Exported, export_run, holds_runs
+    from metapp.runs.outputs.recorded import export_run, holds_runs
 
     if form in registry().file_exports and not holds_runs(source):
         if inputs or data or size:
             raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
         folder = out or Path(form)
-        files = registry().file_exports[form].load()(source, form, folder, quiet)
-        done = Exported(form, str(folder), [file.stem for file in files])
+        tasks = [file.stem for file in registry().file_exports[form].load()(source, form, folder, quiet)]
     else:
         own = {"size": size} if size else {}
-        done = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
+        folder, tasks = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
-        say(f"written as {done.form}: {done.out}")
+        say(f"written as {form}: {folder}")
     if json:
-        print_json(done._asdict())
+        print_json({"form": form, "out": str(folder), "tasks": tasks})

@@ -57,7 +57,7 @@ class Subject:
         self._tables: dict[str, Table] = {}
         self.runs: dict[str, Run] = {}
         for name in PARADIGMS:
-            self.runs[name] = run.by(name)
+            self.runs[name] = run.with_paradigm(name)
             try:
                 self.runs[name] = with_checkpoint(self.runs[name])
             except ValueError as error:
@@ -68,7 +68,7 @@ class Subject:
         others = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
         for rule in (rule for rule in others if rule != run.paradigm.rule_name):
             with suppress(ValueError):  # there is no checkpoint of this rule
-                self.runs[f"meta:{rule}"] = with_checkpoint(run.by("meta", rule))
+                self.runs[f"meta:{rule}"] = with_checkpoint(run.with_paradigm("meta", rule))
         make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"
@@ -124,7 +124,7 @@ class Subject:
             return None
         path = run.path(self.label)
         path = path.with_name(f"{path.name}-{settings['rule']}") if settings else path
-        return Fits(path, run.settings(self.label) | (settings or {}), FIT, run.origin(()))
+        return Fits(path, run.settings(self.label) | (settings or {}), FIT)
 
     def measured(
         self, title: str, fits: Fits | None, measure: Measure, tasks: list[Task], steps: int = 0
@@ -149,7 +149,7 @@ class Subject:
             with bars as bar, threads(single=self.app.single_threaded):
                 bar.at(0, total, name)
                 for i, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
-                    fits.write({**record, "content": content_of(task)}, tensors)
+                    fits.write({**record, "content": content_of(task), "origin": self.run.origin(())}, tensors)
                     bar.at(each * i, total, f"{name} {task.name}")
             records = _read(fits, tasks)
         self.asked[title] = tasks, records
@@ -163,7 +163,7 @@ class Subject:
             settings: everything that their figures depend on.
             entries: of records, beside the name.
         """
-        return Fits(self.run.path(self.label, kind), settings, entries, self.run.origin(()))
+        return Fits(self.run.path(self.label, kind), settings, entries)
 
     def draw(self, kind: str, fits: Mapping[str, list[Record]]) -> Path | None:
         """Draw fits of several methods side by side, of the tasks that all have; None if there are none."""

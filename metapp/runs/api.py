@@ -20,7 +20,7 @@ from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import in_memory, sources_to_fit, told_apart
 from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.outputs.recorded import read_run, tasks_as
-from metapp.runs.recipes import recipe_of_tasks
+from metapp.runs.recipes import chosen_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
@@ -133,7 +133,7 @@ def _fitted(options: FitOptions) -> list[Fit]:
     with threads(single=run.app.single_threaded):
         sources, label = sources_to_fit(run)
         if options.objects and not options.recipe:
-            run = Run.of(replace(options, recipe=recipe_of_tasks(options, [source.task() for source in sources])))
+            run = Run.of(replace(options, recipe=chosen_recipe(options, [source.task() for source in sources])))
         run = with_checkpoint(run)
         fits, places, settings = [], [], run.settings(label)
         for source, fit in fit_sources(run, sources):

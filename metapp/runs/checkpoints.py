@@ -6,7 +6,7 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
-from torch import Generator, Tensor
+from torch import Generator
 
 from metapp.apps import is_first_protocol, recipes_of
 from metapp.learning.app import App
@@ -23,8 +23,6 @@ from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest, load_checkpoint, tensor_digest
 
-FOLDER = "checkpoints"  # of what was trained for an application
-
 
 def with_checkpoint(run: Run) -> Run:
     """The run with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
@@ -36,27 +34,21 @@ def with_checkpoint(run: Run) -> Run:
     if not needs:
         return replace(run, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
     needed, *tuned = needs
-    path = _checkpoint_path(run, needed)
-    prepared, info = load_checkpoint(path, run.device, _shipped(run, "general"))
-    app, name = info.get("app"), info.get("checkpoint")
-    if (app, name) != (run.app.name, needed):
-        a_rule = isinstance(name, str) and name not in PARADIGMS
-        other = app == run.app.name and a_rule and run.paradigm.name == "meta"
-        remedy = f"; add --rule {name}" if other else ""
-        raise ValueError(f"{path}: a checkpoint of {app} {name}, expected {run.app.name} {needed}{remedy}.")
-    _require_protocol(path, run.app, info)
-    _require_conditions(path, run.app, prepared, info)
-    prepared = on_own_grid(run, prepared)
+    path, options = _checkpoint_path(run, needed), run.options
+    phi, header = load_checkpoint(path, run.device, _shipped(run, "general"))
+    _require_kind(path, run, needed, phi, header)
+    phi = on_own_grid(run, phi)
     try:
-        require_fit(path, run, prepared)
+        require_fit(path, run, phi)
     except ValueError as error:
-        if path.parent == shipped_path(run.app.name, needed).parent and run.options.recipe != QUICK:
+        if path.parent == shipped_path(run.app.name, needed).parent and options.recipe != QUICK:
             raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
         raise
-    checkpoint = Checkpoint(prepared, str(path), digest(path))
-    if not run.options.checkpoint:
-        note = ", trained on other data, which may hold these tasks" if run.options.data else ""
-        checkpoint = checkpoint._replace(source=f"the checkpoint that ships{note}")
+    source = str(path)
+    if not options.checkpoint:
+        note = ", trained on other data, which may hold these tasks" if options.data else ""
+        source = f"the checkpoint that ships{note}"
+    checkpoint = Checkpoint(phi, source, digest(path))
     for name in tuned:
         checkpoint = _with_tuning(run, checkpoint, name)
     return replace(run, checkpoint=checkpoint)
@@ -66,7 +58,7 @@ def trained_path(run: Run, name: str) -> Path:
     """The path of a checkpoint that is trained on this data."""
     label = data_label(data_folder(run.app, run.options.data, run.options.quiet))
     training = f"{label}-{run.options.recipe}-seed{run.options.seed}"
-    return _of_app(run) / FOLDER / training / f"{checkpoint_name(run.app, name)}.safetensors"
+    return run.options.out / run.app.name / "checkpoints" / training / f"{checkpoint_name(run.app, name)}.safetensors"
 
 
 def checkpoint_name(app: App, name: str) -> str:
@@ -89,26 +81,25 @@ def ships_general(run: Run) -> bool:
     return not run.options.data and _has_shipped(run) and _shipped(run, "general").is_file()
 
 
-def _of_app(run: Run) -> Path:
-    """The folder of all runs of an application."""
-    return run.options.out / run.app.name
+def _require_kind(path: Path, run: Run, needed: str, phi: MetaParameters, header: Document) -> None:
+    """Refuse a checkpoint of another application, paradigm, rule or protocol, and one whose encoder reads other things.
 
-
-def _require_protocol(path: Path, app: App, info: Document) -> None:
-    """Refuse a checkpoint that was trained under another protocol; General's, which all share, names none."""
-    then = info.get("observe", app.protocol)
-    if then != app.protocol:
+    General's, which all protocols share, names none. Other features, which no encoder reads, are said.
+    """
+    app, of, name = run.app, header.get("app"), header.get("checkpoint")
+    if (of, name) != (app.name, needed):
+        a_rule = isinstance(name, str) and name not in PARADIGMS
+        remedy = f"; add --rule {name}" if of == app.name and a_rule and run.paradigm.name == "meta" else ""
+        raise ValueError(f"{path}: a checkpoint of {of} {name}, expected {app.name} {needed}{remedy}.")
+    protocol = header.get("observe", app.protocol)
+    if protocol != app.protocol:
         raise ValueError(
-            f"{path}: a checkpoint for --observe {then}, expected one for {app.protocol}; give --observe {then} or "
-            "another checkpoint."
+            f"{path}: a checkpoint for --observe {protocol}, expected one for {app.protocol}; give --observe "
+            f"{protocol} or another checkpoint."
         )
-
-
-def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Document) -> None:
-    """Say that a checkpoint was trained with other features than are at hand; refuse one whose encoder reads them."""
     for key, now in app.conditions().items():
-        then = info.get(key, now)
-        if then != now and prepared.encoder:
+        then = header.get(key, now)
+        if then != now and phi.encoder:
             raise ValueError(f"{path}: its encoder reads {then}; here: {now}; or train one with --train.")
         if then != now:
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
@@ -169,33 +160,30 @@ def _shipped(run: Run, name: str) -> Path:
     return shipped_path(run.app.name, checkpoint_name(run.app, name), run.options.recipe, run.options.observe)
 
 
-def on_own_grid(run: Run, prepared: MetaParameters) -> MetaParameters:
-    """A checkpoint of Meta whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own.
+def on_own_grid(run: Run, phi: MetaParameters) -> MetaParameters:
+    """phi whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own grid.
 
-    They may have been learned on a coarser one: those of another recipe of the same network.
+    They may have been learned on a coarser one, by another recipe of the same network.
     """
     if run.paradigm.name != "meta":
-        return prepared
-    wanted = _fresh_alpha(run)
-    alpha = {
-        key: regridded(value, *wanted[key].shape[2:], periodic=run.app.periodic)
-        if key in wanted and _is_on_a_grid(value, wanted[key])
-        else value
-        for key, value in prepared.alpha.items()
-    }
-    return prepared._replace(alpha=alpha)
+        return phi
+    alpha = dict(phi.alpha)
+    for key, wanted in _fresh_alpha(run).items():
+        value = alpha.get(key, wanted)
+        if value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0:
+            alpha[key] = regridded(value, *wanted.shape[2:], periodic=run.app.periodic)
+    return phi._replace(alpha={key: alpha[key] for key in phi.alpha})
 
 
-def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
-    return value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0
+def _fresh_theta(app: App) -> Params:
+    """Parameters of one task, of the shapes that a checkpoint's must have."""
+    return {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
 
 
 def _fresh_alpha(run: Run) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
-    recipe = run.recipe
-    network = {key: value[0] for key, value in run.app.init(Generator().manual_seed(0), 1).items()}
-    first = recipe.training(run.paradigm.rule_name).first
-    return rule_of(run.paradigm.rule_name).alpha(run.app, network, recipe.steps, first)
+    name, recipe = run.paradigm.rule_name, run.recipe
+    return rule_of(name).alpha(run.app, _fresh_theta(run.app), recipe.steps, recipe.training(name).first)
 
 
 def require_fit(path: Path, run: Run, prepared: MetaParameters) -> None:
@@ -204,16 +192,12 @@ def require_fit(path: Path, run: Run, prepared: MetaParameters) -> None:
     Raises:
         ValueError: a tensor is missing or has another shape; names it.
     """
-    app, rng = run.app, Generator().manual_seed(0)
-    network = {key: value[0] for key, value in app.init(rng, 1).items()}
-    if run.paradigm.name == "meta":
-        _require(path, "alpha", prepared.alpha, _fresh_alpha(run), steps=True)
+    is_meta = run.paradigm.name == "meta"
+    _require(path, "alpha", prepared.alpha, _fresh_alpha(run) if is_meta else {}, steps=True)
+    if is_meta and not prepared.encoder:
+        _require(path, "theta", prepared.theta, _fresh_theta(run.app))
     else:
-        _require(path, "alpha", prepared.alpha, {})
-    if prepared.encoder or run.paradigm.name != "meta":
-        _require(path, "encoder", prepared.encoder, app.init_encoder(rng))
-    else:
-        _require(path, "theta", prepared.theta, network)
+        _require(path, "encoder", prepared.encoder, run.app.init_encoder(Generator().manual_seed(0)))
 
 
 def require_tuned(path: Path, prepared: MetaParameters) -> None:
@@ -231,17 +215,15 @@ def require_tuned(path: Path, prepared: MetaParameters) -> None:
 
 def _require(path: Path, part: str, held: Params, expected: Params, *, steps: bool = False) -> None:
     """Refuse a part of a checkpoint that lacks a tensor or has another; `steps`: the first axis may have any length."""
-    remedy = "give a checkpoint of this application, rule and recipe, or train one with --train"
+
+    def shape_of(params: Params, key: str) -> str:
+        if key not in params:
+            return "missing"
+        sizes: tuple[int | str, ...] = tuple(params[key].shape)
+        return f"({', '.join(map(str, ('steps', *sizes[1:]) if steps and sizes else sizes))})"
+
     for key in sorted(expected | held, key=lambda key: key not in expected):
-        shapes: list[tuple[int | str, ...] | None] = [
-            tuple(of[key].shape) if key in of else None for of in (held, expected)
-        ]
-        if steps and all(shapes):
-            shapes = [shape and ("steps", *shape[1:]) for shape in shapes]
-        if shapes[0] != shapes[1]:
-            has, wants = (_shape_text(shape) for shape in shapes)
-            raise ValueError(f"{path}: {part} {key} is {has}, expected {wants}; {remedy}.")
-
-
-def _shape_text(shape: tuple[int | str, ...] | None) -> str:
-    return "missing" if shape is None else f"({', '.join(map(str, shape))})"
+        found, wanted = shape_of(held, key), shape_of(expected, key)
+        if found != wanted:
+            remedy = "give a checkpoint of this application, rule and recipe, or train one with --train"
+            raise ValueError(f"{path}: {part} {key} is {found}, expected {wanted}; {remedy}.")

@@ -165,7 +165,7 @@ class Fit:
             maps = self.app.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
-    def pictures(self) -> dict[str, Tensor]:
+    def preview(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
         with threads(single=self.app.single_threaded):
             return self.app.preview(self.parameters, self.task)
@@ -180,8 +180,8 @@ class Fit:
 
     @functools.cached_property
     def _images(self) -> dict[str, Image]:
-        """`pictures`, as screens show them."""
-        return {name: image_of(linear) for name, linear in self.pictures().items()}
+        """`preview`, as screens show it."""
+        return {name: image_of(linear) for name, linear in self.preview().items()}
 
     def picture(self) -> Image:
         """Return a picture of PIL, 8 bits of sRGB: the reference, if there is one, left and the fit right."""

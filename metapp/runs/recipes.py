@@ -8,7 +8,6 @@ set holds. A recipe is for one kind, and no two of an application and protocol a
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Collection, Sequence
 from importlib import resources
 from pathlib import Path
@@ -24,33 +23,31 @@ QUICK, FULL = "quick", "full"
 PACKAGE = "metapp.checkpoints"
 
 
-def chosen_recipe(options: FitOptions) -> str:
+def chosen_recipe(options: FitOptions, tasks: Sequence[Task] = ()) -> str:
     """The recipe for the kind of all inputs of a fit, or of its data set, else the usual one.
+
+    Args:
+        options: of the fit.
+        tasks: that objects in memory were read as, if any.
 
     Raises:
         BadOption: inputs of several kinds, and a recipe for one of them.
         ValueError: the data set cannot be read.
     """
     app, by_kind = options.app, _by_kind(options)
-    kind = (_kind_of_inputs(options, by_kind) if options.paths else _kind_of_set(options)) if by_kind else ""
-    if kind not in by_kind:
+    kinds = {_kind_of_task(app, task) for task in tasks} if by_kind else set()
+    if by_kind and not tasks:
+        kinds = {_kind_of_inputs(options, by_kind) if options.paths else _kind_of_set(options)}
+    name, recipe = by_kind.get(kinds.pop(), ("", None)) if len(kinds) == 1 else ("", None)
+    if recipe is None:
         return usual_recipe(app)
-    name, recipe = by_kind[kind]
-    if lacking := _lacking(recipe):
+    if lacking := load(recipe.lacks)() if recipe.lacks else "":
         say(f"{app}: {lacking}")
         return usual_recipe(app)
     if not options.quiet:
         what = "input" if options.paths else f"task of {options.data}"
         say(f"{app}: recipe {name}, since every {what} has {recipe.help}")
     return name
-
-
-def recipe_of_tasks(options: FitOptions, tasks: Sequence[Task]) -> str:
-    """The same for tasks that were made in memory."""
-    by_kind = _by_kind(options)
-    kinds = {_kind_of_task(options.app, task) for task in tasks} if by_kind else set()
-    name, recipe = by_kind.get(kinds.pop(), ("", None)) if len(kinds) == 1 else ("", None)
-    return name if recipe and not _lacking(recipe) else usual_recipe(options.app)
 
 
 def _by_kind(options: FitOptions) -> dict[str, tuple[str, Recipe]]:
@@ -62,10 +59,6 @@ def _by_kind(options: FitOptions) -> dict[str, tuple[str, Recipe]]:
         and (not entry.paradigms or options.paradigm in entry.paradigms)
         and ships(options.app, name, options.observe)
     }
-
-
-def _lacking(recipe: Recipe) -> str:
-    return load(recipe.lacks)() if recipe.lacks else ""
 
 
 def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]]) -> str:
@@ -139,13 +132,7 @@ def shipped_names(app: str) -> dict[str, list[str]]:
 def ships(app: str, recipe: str, protocol: str = "") -> bool:
     """True if checkpoints of a recipe ship: its own, or those of "quick" if it fits the same network."""
     own = recipe == QUICK or _recipe_folder(app, recipe, protocol).is_dir()
-    return own or (recipe == FULL and full_fits_as_quick(app))
-
-
-@functools.cache
-def full_fits_as_quick(app: str) -> bool:
-    """True if networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
-    return recipe_of(app, FULL).app == recipe_of(app, QUICK).app
+    return own or (recipe == FULL and recipe_of(app, FULL).app == recipe_of(app, QUICK).app)
 
 
 def usual_recipe(app: str) -> str:

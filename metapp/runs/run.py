@@ -126,7 +126,7 @@ class Run:
         assert self.checkpoint is not None
         return self.checkpoint.phi
 
-    def by(self, paradigm: str, rule: str = "") -> Run:
+    def with_paradigm(self, paradigm: str, rule: str = "") -> Run:
         """A run by another paradigm and rule ("" for this one), of the recipe's steps, without a checkpoint."""
         rule = rule or self.paradigm.rule_name
         options = replace(self.options, paradigm=paradigm, rule=rule, steps=None)

@@ -210,20 +210,17 @@ class Fits(NamedTuple):
         path: the run's folder.
         settings: all that figures of the fits depend on.
         entries: of their records, beside the name.
-        origin: the places of inputs and data, also in the records; no figure depends on it.
     """
 
     path: Path
     settings: Document
     entries: Collection[str] = ()
-    origin: Document | None = None
 
     def write(
         self, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
     ) -> Document:
         """Keep a finished task, as `write_fit` does, with the settings."""
-        origin = {"origin": self.origin} if self.origin else {}
-        return write_fit(self.path, {**record, "settings": self.settings, **origin}, theta, draw)
+        return write_fit(self.path, {**record, "settings": self.settings}, theta, draw)
 
     def hold(self, record: Document) -> bool:
         """True if a record is of these settings."""

@@ -320,8 +320,8 @@ def test_a_fit_shows_itself(network: Path) -> None:
     assert "warning" not in html
     picture = fit.picture()
     assert (picture.mode, picture.size) == ("RGB", (196, 96))
-    assert set(fit.pictures()) == {"reference", "fit"}
-    reference = to_srgb(fit.pictures()["reference"])
+    assert set(fit.preview()) == {"reference", "fit"}
+    reference = to_srgb(fit.preview()["reference"])
     assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
     fit.task, fit.record["warning"] = fit.task._replace(name="<b>"), "1 < 2"  # names and warnings are text
     html = fit._repr_html_()

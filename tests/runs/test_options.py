@@ -204,6 +204,6 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.checkpoints._require_conditions", lambda *_: None)  # VGG may be missing
+    monkeypatch.setattr("metapp.runs.checkpoints._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
         with_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))

@@ -180,12 +180,12 @@ def names(run: Path) -> list[str]:
 
 
 def test_a_fit_is_a_folder(tmp_path: Path) -> None:
-    fits = Fits(tmp_path / "run", {"steps": 10}, FIT, {"data": "/d"})
+    fits = Fits(tmp_path / "run", {"steps": 10}, FIT)
     assert fits.records() == {}
     theta = {"w": torch.ones(2, 3, requires_grad=True).T}
     kept = fits.write(record("red felt/2", note="größe\u2028\nx"), theta, lambda at: (at / "a.png").write_text("a"))
     folder = tmp_path / "run" / file_name("red felt/2")
-    own = {"settings": {"steps": 10}, "origin": {"data": "/d"}, "folder": str(folder)}
+    own = {"settings": {"steps": 10}, "folder": str(folder)}
     assert kept == record("red felt/2", note="größe\u2028\nx") | own
     assert read_fits(tmp_path / "run") == [kept]
     assert sorted(file.name for file in folder.iterdir()) == ["a.png", PARAMS, RECORD]

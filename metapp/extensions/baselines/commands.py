@@ -75,12 +75,12 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     if baseline.learns and training_folder(planned, baseline) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = planned.path(label, f"baseline-{method}")
-    kept = Fits(path, settings_of(planned, baseline, label), ENTRIES, planned.origin(options.paths))
+    kept = Fits(path, settings_of(planned, baseline, label), ENTRIES)
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(planned, baseline, tasks, warm=False)
         for task, (record, picture, answer) in zip(tasks, fits, strict=True):
-            record["content"] = content_of(task)
+            record |= {"content": content_of(task), "origin": planned.origin(options.paths)}
             files = app.answer_pictures(answer, task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)

@@ -148,17 +148,9 @@ def _of_sources(records: list[Document], sources: list[Source]) -> dict[str, Tas
     return {name: task._replace(name=name) for name, task in pairs if task}
 
 
-class Exported(NamedTuple):
-    """The result of an export: the form, the folder that holds all of it, and the names of the fits."""
-
-    form: str
-    out: str
-    tasks: list[str]
-
-
 def export_run(
     run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
-) -> Exported:
+) -> tuple[Path, list[str]]:
     """Write every fit of a run.
 
     Args:
@@ -169,6 +161,9 @@ def export_run(
         out: folder to write to; None: a folder of the form's name in each task's.
         options: that are fields of the application, by name.
         quiet: no progress.
+
+    Returns:
+        The folder that holds all of it, and the names of the fits.
 
     Raises:
         BadOption: fits of the application cannot be written so, or not by these options.
@@ -200,4 +195,4 @@ def export_run(
                 write(task=tasks[name], settings=settings)
             bar.advance(name)
     target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
-    return Exported(form, str(target), [record["name"] for record in records])
+    return target, [record["name"] for record in records]

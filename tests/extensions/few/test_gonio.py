@@ -216,7 +216,7 @@ def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_p
     assert metapp("examples", "--make", tmp_path).code == 0
     runs = [metapp(paradigm, "brdf", tmp_path / "paint.csv", "--json").done["out"] for paradigm in ("meta", "quickft")]
     fit = api.fit("brdf", tmp_path / "paint.csv")
-    pictures = fit.pictures()
+    pictures = fit.preview()
     assert list(pictures) == ["samples", "predicted", "fit"]
     for name in ("samples", "predicted"):
         coverage = pictures[name][..., 3]

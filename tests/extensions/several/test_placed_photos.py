@@ -24,7 +24,7 @@ from metapp.options import BadOption
 from metapp.registry import inputs_of
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
-from metapp.runs.recipes import FULL, chosen_recipe, recipe_of_tasks, shipped_path
+from metapp.runs.recipes import FULL, chosen_recipe, shipped_path
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 from metapp.storage.shards import ShardWriter
@@ -107,9 +107,9 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tm
     with ShardWriter(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), {}) as writer:
         writer.add(task, "test")
     options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
-    assert chosen_recipe(options) == recipe_of_tasks(options, [task]) == "several"
+    assert chosen_recipe(options) == chosen_recipe(options, [task]) == "several"
     one = Task("one", {"photo": task.data["photo"]})
-    assert recipe_of_tasks(options, [one]) == ("full" if lacking else "pretrained")
+    assert chosen_recipe(options, [one]) == ("full" if lacking else "pretrained")
 
 
 def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:
