@@ -147,19 +147,20 @@ def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[
         state: Params,
         batch: AnyBatch,
         grads: Params,
-        pull_theta: Params,
-        pull_state: Params,
+        d_theta: Params,
+        d_state: Params,
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
         if order == 2:
             grads = loss.gradient(theta, batch, loss_parameters(alpha), graph=True)[0]
         moved, after = rule_step(alpha, theta, grads, state)
         outputs = [*moved.values(), *(after[key] for key in state)]
-        pulls = [*(pull_theta[key] for key in moved), *(pull_state[key] for key in state)]
+        d_outputs = [*(d_theta[key] for key in moved), *(d_state[key] for key in state)]
         inputs = [*theta.values(), *state.values(), *alpha.values()]
-        live = [pair for pair in zip(outputs, pulls, strict=True) if pair[0].requires_grad]
-        found = iter(torch.autograd.grad([o for o, _ in live], inputs, [p for _, p in live], materialize_grads=True))
-        return dict(zip(theta, found)), dict(zip(state, found)), dict(zip(alpha, found))  # noqa: B905
+        live = [pair for pair in zip(outputs, d_outputs, strict=True) if pair[0].requires_grad]
+        outputs, d_outputs = ([pair[i] for pair in live] for i in (0, 1))
+        d_inputs = iter(torch.autograd.grad(outputs, inputs, d_outputs, materialize_grads=True))
+        return dict(zip(theta, d_inputs)), dict(zip(state, d_inputs)), dict(zip(alpha, d_inputs))  # noqa: B905
 
     return torch.enable_grad()(step), torch.enable_grad()(vjp)
 
@@ -193,17 +194,17 @@ class _LearnThrough(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: _LearnThrough, *pulls: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _LearnThrough, *d_final: Tensor) -> tuple[Tensor | None, ...]:
         names = list(ctx.taken[0][0])
-        pull_theta = dict(zip(names, (pull.contiguous() for pull in pulls), strict=True))
-        pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
-        pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
+        d_theta = dict(zip(names, (value.contiguous() for value in d_final), strict=True))
+        d_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
+        d_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
         for i in reversed(range(len(ctx.taken))):
             alpha = at_step(ctx.alpha, i)
-            pull_theta, pull_state, pulled = ctx.steps.vjp(alpha, *ctx.taken.pop(), pull_theta, pull_state)
-            for key, value in pulled.items():
-                pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)].add_(value)
-        return None, None, None, None, *(pull_theta[key] for key in names), *pull_alpha.values()
+            d_theta, d_state, d_alpha_i = ctx.steps.vjp(alpha, *ctx.taken.pop(), d_theta, d_state)
+            for key, value in d_alpha_i.items():
+                d_alpha[key][min(i, d_alpha[key].shape[0] - 1)].add_(value)
+        return None, None, None, None, *(d_theta[key] for key in names), *d_alpha.values()
 
 
 def learn_through(

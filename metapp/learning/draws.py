@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Generator, Tensor
@@ -59,12 +59,3 @@ def clone_rng(rng: Rng) -> Rng:
     if isinstance(rng, Generator):
         return Generator(rng.device).set_state(rng.get_state())
     return tuple(Generator(own.device).set_state(own.get_state()) for own in rng)
-
-
-def select_rng(rng: Rng, rows: Sequence[int]) -> Rng:
-    """The generators of some tasks; one for all stays.
-
-    >>> len(select_rng(tuple(Generator() for _ in range(3)), [0, 2]))
-    2
-    """
-    return rng if isinstance(rng, Generator) else tuple(rng[row] for row in rows)

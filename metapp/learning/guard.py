@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
-from metapp.learning.draws import Rng, clone_rng, select_rng
+from metapp.learning.draws import Rng, clone_rng
 from metapp.learning.learn import DescentState, check_finite, descend, final_item
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import append_axes, fixed_adam
@@ -71,7 +71,8 @@ def descend_guarded(
         theta = {key: value[rows] for key, value in best.items()}
         adam = fixed_adam(guard.adam, theta, steps)
         plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule follows
-        own = select_rng(clone_rng(rng), rows)
+        own = clone_rng(rng)
+        own = tuple(own[row] for row in rows) if isinstance(own, tuple) else own
         further = final_item(
             descend(theta, adam, tasks.select(rows), plain, steps=steps, rng=own, steps_of=steps_of)
         ).theta

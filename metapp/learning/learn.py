@@ -199,19 +199,19 @@ def learn(
 # Losses and the combinators that lift them
 
 
-def task_loss(app: App, batch: int) -> Loss:
-    """The loss of an application on samples of tasks (alg. 2), [T]."""
-    return _loss_of(replace(app), batch)
+def task_loss(app: App, batch: int, *, outer: bool = False) -> Loss:
+    """The loss of an application on samples of tasks (alg. 2), [T].
+
+    Args:
+        app: the application; equal ones give one object, by which compiled steps are found.
+        batch: samples of each task.
+        outer: whether it is the outer loss, on samples of training tasks.
+    """
+    return _task_loss(replace(app), batch, outer)  # a copy, so that the cache holds no pictures of fits
 
 
-def task_outer_loss(app: App, batch: int) -> Loss:
-    """The outer loss of an application, on samples of training tasks, [T]."""
-    return _loss_of(replace(app), batch, outer=True)
-
-
-# compiled steps are kept by loss: equal applications give one object; of copies, so that it holds no pictures of fits
 @functools.lru_cache(maxsize=32)
-def _loss_of(app: App, batch: int, *, outer: bool = False) -> Loss:
+def _task_loss(app: App, batch: int, outer: bool) -> Loss:
     sample = app.outer_sample if outer else app.sample
     # not the inherited one: steps in C know `Brdf.loss` by its name
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
@@ -333,7 +333,7 @@ def after_encoding(loss: Loss, encoding: Encoding) -> Loss:
     def value(prepared: Params, batch: AnyBatch, learned: Params) -> Tensor:
         return loss.value(encoding.encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
 
-    return Loss(draw, value, shared=True)
+    return Loss(draw, value)
 
 
 def expand_tasks(params: Params, count: int, axis: int) -> Params:

@@ -8,7 +8,7 @@ from torch import Generator
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
 from metapp.learning.draws import Rng, draw_per_task
-from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, task_outer_loss, with_stages
+from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, task_loss, with_stages
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import NO_OUTER_LOOP, Paradigm
@@ -62,7 +62,7 @@ class General(Paradigm):
     def outer_loss(self, phi: MetaParameters) -> Loss:
         """The loss of the encoder's predictions."""
         app, training = self.app, self.recipe.general
-        loss = after_encoding(task_outer_loss(app, self.recipe.batch), Encoding(app.condition, app.encode))
+        loss = after_encoding(task_loss(app, self.recipe.batch, outer=True), Encoding(app.condition, app.encode))
         outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
         # staged before tasks are augmented: what is not seen need not be made
         return with_stages(outer, app.stage)

@@ -7,7 +7,7 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
 from metapp.learning.draws import Rng
-from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, over_tasks, task_outer_loss
+from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, over_tasks, task_loss
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Tasks
@@ -97,7 +97,7 @@ class Meta(Paradigm):
             order=training.order,
             clip=training.clip,
             encoding=encoding(app) if phi.encoder else None,
-            outer_loss=task_outer_loss(app, self.recipe.batch),
+            outer_loss=task_loss(app, self.recipe.batch, outer=True),
             steps_of=fastest(compiles=app.compiles),
         )
         return over_tasks(lifted, count=training.tasks, augment=app.augment if training.augment else None)

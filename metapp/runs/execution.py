@@ -16,12 +16,11 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
-from metapp.runs.outputs.files import export_fit, export_path, outputs_of, write_outputs, write_pictures
+from metapp.runs.outputs.files import export_fit, export_path, rendered, write_pictures
 from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, write_sheet
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
-from metapp.runs.training import trained
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
@@ -70,7 +69,6 @@ class Execution:
         self._records: dict[str, Document] = {}  # by the sources' places
         self._earlier: set[str] = set()  # places of fits of before
         self._columns: dict[str, Column] = {}
-        self._outputs = outputs_of(run.options)
         self._bar = Bar()
 
     @property
@@ -155,8 +153,9 @@ class Execution:
 
         def draw(folder: Path) -> None:
             with torch.no_grad():
-                write_pictures(app.pictures(theta, fit.task), folder)
-                self.remarks += write_outputs(app, self._outputs, folder, fit.task, theta)
+                files, lines = rendered(self.run, fit.task, theta)
+                write_pictures(app.pictures(theta, fit.task) | files, folder)
+                self.remarks += [f"{fit.name}: {line}" for line in lines]
 
         origin = self.run.origin(source.given)
         record = fit.record | {"source": source.place, "content": content_of(fit.task), "origin": origin}
@@ -209,11 +208,11 @@ def execute(run: Run) -> Execution | None:
         if ranks.number() > 0:
             if run.options.train:
                 with reporting(Reporter()):
-                    trained(replace(run, options=replace(run.options, quiet=True)))
+                    _with_checkpoint(replace(run, options=replace(run.options, quiet=True)))
             return None
         make_folder(run.options.out)
         sources, label = sources_to_fit(run)
-        run = replace(run, checkpoint=(trained(run) if run.options.train else with_checkpoint(run)).checkpoint)
+        run = replace(run, checkpoint=_with_checkpoint(run).checkpoint)
         assert run.checkpoint is not None
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
@@ -221,3 +220,11 @@ def execute(run: Run) -> Execution | None:
         execution = Execution(run, sources, label)
         execution.fit()
         return execution
+
+
+def _with_checkpoint(run: Run) -> Run:
+    if not run.options.train:
+        return with_checkpoint(run)
+    from metapp.runs.training import trained  # here: most runs train nothing
+
+    return trained(run)

@@ -20,7 +20,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT, left_out_with, registry
 from metapp.runs.options import check_export
-from metapp.runs.outputs.files import export_fit, outputs_of
+from metapp.runs.outputs.files import export_fit, rendered
 from metapp.runs.outputs.pictures import beside, image_of
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
@@ -173,19 +173,13 @@ class Fit:
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
         """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
-        made = outputs_of(self.run.options)
         with threads(single=self.app.single_threaded):
-            files = [output.load()(self.app, self.task, self.parameters, value).files for output, value in made]
-        return {name: picture.pixels.numpy() for some in files for name, picture in some.items()}
-
-    @functools.cached_property
-    def _images(self) -> dict[str, Image]:
-        """`preview`, as screens show it."""
-        return {name: image_of(linear) for name, linear in self.preview().items()}
+            files, _ = rendered(self.run, self.task, self.parameters)
+        return {name: picture.pixels.numpy() for name, picture in files.items()}
 
     def picture(self) -> Image:
         """Return a picture of PIL, 8 bits of sRGB: the reference, if there is one, left and the fit right."""
-        return beside([image for name, image in self._images.items() if name in ("reference", "fit")])
+        return beside([image_of(linear) for name, linear in self.preview().items() if name in ("reference", "fit")])
 
     def save(self, path: str | bytes | PathLike[str]) -> Path:
         """Write the parameters as safetensors, whole or not at all.

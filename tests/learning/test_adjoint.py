@@ -6,21 +6,24 @@ from collections.abc import Callable, Sequence
 import pytest
 import torch
 from torch import Generator, Tensor
+from torch.utils._pytree import tree_map
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_through, torch_steps
-from metapp.learning.learn import Encoding, MetaParameters, after_learning, expand_tasks
+from metapp.learning.app import stack
+from metapp.learning.learn import Encoding, MetaParameters, after_learning, expand_tasks, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
 from metapp.rules import rule_of
 from tests.learning.parabolas import unused
-from tests.paradigms.small import applicable
+from tests.paradigms.small import FEATURED, SMALL, applicable, small_app
 
 APP = Brdf()
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
 ON_MATRICES = applicable(APP)
+ON_OTHERS = [(FEATURED, "ridge"), ("illumination", "meta-lgd")]
 
 
 def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
@@ -142,6 +145,25 @@ def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., T
     assert_alike((value, grads), expected)
     for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
         assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
+
+
+@pytest.mark.parametrize(("kind", "rule"), [*(("brdf", rule) for rule in ON_MATRICES), *ON_OTHERS])
+def test_derivatives_are_finite_differences(kind: str, rule: str, randn: Callable[..., Tensor]) -> None:
+    """Through the steps of every rule, in float64, along a random direction of each parameter of phi."""
+    app, learned = small_app(kind), rule_of(rule)
+    loss = after_learning(learned.loss(app, task_loss(app, 16)), learned.rule, steps=3, order=2)
+    batch = loss.draw(stack(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
+    batch = tree_map(
+        lambda leaf: leaf.double() if isinstance(leaf, Tensor) and leaf.is_floating_point() else leaf, batch
+    )
+    theta = {key: value[0].double() for key, value in app.init(Generator().manual_seed(2), 1).items()}
+    alpha = learned.alpha(app, theta, 3, Adam(5e-3, beta2=0.99, eps=1e-3))
+    phi = MetaParameters(theta, {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}).flat()
+    _, grads = value_and_grads(lambda phi: loss.value(phi, batch, {}).mean(), phi)
+    for key, value in phi.items():
+        way = 1e-6 * torch.nn.functional.normalize(randn(*value.shape).flatten(), dim=0).reshape(value.shape)
+        above, below = (loss.value(phi | {key: value + sign * way}, batch, {}).mean() for sign in (1, -1))
+        torch.testing.assert_close((grads[key] * way).sum(), (above - below) / 2, rtol=1e-4, atol=1e-13, msg=key)
 
 
 def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:

@@ -38,68 +38,51 @@ class Network(Part):
         return "" if on_grid else "no parameter lies on a grid, which has three axes"
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Networks that add nothing."""
-        return networks(theta, steps, first.rate, periodic=app.periodic)
+        """Random inner layers and last ones of zeros: such a network adds nothing and leaves its memory empty.
+
+        Its moves are measured in the rate of `first`, the length of the rule's own steps.
+        """
+        alpha: Params = {}
+        rng = Generator().manual_seed(0)
+        for key, value in theta.items():
+            if value.ndim == 3:
+                channels, name = len(value), f"{'around' if app.periodic else 'within'}.{key}"
+                for i, inputs in enumerate((3 * channels + 1 + MEMORY, WIDTH)):
+                    kernel = torch.randn(1, WIDTH, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
+                    alpha |= {f"{name}.kernel{i}": kernel, f"{name}.shift{i}": torch.zeros(steps, WIDTH, 1, 1)}
+                alpha |= {
+                    f"{name}.place": torch.zeros(1, WIDTH, *value.shape[1:]),
+                    f"{name}.kernel2": torch.zeros(1, channels + MEMORY, WIDTH, 3, 3),
+                    f"{name}.shift2": torch.zeros(steps, channels + MEMORY, 1, 1),
+                    f"{name}.unit": torch.full((1,), math.log(first.rate)),
+                }
+        return alpha
 
     def state(self, alpha: Params, theta: Params) -> Params:
-        """Empty memories."""
-        return no_memory(alpha, theta)
+        """Empty memories, `memory.<parameter>` [T, MEMORY, rows, columns]."""
+        return {
+            f"memory.{key}": value.new_zeros(len(value), MEMORY, *value.shape[2:])
+            for key, value in theta.items()
+            if _name_of(alpha, key)
+        }
 
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """The parameters plus the output of the networks."""
         results, memories = dict(moved), {}
         for key, value in before.theta.items():
-            if name := network_of(alpha, key):
+            if name := _name_of(alpha, key):
                 memory = state[f"memory.{key}"]
-                added, written = move(alpha, name, value, before.grads[key], before.directions[key], memory)
+                added, written = _move(alpha, name, value, before.grads[key], before.directions[key], memory)
                 results[key], memories[f"memory.{key}"] = moved[key] + added, written
         return results, memories
 
 
-def networks(theta: Params, steps: int, rate: float, *, periodic: bool) -> Params:
-    """Initial weights [K, ...] of a network for each parameter of three axes, [channels, rows, columns].
-
-    Args:
-        theta: parameters of one task.
-        steps: K of the shifts.
-        rate: the length of the rule's own steps at first; the networks' moves are measured in it.
-        periodic: whether the grids' columns go on at the other edge.
-
-    Returns:
-        Random inner layers and a last one of zeros: such a network adds nothing and leaves its memory empty.
-    """
-    alpha: Params = {}
-    rng = Generator().manual_seed(0)
-    for key, value in theta.items():
-        if value.ndim == 3:
-            channels, name = len(value), f"{'around' if periodic else 'within'}.{key}"
-            for i, inputs in enumerate((3 * channels + 1 + MEMORY, WIDTH)):
-                kernel = torch.randn(1, WIDTH, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
-                alpha |= {f"{name}.kernel{i}": kernel, f"{name}.shift{i}": torch.zeros(steps, WIDTH, 1, 1)}
-            alpha |= {
-                f"{name}.place": torch.zeros(1, WIDTH, *value.shape[1:]),
-                f"{name}.kernel2": torch.zeros(1, channels + MEMORY, WIDTH, 3, 3),
-                f"{name}.shift2": torch.zeros(steps, channels + MEMORY, 1, 1),
-                f"{name}.unit": torch.full((1,), math.log(rate)),
-            }
-    return alpha
-
-
-def network_of(alpha: Params, key: str) -> str:
+def _name_of(alpha: Params, key: str) -> str:
     """The name of a parameter's network in alpha; "" if it has none."""
     return next((f"{edge}.{key}" for edge in ("around", "within") if f"{edge}.{key}.unit" in alpha), "")
 
 
-def no_memory(alpha: Params, theta: Params) -> Params:
-    """Empty memories of networks in a rule's state, `memory.<parameter>` [T, MEMORY, rows, columns]."""
-    return {
-        f"memory.{key}": value.new_zeros(len(value), MEMORY, *value.shape[2:])
-        for key, value in theta.items()
-        if network_of(alpha, key)
-    }
-
-
-def move(
+def _move(
     alpha: Params, name: str, value: Tensor, grad: Tensor, direction: Tensor, memory: Tensor
 ) -> tuple[Tensor, Tensor]:
     """The addition of a network to a parameter, and its memory after that.

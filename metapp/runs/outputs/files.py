@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,9 +12,9 @@ from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
-from metapp.registry import Entry, exports_of, registry
+from metapp.registry import exports_of, registry
 from metapp.runs.checkpoints import with_checkpoint
-from metapp.runs.options import FitOptions, fit_options
+from metapp.runs.options import fit_options
 from metapp.runs.recipes import QUICK
 from metapp.runs.reporter import number, say
 from metapp.runs.run import Run
@@ -25,30 +24,14 @@ from metapp.storage.images import write_exr, write_png
 WRITERS = 2  # pictures compressed at a time
 
 
-def outputs_of(options: FitOptions) -> list[tuple[Entry, object]]:
-    """The registered outputs whose option was given, with its value."""
-    given = options.own.given(OUTPUT)
-    return [(output, given[name]) for name, output in registry().outputs.of(options.app).items() if name in given]
-
-
-def write_outputs(
-    app: App,
-    outputs: Sequence[tuple[Entry, object]],
-    folder: Path,
-    task: Task,
-    theta: Params,
-) -> list[str]:
-    """Write the pictures that outputs make of a fit into its folder.
-
-    Returns:
-        Remarks on them.
-    """
-    lines = []
-    for output, value in outputs:
-        made: Rendered = output.load()(app, task, theta, value)
-        write_pictures(made.files, folder)
-        lines += [f"{task.name}: {line}" for line in made.lines]
-    return lines
+def rendered(run: Run, task: Task, theta: Params) -> Rendered:
+    """The pictures of a fit, parameters without a task axis, by the registered outputs whose options were given."""
+    given, made = run.options.own.given(OUTPUT), Rendered({}, [])
+    for name, output in registry().outputs.of(run.app.name).items():
+        if name in given:
+            files, lines = output.load()(run.app, task, theta, given[name])
+            made = Rendered(made.files | files, [*made.lines, *lines])
+    return made
 
 
 def write_pictures(files: dict[str, Picture], folder: Path) -> None:

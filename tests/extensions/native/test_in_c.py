@@ -21,7 +21,7 @@ from metapp.extensions.native.fastest import COMPILED, can_compile, compiled_ste
 from metapp.extensions.native.fastest import steps as fastest
 from metapp.extensions.native.packing import Layout
 from metapp.learning.adjoint import Draw, Loss, StepsOf, UpdateRule, torch_steps
-from metapp.learning.learn import MetaParameters, after_learning, descend, expand_tasks, learn, task_outer_loss
+from metapp.learning.learn import MetaParameters, after_learning, descend, expand_tasks, learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.rules.descent import sgd_step
@@ -215,7 +215,7 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
     assert in_c.steps(rule, loss, theta, 1) is not None
-    assert nbrdf.takes(task_outer_loss(APP, 8), theta)  # the same loss of other samples
+    assert nbrdf.takes(task_loss(APP, 8, outer=True), theta)  # the same loss of other samples
     for name, case in cases.items():
         assert in_c.steps(*case, 1) is None, name
 

@@ -1,6 +1,7 @@
 """The part "network": at first the rule it adds to, exact derivatives, and what its networks see of a grid."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,9 +11,10 @@ from torch import Generator, Tensor
 from metapp.apps.illumination import app as illumination
 from metapp.learning.adjoint import Loss, at_step, learn_through
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, expand_tasks
+from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.network import MEMORY, move, network_of, networks
+from metapp.learning.rules.network import MEMORY, Network
+from metapp.learning.rules.rule import StepInput
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
 from metapp.rules import rule_of
@@ -40,13 +42,6 @@ def batches_for(app: illumination.Illumination, randn: Callable[..., Tensor], co
     return [app.described(torch.exp(randn(TASKS, 3, 8, 16))) for _ in range(count)]
 
 
-def phi_of(app: App, randn: Callable[..., Tensor]) -> Params:
-    """A start and a rule away from what it is at first, flat."""
-    theta = one(app)
-    alpha = rule_of("meta-lgd").alpha(app, theta, STEPS, FIRST)
-    return MetaParameters(theta, {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}).flat()
-
-
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
 def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, randn: Callable[..., Tensor]) -> None:
     theta, batches = expand_tasks(one(app), TASKS, 0), batches_for(app, randn, STEPS)
@@ -68,19 +63,27 @@ def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
 
 
 def network(randn: Callable[..., Tensor], *, periodic: bool) -> Params:
-    alpha = networks({"z": torch.zeros(3, 4, 8)}, 1, 0.1, periodic=periodic)
+    of: Any = SimpleNamespace(periodic=periodic)
+    alpha = Network().initial(of, {"z": torch.zeros(3, 4, 8)}, 1, Adam(0.1))
     alpha = {key: value.double() + 0.1 * randn(*value.shape) for key, value in alpha.items()}
     name = "around" if periodic else "within"
     return alpha | {f"{name}.z.place": torch.zeros(1, *alpha[f"{name}.z.place"].shape[1:]).double()}
+
+
+def move(alpha: Params, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """The addition of a network to its parameter, and its memory after that."""
+    step, zero = at_step(expand_tasks(alpha, TASKS, 1), 0), {"z": torch.zeros(TASKS, 3, 4, 8).double()}
+    before = StepInput({"z": seen["value"]}, {"z": seen["grad"]}, {"z": seen["direction"]})
+    moved, memory = Network().moved(step, zero, before, {"memory.z": seen["memory"]})
+    return moved["z"], memory["memory.z"]
 
 
 @pytest.mark.parametrize("periodic", [True, False])
 def test_a_periodic_grid_has_no_edge(periodic: bool, seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
     """Turned columns are moved as they were before they were turned; where there is an edge they are not."""
     alpha = network(randn, periodic=periodic)
-    own, name = at_step(expand_tasks(alpha, TASKS, 1), 0), network_of(alpha, "z")
-    turned = move(own, name, **{key: value.roll(3, -1) for key, value in seen.items()})
-    for found, expected in zip(turned, move(own, name, **seen), strict=True):
+    turned = move(alpha, {key: value.roll(3, -1) for key, value in seen.items()})
+    for found, expected in zip(turned, move(alpha, seen), strict=True):
         assert torch.allclose(found, expected.roll(3, -1)) == periodic
 
 
@@ -88,7 +91,6 @@ def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], ran
     """A network that does not look at the log of the length is moved alike by gradients of any length."""
     alpha = network(randn, periodic=True)
     alpha["around.z.kernel0"][:, :, 9] = 0  # after value, gradient and direction
-    own = at_step(expand_tasks(alpha, TASKS, 1), 0)
-    moves = [move(own, "around.z", **seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
+    moves = [move(alpha, seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
     for each in moves[1:]:
         torch.testing.assert_close(each, moves[0])
