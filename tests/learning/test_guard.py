@@ -75,7 +75,7 @@ def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> N
     assert torch.equal(guarded.get_state(), plain.get_state())
 
 
-def test_a_fit_that_diverged_goes_on_by_adam_from_its_initialisation(start: Params, tasks: Tasks) -> None:
+def test_a_diverged_fit_goes_on_by_adam_from_its_initialisation(start: Params, tasks: Tasks) -> None:
     """Which stays where Adam does not help."""
     adam = learn(start, fixed_adam(ADAM, start, STEPS), tasks, EXACT, steps=STEPS, rng=Generator())
     for guard, expected in ((GUARD, adam), (Guard(Adam(1e3)), start)):

@@ -249,7 +249,7 @@ def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPat
     assert errors == sorted(errors, reverse=True)
 
 
-def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_best_recipe_is_kept_and_a_diverging_one_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     first = Adam(0.0123, 0.77, 0.95, 3e-5, 0.2)
     for error in (lambda adam: 1.0, lambda adam: 0.5 if adam == first else math.inf):
         search = Search(monkeypatch, first, error)
@@ -261,7 +261,7 @@ def test_a_recipe_that_nothing_beats_is_kept_and_one_that_diverges_is_left(monke
 
 
 @pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
-def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
+def test_searches_use_all_validation_tasks_if_fits_are_cheap(
     name: str, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quickft = QuickFT(app_by(name), recipes_of(name)["quick"])

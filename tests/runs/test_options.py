@@ -27,7 +27,7 @@ from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
 
 
 @pytest.mark.parametrize("name", app_names())
-def test_files_data_sets_and_trainings_go_by_the_best_recipe_that_ships(name: str) -> None:
+def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
     assert ships(name, "full")
     for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
@@ -111,7 +111,7 @@ def test_an_application_has_what_its_entry_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
-def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) -> None:
+def test_a_finer_detail_fits_as_many_parameters(app: str) -> None:
     usual, fine = (Run.of(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
     assert usual.options.own.given() == {}
     assert fine.options.own.given() == {"detail": 512}

@@ -114,7 +114,7 @@ def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
         torch.testing.assert_close(*ends)
 
 
-def test_penalties_are_at_least_what_rounding_makes_of_the_normal_equations() -> None:
+def test_penalties_are_at_least_the_rounding_of_gram_matrices() -> None:
     """Orthogonal features, one of them 1e7 times the others: the least penalty is lost in its square's rounding."""
     size = torch.tensor([1e7, 1.0, 2.0, 0.5, 1.0], dtype=torch.float64)
     batch = {"x": torch.diag(size)[None], "y": torch.ones(1, OUTPUTS, FEATURES).double()}

@@ -1,14 +1,11 @@
 """Statistics over many tasks: intervals against known distributions, paired comparisons."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 
 from metapp.evaluation.statistics import Paired, interval_of, is_significant, paired, statistics_of
-from metapp.runs.outputs.pictures import COLUMNS, SIDE, Column, write_sheet
 
 HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170
 
@@ -51,7 +48,7 @@ def test_an_interval_holds_95_percent_of_the_values() -> None:
     assert interval_of(values) == (pytest.approx(0.025), pytest.approx(0.975))
 
 
-def test_what_is_a_little_better_on_every_task_is_apart_though_intervals_overlap() -> None:
+def test_a_little_better_on_every_task_is_significant() -> None:
     ours = [0.95 * error * (1 + 0.02 * (-1) ** i) for i, error in enumerate(HARD)]
     assert interval(HARD)[0] < interval(ours)[2]  # each one's own intervals overlap by far
     found = some(compared(ours, HARD))
@@ -63,7 +60,7 @@ def test_what_is_a_little_better_on_every_task_is_apart_though_intervals_overlap
     assert some(compared(HARD, ours)).low == pytest.approx(1 / found.high)
 
 
-def test_what_is_better_on_some_tasks_and_worse_on_others_is_not_apart() -> None:
+def test_better_on_some_tasks_and_worse_on_others_is_not() -> None:
     found = some(compared([error * (1.5 if i % 2 else 0.6) for i, error in enumerate(HARD)], HARD))
     assert found.low < 1 < found.high
     assert is_significant(found) is False
@@ -88,7 +85,7 @@ def test_errors_that_are_logarithms_are_compared_by_differences() -> None:
     assert str(found) == "-0.100 [-0.100, -0.100]"
 
 
-def test_there_is_no_ratio_to_errors_of_zero_and_none_without_common_tasks() -> None:
+def test_there_is_no_ratio_to_zero_or_without_common_tasks() -> None:
     assert compared([1.0] * 6, [0.0] * 6) is None
     assert compared([1.0] * 6, [-1.0] * 6) is None
     assert some(compared([1.0] * 12, [0.0, *[1.0] * 11])).value == pytest.approx(12 / 11)
@@ -104,50 +101,3 @@ def test_the_interval_holds_the_truth_about_as_often_as_it_says() -> None:
         found = some(compared(list(0.9 * hard * rng.lognormal(-0.02, 0.2, 40)), list(hard)))
         hits += found.low <= 0.9 <= found.high
     assert 82 <= hits <= 100
-
-
-# Contact sheets
-
-
-COLOURS = {"reference": (1.0, 0.0, 0.0), "meta": (0.0, 1.0, 0.0), "general": (0.0, 0.0, 1.0)}
-
-
-def plain(row: str, height: int = 20, width: int = 20) -> np.ndarray:
-    return np.broadcast_to(np.array(COLOURS[row]), (height, width, 3))
-
-
-def sheet(tasks: list[Column], path: Path) -> np.ndarray:
-    pixels: np.ndarray = oiio.ImageBuf(str(write_sheet(tasks, "title", path))).get_pixels(oiio.FLOAT)
-    return pixels
-
-
-def area(pixels: np.ndarray, row: str) -> int:
-    return int((np.abs(pixels - COLOURS[row]).max(-1) < 0.02).sum())
-
-
-def test_all_pictures_are_there(tmp_path: Path) -> None:
-    """Also of more tasks than there are columns; the reference is on top, though it comes last."""
-    tasks = [
-        Column({f"meta 0.{i}": plain("meta"), "reference": plain("reference")}, f"task {i}") for i in range(COLUMNS + 2)
-    ]
-    pixels = sheet(tasks, tmp_path / "sheet.png")
-    for row in ("meta", "reference"):
-        assert area(pixels, row) == (COLUMNS + 2) * SIDE**2
-    rows = {row: np.nonzero((np.abs(pixels - COLOURS[row]).max(-1) < 0.02).any(1))[0] for row in ("meta", "reference")}
-    assert rows["reference"].min() < rows["meta"].min()
-    assert list(tmp_path.iterdir()) == [tmp_path / "sheet.png"]
-
-
-def test_what_a_task_lacks_stays_blank(tmp_path: Path) -> None:
-    tasks = [Column({"general": plain("general")}, "a"), Column({"reference": plain("reference")}, "b", "0.5")]
-    pixels = sheet(tasks, tmp_path / "sheet.png")
-    assert area(pixels, "general") == area(pixels, "reference") == SIDE**2
-
-
-def test_shapes_are_kept_and_long_names_cut(tmp_path: Path) -> None:
-    tasks = [Column({"meta": plain("meta", 10, 40)}, "a name that is far too long for one column " * 4)]
-    pixels = sheet(tasks, tmp_path / "sheet.png")
-    found = np.argwhere(np.abs(pixels - COLOURS["meta"]).max(-1) < 0.02)
-    height, width = np.ptp(found, axis=0) + 1
-    assert abs(width / height - 4) < 0.1
-    assert pixels.shape[1] < 2 * width
