@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -99,7 +99,8 @@ def prepare(
             return
         # the best of a search is where the outer loop begins, not what it competes with
         state = TrainState(tried.best, tried.rng, searched=tried.searched)
-    yield from _outer_loop(paradigm, with_steps(training, steps), state, to_fit, to_validate, rng)
+    training = training if steps is None else replace(training, steps=steps)
+    yield from _outer_loop(paradigm, training, state, to_fit, to_validate, rng)
 
 
 def _outer_loop(
@@ -229,29 +230,3 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
                 return float("inf")
             total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
     return app.scale * total / (seeds * float(weights.sum()))
-
-
-def with_steps(training: OuterLoop, steps: int | None) -> OuterLoop:
-    """An outer loop of another number of steps; None keeps its own."""
-    return training if steps is None else replace(training, steps=steps)
-
-
-def describe(paradigm: Paradigm, state: TrainState, steps: int | None = None) -> dict[str, object]:
-    """The description of a checkpoint in its file, JSON-ready.
-
-    Args:
-        paradigm: that trained it.
-        state: at the end.
-        steps: outer steps in place of the recipe's.
-    """
-    recipe, training = paradigm.recipe, paradigm.training
-    return {
-        "app": paradigm.app.name,
-        "checkpoint": paradigm.needs[-1],
-        "inner_steps": recipe.steps,
-        "batch": recipe.batch,
-        "training": asdict(with_steps(training, steps if training.steps else None)) if training.tasks else None,
-        "validation_error": state.validation,
-        "best_step": state.best_step,
-        "curve": state.curve,
-    }

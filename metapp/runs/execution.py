@@ -83,18 +83,11 @@ class Execution:
 
     def document(self) -> Document:
         """The object that --json prints."""
-        app, settings, records = self.run.app, self.fits.settings, self.records
+        settings, records = self.fits.settings, self.records
+        stated = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
         fields = ("name", "error", "seconds", "counts", "note", "warning", "folder")
         return {
-            "app": app.name,
-            **app.protocol_entry(),
-            "paradigm": settings["paradigm"],
-            "rule": settings["rule"],
-            "steps": settings["steps"],
-            "device": str(self.run.device),
-            "data": settings["data"],
-            **app.conditions(),
-            **{key: settings[key] for key in ("precision",) if key in settings},
+            **{key: settings[key] for key in (*stated, *self.run.app.conditions()) if key in settings},
             **summary(records),
             "guarded": guarded(records),
             "tasks": [{key: record[key] for key in fields if key in record} for record in records],

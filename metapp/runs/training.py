@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from torch import Generator, get_num_threads
@@ -15,7 +15,7 @@ from metapp.learning.task import Tasks
 from metapp.options import BadOption
 from metapp.paradigms import PARADIGMS, ranks
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.training import TrainState, describe, prepare
+from metapp.paradigms.training import TrainState, prepare
 from metapp.runs.checkpoints import ships_general, trained_path, tuned_by, with_checkpoint
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import progress, say
@@ -60,12 +60,17 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
     general_phi = general.phi if general else None
     tasks = _tasks_of(run, name)
     header = _settings(run, name, general_phi, first)
+    training = paradigm.training
+    if training.steps and steps:
+        training = replace(training, steps=steps)
+    about = {"inner_steps": run.recipe.steps, "batch": run.recipe.batch, "training": asdict(training)}
     settings = header | {"device": str(run.device), "threads": get_num_threads()}  # what rounding depends on
 
     def keep(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
         phi = state.phi._replace(encoder={}) if name == "quickft" else state.phi
-        save_checkpoint(file, phi, describe(paradigm, state, steps) | header, previous)
+        result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
+        save_checkpoint(file, phi, header | about | result, previous)
 
     writes, seconds, saved = ranks.number() == 0, _seconds(), time.monotonic()
     state = since = _since(path, settings, run)
