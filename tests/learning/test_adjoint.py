@@ -11,10 +11,11 @@ from torch.utils._pytree import tree_map
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_through, torch_steps
 from metapp.learning.app import stack
-from metapp.learning.learn import Encoding, MetaParameters, after_learning, expand_tasks, task_loss
+from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
+from metapp.paradigms.adam import encoding
 from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import FEATURED, SMALL, applicable, small_app
@@ -23,7 +24,7 @@ APP = Brdf()
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
 ON_MATRICES = applicable(APP)
-ON_OTHERS = [(FEATURED, "ridge"), ("illumination", "meta-lgd")]
+OTHERS = [("brdf", "meta-encoder", True), (FEATURED, "ridge", False), ("illumination", "meta-lgd", False)]
 
 
 def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
@@ -139,19 +140,21 @@ def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., T
         assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
 
 
-@pytest.mark.parametrize(("kind", "rule"), [*(("brdf", rule) for rule in ON_MATRICES), *ON_OTHERS])
-def test_derivatives_are_finite_differences(kind: str, rule: str, randn: Callable[..., Tensor]) -> None:
+@pytest.mark.parametrize(("kind", "rule", "encoded"), [*(("brdf", rule, False) for rule in ON_MATRICES), *OTHERS])
+def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool, randn: Callable[..., Tensor]) -> None:
     """Through the steps of every rule, in float64, along a random direction of each parameter of phi."""
-    app, learned = small_app(kind), rule_of(rule)
-    loss = after_learning(learned.loss(app, task_loss(app, 16)), learned.rule, steps=3, order=2)
-    batch = loss.draw(stack(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
-    batch = tree_map(
-        lambda leaf: leaf.double() if isinstance(leaf, Tensor) and leaf.is_floating_point() else leaf, batch
-    )
+    app, learned, start = small_app(kind), rule_of(rule), encoding(small_app(kind)) if encoded else None
+    inner = learned.loss(app, task_loss(app, 16))
+    loss = after_learning(inner, learned.rule, steps=3, order=2, encoding=start)
+    drawn = loss.draw(stack(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
+    batch = tree_map(lambda leaf: leaf.double() if isinstance(leaf, Tensor) else leaf, drawn)
     theta = {key: value[0].double() for key, value in app.init(Generator().manual_seed(2), 1).items()}
+    encoder = {key: value.double() for key, value in app.init_encoder(Generator().manual_seed(3)).items()}
     alpha = learned.alpha(app, theta, 3, Adam(5e-3, beta2=0.99, eps=1e-3))
-    phi = MetaParameters(theta, {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}).flat()
+    alpha = {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}
+    phi = (MetaParameters({}, alpha, encoder) if encoded else MetaParameters(theta, alpha)).flat()
     _, grads = value_and_grads(lambda phi: loss.value(phi, batch, {}).mean(), phi)
+    assert any(grad.any() for key, grad in grads.items() if not key.startswith("alpha."))
     for key, value in phi.items():
         way = 1e-6 * torch.nn.functional.normalize(randn(*value.shape).flatten(), dim=0).reshape(value.shape)
         above, below = (loss.value(phi | {key: value + sign * way}, batch, {}).mean() for sign in (1, -1))
@@ -228,30 +231,6 @@ def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None
     x, unseen = torch.autograd.grad(final["x"].sum(), list(theta.values()), allow_unused=True, materialize_grads=True)
     assert x.any()
     assert not unseen.any()
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_a_start_that_an_encoder_predicts(order: int, randn: Callable[..., Tensor]) -> None:
-    """The gradient goes on through the encoder, as in an unrolled graph."""
-    *batches, last = parabolas(randn, STEPS + 1)
-    observed = {"seen": randn(TASKS, 4)}
-
-    def encode(encoder: Params, observed: Batch) -> Params:
-        return {"x": torch.tanh(observed["seen"] @ encoder["w"])}
-
-    phi = {"alpha.rate.x": 0.1 * randn(STEPS, 3), "encoder.w": randn(4, 3)}
-    lifted = after_learning(
-        PARABOLA, sgd, steps=STEPS, order=order, encoding=Encoding(lambda tasks, rng: observed, encode)
-    )
-
-    def reference(phi: Params) -> Tensor:
-        rule = sgd({"rate.x": phi["alpha.rate.x"][:, None].expand(-1, TASKS, -1)})
-        theta = encode({"w": phi["encoder.w"]}, observed)
-        return parabola(unrolled(theta, rule, batches, PARABOLA, order), last, {}).mean()
-
-    found = value_and_grads(lambda phi: lifted.value(phi, (batches, last, observed), {}).mean(), phi)
-    assert_alike(found, value_and_grads(reference, phi))
-    assert found[1]["encoder.w"].any()
 
 
 def test_a_second_walk_back_is_refused_or_right(randn: Callable[..., Tensor]) -> None:
