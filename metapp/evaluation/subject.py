@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from metapp.evaluation.table import Table
@@ -57,7 +58,7 @@ class Subject:
         self._tables: dict[str, Table] = {}
         self.runs: dict[str, Run] = {}
         for name in PARADIGMS:
-            self.runs[name] = run.with_paradigm(name)
+            self.runs[name] = Run.of(replace(run.options, paradigm=name, steps=None))
             try:
                 self.runs[name] = with_checkpoint(self.runs[name])
             except ValueError as error:
@@ -68,7 +69,7 @@ class Subject:
         others = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
         for rule in (rule for rule in others if rule != run.paradigm.rule_name):
             with suppress(ValueError):  # there is no checkpoint of this rule
-                self.runs[f"meta:{rule}"] = with_checkpoint(run.with_paradigm("meta", rule))
+                self.runs[f"meta:{rule}"] = with_checkpoint(Run.of(replace(run.options, paradigm="meta", rule=rule)))
         make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"

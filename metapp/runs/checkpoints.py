@@ -219,8 +219,9 @@ def _require(path: Path, part: str, held: Params, expected: Params, *, steps: bo
     def shape_of(params: Params, key: str) -> str:
         if key not in params:
             return "missing"
-        sizes: tuple[int | str, ...] = tuple(params[key].shape)
-        return f"({', '.join(map(str, ('steps', *sizes[1:]) if steps and sizes else sizes))})"
+        sizes = list(map(str, params[key].shape))
+        sizes[:1] = ["steps"] if steps and sizes and key in held and key in expected else sizes[:1]
+        return f"({', '.join(sizes)})"
 
     for key in sorted(expected | held, key=lambda key: key not in expected):
         found, wanted = shape_of(held, key), shape_of(expected, key)

@@ -94,8 +94,6 @@ class Run:
         app, inputs = settings["app"], more.pop("inputs", ())
         own = own_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
         paradigm = settings.get("paradigm", "meta")
-        if paradigm not in PARADIGMS:
-            raise ValueError(f"paradigm '{paradigm}': not known, expected {', '.join(PARADIGMS)}; fit again.")
         given = {"rule": settings.get("rule", "") if paradigm == "meta" else "", "recipe": settings["recipe"]}
         given |= {"observe": settings.get("observe", ""), "quiet": True, **more}
         try:
@@ -125,14 +123,6 @@ class Run:
         """The parameters of the checkpoint, which must have been read."""
         assert self.checkpoint is not None
         return self.checkpoint.phi
-
-    def with_paradigm(self, paradigm: str, rule: str = "") -> Run:
-        """A run by another paradigm and rule ("" for this one), of the recipe's steps, without a checkpoint."""
-        rule = rule or self.paradigm.rule_name
-        options = replace(self.options, paradigm=paradigm, rule=rule, steps=None)
-        app = app_of(self.app.name, self.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
-        built = PARADIGMS[paradigm](replace(app, size=self.app.size), self.recipe, rule)
-        return replace(self, options=options, paradigm=built, checkpoint=None)
 
     def settings(self, label: str) -> Document:
         """All that errors and seconds of fits to this data depend on: the settings in their records."""
