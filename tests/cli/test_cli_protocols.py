@@ -148,8 +148,7 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     assert document["out"].endswith("-photo")
     assert read_fits(Path(document["out"]))[0]["settings"]["observe"] == "photo"
     made = Path(document["out"]) / "photo"
-    more = {"confidence.png"} if app == "illumination" else set()
-    assert {path.name for path in made.iterdir()} == APPS[app].files | more | {PARAMS, RECORD}
+    assert {path.name for path in made.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     assert Path(document["out"], "pictures.png").is_file()
     if app == "illumination":
         assert luminance_of(made / "map.exr") == pytest.approx(1, rel=0.01)

@@ -16,13 +16,11 @@ from metapp.appearance.latlong import directions, resample, solid_angles, sphere
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination import encoder
-from metapp.apps.illumination.confidence import Weibull, deviations, features, hatched, spread_of
-from metapp.apps.illumination.mirror import completed, is_mirror, photographed, resampled, seen_loss
+from metapp.apps.illumination.mirror import completed, is_mirror, resampled, seen_loss
 from metapp.apps.illumination.spheres import SPHERES, sphere_errors
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.draws import uniform
 from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
@@ -39,7 +37,6 @@ GLOSSES = (0.25, 0.42, 0.7)
 LARGEST_ROWS = 1024  # of a map
 READ_ROWS = 64  # of a map that every size can be made of, but for finer ones
 LOSS_PX = 32  # side of the photograph in the loss
-MIRROR_SHARE = 1 / 3  # of the photographs of training tasks
 
 
 @dataclass(frozen=True)
@@ -194,29 +191,10 @@ class Illumination(CodedApp):
         return {"z": code / self.network.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Augmented maps, and new photographs under them, some of mirrors if fits see photographs."""
-        maps, size = varied(tasks.data["map"][tasks.rows], rng), tasks.data["photo"].shape[-1]
-        photos, mirrored = photograph(maps, rng, size), dict[str, Tensor]()
-        if self.protocol == "photo":
-            balls, mirrored = photographed(maps, rng, size)
-            mirrors = (uniform(rng, len(maps)) < MIRROR_SHARE)[:, None, None, None]
-            photos, mirrored["certain"] = torch.where(mirrors, balls, photos), mirrored["certain"] * mirrors
-        return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | mirrored | self.described(maps))
-
-    @torch.no_grad()
-    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """`deviation`, factors by which the fit's luminance may be off, if fits see a photograph."""
-        if self.protocol != "photo":
-            return {}
-        one = {key: value[None] for key, value in theta.items()}
-        data = {key: value[None].to(theta["z"].device) for key, value in self.prepare(task).items()}
-        return {"deviation": deviations(self.spread(one, data), data)[0]}
-
-    def spread(self, theta: Params, data: Batch) -> Weibull:
-        """The distribution of differences of fits of photographs; `data` as of `prepare`, [T, ...]."""
-        gloss = body_of(BODY_GAIN * theta["body"])[0].gloss
-        left = self._visible_loss(theta, self.radiance_of(theta), data, {})
-        return spread_of(features(self.answer(theta, data), data, gloss @ gloss.new_tensor(GLOSSES), left))
+        """Augmented maps, and new photographs of spheres under them."""
+        maps = varied(tasks.data["map"][tasks.rows], rng)
+        photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
+        return tasks.variants({"photo": photos} | self.described(maps))
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -266,18 +244,11 @@ class Illumination(CodedApp):
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it.
-
-        Of a photograph also the map with stripes if the fit is not sure of it.
-        """
+        """The map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it."""
         one = {key: value[None] for key, value in theta.items()}
         pictures = self.answer_pictures(self._answer(one, task), task)
         if self.size:
             pictures["map"] = self.map_picture(one, task)
-        if self.protocol == "photo":
-            spread = self.spread(one, {key: value[None] for key, value in self.prepare(task).items()})
-            light = pictures["map"].pixels.permute(2, 0, 1)
-            pictures["confidence"] = Picture(hatched(tone_map(light / light.mean()), spread).permute(1, 2, 0), "srgb")
         return pictures
 
     @torch.no_grad()

@@ -10,48 +10,16 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 from torch.nn.functional import relu
 
-from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.latlong import directions, mean_luminance, resample, solid_angles
-from metapp.appearance.photograph import develop, draw_camera, mirror
-from metapp.learning.draws import uniform
+from metapp.appearance.latlong import mean_luminance, resample, solid_angles
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import norm
 
 RADIANCE_FLOOR = 0.01  # of the mean of what is seen: the log of radiance is flat below
-REFLECTANCE = 0.9  # of a mirror
 CLIPPED_VALUE = 0.98  # display value from which a photograph says no more
 LOST_LIGHT = 2.0  # times the light of the clip is there at least; General tells how much more, best so in validation
-BALL_PX = 256  # of a ball in the photographs of training tasks
-
-
-def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[str, Tensor]]:
-    """Photographs of mirror balls under maps [T, 3, H, W], by random cameras, and the maps that are read from them.
-
-    Cameras have curves of their own, but photographs are read by sRGB's.
-
-    Returns:
-        Display values in [0, 1], [T, 3, size, size]; and `seen` [T, 3, H, W], `certain` [T, 2, H, W].
-    """
-    drawn = uniform(rng, len(maps), 3).to(maps)
-    balls = REFLECTANCE * mirror(maps, size)
-    camera = draw_camera(drawn, balls)
-    texels = develop(REFLECTANCE * maps, camera).clamp_max(1)
-    clipped = (texels.amax(1, keepdim=True) >= CLIPPED_VALUE).to(maps)
-    front = in_view(*maps.shape[-2:]).to(maps)
-    shares = torch.cat([front * (1 - clipped), front * clipped], 1)
-    return develop(balls, camera).clamp_max(1), {"seen": srgb_to_linear(texels), "certain": shares}
-
-
-def in_view(height: int, width: int) -> Tensor:
-    """The share of each texel of a map that can be read off a ball of BALL_PX, [height, width] in [0, 1].
-
-    A texel of the angle pi / height is `BALL_PX / 4 cos(angle / 2)` times as many px deep at an angle to the camera.
-    """
-    away = ((1 + directions(height, width)[2]) / 2).clamp_min(0).sqrt()
-    return (BALL_PX / 4 * math.pi / height * away - 0.5).clamp(0, 1)
 
 
 def resampled(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[str, Tensor]:

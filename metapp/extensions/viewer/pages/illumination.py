@@ -1,4 +1,4 @@
-"""The page of a light map: radiance, the reference, the photographed ball, and if a fit is not sure."""
+"""The page of a light map: radiance, the reference, the photographed ball."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from metapp.appearance.latlong import directions, luminance, resample, solid_ang
 from metapp.appearance.photograph import mirror
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.confidence import doubt
 from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, is_mirror
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
 from metapp.extensions.viewer.view import View, thumbnail
@@ -53,7 +52,6 @@ def view(app: Illumination, theta: Params, task: Task) -> View:
     if app.protocol == "photo":
         data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirrored(task)}.items()}
         pictures = {"photo": data["photo"][0].permute(1, 2, 0) / 255, "ball": _ball(app, one, data).permute(1, 2, 0)}
-        arrays["doubt"] = doubt(app.spread(one, data))[0].half()
     lobes = torch.stack([lobe_albedos(roughness) for roughness in ROUGHNESSES.values()]).half()
     shown = thumbnail(tone_map(maps["map"]).permute(1, 2, 0))
     return View("light", arrays, pictures, facts | materials, {"lobes": lobes}, shown)

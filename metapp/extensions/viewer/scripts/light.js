@@ -1,8 +1,8 @@
 // Light maps: to look around in, flat, lighting spheres, and the ball of a photograph beside the fit's.
 //
 // facts: scale of what arrays hold, note; of spheres metal, albedo, specular, silver and diffuse {roughness}.
-// arrays: map [H, W, 3], radiance over the mean of the fit's; perhaps reference, the same of what was fitted, and doubt [h, w], how
-// much stripes cover, 0 to 1. pictures: perhaps photo and ball, of what the fit saw and its own, both of the same size.
+// arrays: map [H, W, 3], radiance over the mean of the fit's; perhaps reference, the same of what was
+// fitted. pictures: perhaps photo and ball, of what the fit saw and its own, both of the same size.
 // shared: lobes [2, N], the share of light that the glosses of silver and diffuse reflect, by the cosine to the viewer.
 
 // The spheres of metapp.apps.illumination.spheres; where on the shape says which.
@@ -45,7 +45,7 @@ Lobes lobes(vec3 wo) {
 
 // A map seen from its middle or flat, or a picture of a ball.
 const LOOK = `${SHOWING}
-uniform sampler2D doubt, photo, ball; uniform int mode, finer; uniform float zoom, dot; uniform vec2 heading; uniform bool hatch;
+uniform sampler2D photo, ball; uniform int mode, finer; uniform float zoom; uniform vec2 heading;
 const float PI = 3.14159265358979;
 bool place_at(vec2 px, out vec2 uv) {  // in the map, of a place in the column
   vec2 at = 2.0 * px - column.zw;
@@ -75,17 +75,13 @@ vec3 ball_at(vec2 px, sampler2D picture) {
   return srgb(min(exposure * mix(x / 12.92, pow((x + 0.055) / 1.055, vec3(2.4)), step(0.04045, x)), 1.0));
 }
 void main() {
-  vec2 px = gl_FragCoord.xy - column.xy, uv;
+  vec2 px = gl_FragCoord.xy - column.xy;
   vec3 sum = vec3(0.0);
   if (mode == 2) sum = ball_at(px, photo);
   else if (mode == 3) sum = ball_at(px, ball);
   else if (mode < 2) {
     for (int i = 0; i < finer * finer; i++) sum += map_at(px + (vec2(i % finer, i / finer) + 0.5) / float(finer) - 0.5);
     sum /= float(finer * finer);
-    if (hatch && show < 3 && !is_reference() && place_at(px, uv)) {  // as metapp's confidence.png
-      float share = clamp(textureLod(doubt, uv, 0.0).r, 0.0, 1.0), away = abs(mod((px.x - px.y) / dot, 12.0) - 6.0);
-      if (share > 0.0) sum = mix(sum, vec3(0.90, 0.05, 0.45), 0.75 * clamp(share * 3.0 + 0.5 - away, 0.0, 1.0));
-    }
   } else sum = paper;
   result = vec4(sum, show == 4 ? covered : 1.0);
 }`;
@@ -126,7 +122,7 @@ class LightViewer extends ShapeViewer {
     await super.open();
     this.orbit.enabled = false;
     this.looking = this._pass(LOOK, {
-      ...this._shown(), doubt: null, photo: null, ball: null, mode: 0, finer: 1, zoom: 1, dot: 1, heading: new THREE.Vector2(), hatch: false,
+      ...this._shown(), photo: null, ball: null, mode: 0, finer: 1, zoom: 1, heading: new THREE.Vector2(),
     });
     this._look();
   }
@@ -142,9 +138,6 @@ class LightViewer extends ShapeViewer {
   async _read({ arrays, pictures, facts }) {
     const map = await numbersOf(arrays.map), [height, width] = map.shape, reference = arrays.reference && floatsOf(await numbersOf(arrays.reference));
     const own = { ...lightOf(floatsOf(map), height, width, reference), scale: facts.scale };
-    if (arrays.doubt) {
-      own.doubt = this._gray(await numbersOf(arrays.doubt), { ...LINEAR, wrapS: THREE.RepeatWrapping });
-    }
     for (const name of ["photo", "ball"].filter((each) => pictures[each])) {
       own[name] = Object.assign(new THREE.Texture(await imageOf(pictures[name])), { ...LINEAR, generateMipmaps: false, needsUpdate: true });
     }
@@ -184,19 +177,18 @@ class LightViewer extends ShapeViewer {
 
   ownControls() {
     const around = (s) => s.view === "around", degrees = (x) => `${Math.round(x)}\u00b0`;
-    const unsure = this.fits.some(({ arrays }) => arrays.doubt), notes = this.fits.filter(({ facts }) => facts.note);
+    const notes = this.fits.filter(({ facts }) => facts.note);
     return [
       { name: "heading", label: "Turned to the right", type: "range", min: -180, max: 180, step: 1, value: 0, text: degrees, when: around },
       { name: "pitch", label: "Turned up", type: "range", min: -90, max: 90, step: 1, value: 0, text: degrees, when: around },
       { name: "field", label: "Field of view", type: "range", min: 10, max: 140, step: 1, value: 75, text: degrees, when: around },
-      { name: "hatch", label: "Stripes where the fit is uncertain", type: "check", value: false, when: (s) => unsure && (around(s) || s.view === "flat") },
       ...notes.map(({ label, facts }, i) => (
         { name: `note${i}`, label: notes.length > 1 ? `${label}: ${facts.note}` : facts.note, type: "note", when: (s) => s.view !== "ball" })),
     ];
   }
 
   changed(name) {
-    if (["heading", "pitch", "field", "hatch"].includes(name)) this.redraw(); else super.changed(name);
+    if (["heading", "pitch", "field"].includes(name)) this.redraw(); else super.changed(name);
     this.orbit.enabled = this.settings.view === "free";
   }
 
@@ -237,12 +229,12 @@ class LightViewer extends ShapeViewer {
 
   draw() {
     if (this.inSpace) return super.draw();
-    const { settings, renderer } = this, u = this.looking.uniforms, { field } = settings;
-    u.zoom.value = Math.tan(field / 2 * DEGREE); u.dot.value = renderer.getPixelRatio(); u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
+    const { settings } = this, u = this.looking.uniforms, { field } = settings;
+    u.zoom.value = Math.tan(field / 2 * DEGREE); u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
     this._columns(this.looking, (fit, { part, width, height }) => {
-      const { size, doubt, photo, ball } = this.lights[fit], flat = settings.view === "flat", px = flat ? Math.min(width / 2, height) : height * 180 / field;  // of all rows
+      const { size, photo, ball } = this.lights[fit], flat = settings.view === "flat", px = flat ? Math.min(width / 2, height) : height * 180 / field;  // of all rows
       u.finer.value = clamp(Math.ceil(size.y / px), 1, 4); u.mode.value = { photo: 2, ball: 3 }[part] ?? (flat ? 1 : 0);
-      u.doubt.value = doubt; u.photo.value = photo; u.ball.value = ball; u.hatch.value = Boolean(doubt) && settings.hatch;
+      u.photo.value = photo; u.ball.value = ball;
     });
     return false;
   }
