@@ -13,6 +13,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.detail import detail, softness
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
+from metapp.appearance.order import lattice_of, order_kept
 from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.pictures import Visible
@@ -26,6 +27,7 @@ Crop = Callable[[Tensor], Tensor]
 HIDDEN_UNITS = 128
 SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
 JUDGED_PICTURES = 4
+LEAST_ORDER = 0.5  # share of an exemplar's order; quilting keeps 0.68 to 1.0
 SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
 TILED = 4  # times as high and wide as in training: what is written
 LARGEST_PX = 4096  # px
@@ -188,12 +190,12 @@ class ExemplarApp(App):
         described = self.describe(exemplars, octave)
         if not self.has_layout:
             return described
-        layouts = [quilted_layout(each, self.layout_size) for each in self.evenly_lit(exemplars)]
+        layouts = [quilted_layout(each, self.layout_size) for each in self.evenly_lit(exemplars, described)]
         return described | {"layout": torch.stack(layouts), "detail": detail(exemplars)}
 
-    def evenly_lit(self, exemplars: Tensor) -> Tensor:
-        """Exemplars [B, 3, H, W] as if the light were the same everywhere; here as they are."""
-        return exemplars
+    def evenly_lit(self, pictures: Tensor, described: Batch) -> Tensor:
+        """Pictures [B, 3, H, W] under the light of exemplars as if it were the same everywhere; here as they are."""
+        return pictures
 
     def known(self, tasks: Tasks) -> Params:
         """The layouts, if the network reads one."""
@@ -248,6 +250,25 @@ class ExemplarApp(App):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """`errors_of` pictures from noise that no fit draws, the same for all."""
         return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED_PICTURES)), tasks)
+
+    def look(self, answer: Answer, described: Batch) -> Tensor:
+        """The pictures [T, B, 3, H, W] of an answer, as of `errors_of`, under the light of its exemplars."""
+        pictures: Tensor = answer
+        return pictures
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Regular structure that the picture of tables has lost; only if networks read layouts."""
+        if not self.has_layout:
+            return super().doubts(theta, tasks)
+        described = {key: value[tasks.rows] for key, value in tasks.data.items()}
+        answer = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))
+        pictures = self.exemplar(described["image"].float() / 255), self.look(answer, described)[:, 0]
+        pairs = zip(*(self.evenly_lit(each, described) for each in pictures), strict=True)
+        kept = [order_kept(lattice_of(exemplar), made) for exemplar, made in pairs]
+        instead = f"`metapp baseline {self.name} INPUT --method quilting` copies it"
+        lost = "keeps {:.2f} of the photo's regular structure ({})"
+        return [[lost.format(share, instead)] if share < LEAST_ORDER else [] for share in kept]
 
     def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.

@@ -21,7 +21,7 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.geometry import rusinkiewicz_to_directions
-from metapp.appearance.highlight import gloss, unlit
+from metapp.appearance.highlight import CLIPPED_PX_SHARE, clipped_highlight, gloss, unlit
 from metapp.appearance.relief import height_from_normal
 from tests import surfaces
 from tests.surfaces import normal_of, waves
@@ -341,6 +341,18 @@ def test_gloss_of_flat_even_materials_is_found(roughness: float, within: float, 
     assert float(found.roughness) == pytest.approx(roughness, rel=within)
     assert float(found.specular) == pytest.approx(0.04, rel=0.5)
     torch.testing.assert_close(found.diffuse, torch.tensor([[0.3, 0.2, 0.1]]), rtol=0.08, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("share", "channels", "clauses"),
+    [(0.0, 3, 0), (0.9 * CLIPPED_PX_SHARE, 3, 0), (1.2 * CLIPPED_PX_SHARE, 3, 1), (0.3, 3, 1), (1.0, 1, 0)],
+)
+def test_highlights_are_doubted_if_white_is_clipped(share: float, channels: int, clauses: int) -> None:
+    """Enough of the photo's px, in all channels: one alone is a colour."""
+    photo = torch.full((3, 100, 100), 200, dtype=torch.uint8)
+    photo.flatten(1)[:channels, : round(share * 100 * 100)] = 255
+    expected = f"the photo is clipped in {100 * share:.2g} % of its px, so F0 is a lower bound"
+    assert clipped_highlight(photo) == [expected] * clauses
 
 
 def test_clipped_highlights_still_say_how_wide_they_are() -> None:

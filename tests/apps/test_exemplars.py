@@ -1,5 +1,6 @@
 """Pictures from noise, at several octaves: what is compared at each, from coarse to fine, and that relief is kept."""
 
+import re
 from dataclasses import fields, replace
 from typing import Any
 
@@ -16,11 +17,12 @@ from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import SOFTNESS, ExemplarApp
+from metapp.networks.exemplar import LEAST_ORDER, SOFTNESS, ExemplarApp
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
 from metapp.paradigms.adam import Overfit
+from metapp.registry import registry
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
 SHARE = 0.6  # of the steps at half the size
@@ -64,18 +66,27 @@ def test_the_papers_recipes(name: str, steps: int, tasks: int, size: tuple[int, 
     assert torch.equal(app.exemplar(photos), photos[:, :, rows : 256 - rows])
 
 
-def test_fits_are_doubted_each_for_itself_where_networks_read_layouts(app: ExemplarApp, tasks: Tasks) -> None:
+def test_lost_order_is_doubted_where_networks_read_layouts(
+    app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
     at = torch.arange(64)
     tiles = 60 + 130 * ((at[:, None] % 16 < 6) | (at % 16 < 6)).to(torch.uint8).expand(3, -1, -1)
     ordered = Task("tiles", {"image": tiles})
     noise = Task("noise", {"image": tasks.data["image"][0]})
     both = stack(app, [noise, ordered])
     theta = app.init(Generator().manual_seed(0), 2)
-    doubts = app.doubts(theta, both)
-    assert len(doubts) == 2
-    assert [any("regular structure" in clause for clause in clauses) for clauses in doubts] == [False, True]
+    unordered, (clause, *_) = app.doubts(theta, both)
+    assert not any("regular structure" in other for other in unordered)
+    instead = rf"`metapp baseline {app.name} INPUT --method (\w+)` copies it"
+    kept = re.fullmatch(rf"keeps (\S+) of the photo's regular structure \({instead}\)", clause)
+    assert kept
+    assert 0 <= float(kept[1]) < LEAST_ORDER
+    assert kept[2] in registry().baselines.of(app.name)
     alone = {key: value[1:] for key, value in theta.items()}
-    assert app.doubts(alone, both.select([1])) == doubts[1:]
+    assert app.doubts(alone, both.select([1]))[0][0] == clause
+    copies = app.exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
+    monkeypatch.setattr(type(app), "look", lambda *_: copies)
+    assert not any("regular structure" in other for clauses in app.doubts(theta, both) for other in clauses)
     quick = app_of(app.name, recipes_of(app.name)["quick"])
     assert quick.doubts({}, both) == [[], []]
 

@@ -12,6 +12,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
+from metapp.appearance.highlight import clipped_highlight
 from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
@@ -35,7 +36,6 @@ from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
 from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
-from metapp.networks.doubts import of_highlight
 from metapp.networks.field import LocalField, field_by_rows
 from metapp.networks.map_pictures import map_pictures, photograph
 
@@ -230,7 +230,7 @@ class SvbrdfNonstationary(CodedApp):
         """A highlight that clips; only of maps of the size that people use."""
         if not self.read_size or self.protocol != "photo":
             return super().doubts(theta, tasks)
-        return [of_highlight((255 * photo).floor()) for photo in tasks.data["photo"][tasks.rows]]
+        return [clipped_highlight((255 * photo).floor()) for photo in tasks.data["photo"][tasks.rows]]
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

@@ -24,13 +24,12 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
-from metapp.appearance.highlight import evenly_lit, gloss
+from metapp.appearance.highlight import clipped_highlight, evenly_lit, gloss
 from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.doubts import of_blobs, of_highlight, of_order
-from metapp.networks.exemplar import SHOWN_SEED, ExemplarApp
+from metapp.networks.exemplar import ExemplarApp
 from metapp.networks.layout import astray
 from metapp.networks.map_pictures import map_pictures
 
@@ -209,8 +208,12 @@ class SvbrdfStationary(ExemplarApp):
             distances["softness"] = self.softness(pictures, batch)
         return distances
 
-    def evenly_lit(self, exemplars: Tensor) -> Tensor:
-        return evenly_lit(exemplars, self.light_of(exemplars))
+    def evenly_lit(self, pictures: Tensor, described: Batch) -> Tensor:
+        return evenly_lit(pictures, described["light"])
+
+    def look(self, answer: Maps | Tensor, described: Batch) -> Tensor:
+        light = described["light"][:, None]
+        return self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
 
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Maps:
         return self.maps(theta, noise, octave)[0]
@@ -248,9 +251,8 @@ class SvbrdfStationary(ExemplarApp):
         Photographs are under the exemplar's light and have none.
         """
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
-        light = tasks.data["light"][tasks.rows][:, None]
-        pictures = self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
-        distances = self._distances_of(pictures, {"windows": every} | self._targets(tasks, every))
+        batch = {"windows": every} | self._targets(tasks, every)
+        distances = self._distances_of(self.look(answer, batch), batch)
         errors = {
             "error": distances["gram"],
             "spectrum": distances["spectrum"] / SPECTRUM,
@@ -260,22 +262,13 @@ class SvbrdfStationary(ExemplarApp):
             errors["relit"] = self._relit(answer, tasks.data["relit"][tasks.rows])
         return errors
 
-    @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Regular structure that was lost, clipped highlights, blobs; only if networks read layouts."""
+        """Regular structure that was lost, and clipped highlights; only if networks read layouts."""
+        doubts = super().doubts(theta, tasks)
         if not self.has_layout:
-            return super().doubts(theta, tasks)
-        images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
-        noise = self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED)
-        maps = Maps(*(part[:, 0] for part in self.generate(theta, noise)))
-        photos = evenly_lit(self.exemplar(images.float() / 255), light)
-        made = evenly_lit(self.photograph(maps, light, light), light)
-        return [
-            of_order(self.name, photos[i], made[i])
-            + of_highlight(images[i])
-            + of_blobs(photos[i], Maps(*(part[i] for part in maps)))
-            for i in range(len(tasks))
-        ]
+            return doubts
+        pairs = zip(doubts, tasks.data["image"][tasks.rows], strict=True)
+        return [clauses + clipped_highlight(image) for clauses, image in pairs]
 
     def _relit(self, maps: Maps, references: Tensor) -> Tensor:
         errors = []

@@ -13,8 +13,7 @@ from metapp.appearance.surface import Surface
 from metapp.learning.draws import uniform
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.doubts import of_order
-from metapp.networks.exemplar import SHOWN_SEED, Crop, ExemplarApp
+from metapp.networks.exemplar import Crop, ExemplarApp
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -71,15 +70,6 @@ class Texture(ExemplarApp):
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1]."""
         return {"error": self._distance(answer, self._targets(tasks))}
-
-    @torch.no_grad()
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Regular structure that the picture of tables has lost; only if networks read layouts."""
-        if not self.has_layout:
-            return super().doubts(theta, tasks)
-        exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
-        made = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))[:, 0]
-        return [of_order(self.name, *pair) for pair in zip(exemplars, made, strict=True)]
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A square part of the image, at a random place and scale."""
