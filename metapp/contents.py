@@ -60,7 +60,7 @@ def register(registry: Registry) -> None:
     registry.applications["svbrdf_stationary"] = Application(
         "metapp.apps.svbrdf_stationary.app:SvbrdfStationary",
         help="Tiling maps of a flat material from one flash photograph.",
-        options="metapp.apps.svbrdf_stationary.options:SvbrdfStationaryOptions",
+        options="metapp.networks.options:FlashExemplarOptions",
     )
     registry.formats["images"] = Format("data_tools.readers.photos", app="texture", inputs="images")
     registry.formats["flash"] = Format("data_tools.readers.flash", app="svbrdf_stationary", inputs="flash photos")
@@ -77,7 +77,7 @@ def register(registry: Registry) -> None:
     registry.applications[name] = Application(
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",
         help="Maps of a flat material from one or several flash photographs.",
-        options="metapp.apps.svbrdf_nonstationary.options:SvbrdfNonstationaryOptions",
+        options="metapp.networks.options:FlashOptions",
         kinds=("places", "photo"),
         protocols=EITHER,
     )

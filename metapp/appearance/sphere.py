@@ -137,13 +137,6 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
     return mask, coverage, frame
 
 
-def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor, azimuths: bool) -> SphereScene:
-    """A scene such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
-    weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure(wi, irradiance)
-    to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
-    return SphereScene(mask, coverage, to_angles(wi, wo[:, None].expand_as(wi)), weights)
-
-
 def _exposure(wi: Tensor, irradiance: Tensor) -> Tensor:
     """The factor of light by which a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
     return 0.85 * math.pi / 0.8 / (irradiance * wi[..., 2:].clamp_min(0)).sum(1).mean(-1).max()
@@ -155,6 +148,12 @@ def _studio(frame: Tensor) -> tuple[Tensor, Tensor]:
     sky, sky_irradiance = _dome(frame[:, :, 2], frame[:, :, 1])
     wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
     return wi, torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
+
+
+def _surroundings(frame: Tensor) -> tuple[Tensor, Tensor]:
+    """The same of `environment`, both [P, 320, 3]."""
+    wi, solid_angle = _rings(frame[:, :, 2], 16, 20)
+    return wi, environment(torch.einsum("pji,plj->pli", frame, wi)) * solid_angle[..., None]
 
 
 @functools.cache
@@ -173,18 +172,6 @@ def studio_lights() -> Tensor:
     is_sky = torch.arange(len(places)) >= len(directions)
     lights = [torch.nn.functional.pad(places, (0, 1)), torch.cat([powers, is_sky[:, None]], 1)]
     return torch.stack(lights).float()
-
-
-def sphere_scene(size: int, *, azimuths: bool = False) -> SphereScene:
-    """The sphere under three softboxes, a small lamp and a dim sky, 103 directions of light, float64.
-
-    Args:
-        size: width and height in pixels, >= 8; the sphere fills 96 % of it.
-        azimuths: with phi_h, for anisotropic reflection.
-    """
-    mask, coverage, frame = _surface(size)
-    wi, irradiance = _studio(frame)
-    return _exposed(mask, coverage, wi, frame[:, :, 2], irradiance, azimuths)
 
 
 def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 8192) -> Tensor:
@@ -211,27 +198,33 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 
 @functools.cache
 def reference_scene(size: int = 96, *, azimuths: bool = False) -> SphereScene:
-    """The scene of all BRDF pictures, of fits and references alike, float32: `sphere_scene`, cached."""
-    return _cached(f"studio-{size}", azimuths, lambda: sphere_scene(size, azimuths=azimuths))
+    """The scene of all BRDF pictures, of fits and references alike: three softboxes, a small lamp and a dim sky.
+
+    Args:
+        size: width and height in pixels, >= 8; the sphere fills 96 % of it.
+        azimuths: with phi_h, for anisotropic reflection.
+    """
+    return _scene(f"studio-{size}", size, _studio, azimuths)
 
 
 @functools.cache
 def environment_scene(*, azimuths: bool = False) -> SphereScene:
-    """The sphere at 48 px under `environment` alone, 320 directions a pixel, float32, cached."""
-
-    def make() -> SphereScene:
-        mask, coverage, frame = _surface(48)
-        wo = frame[:, :, 2]
-        wi, solid_angle = _rings(wo, 16, 20)
-        light = environment(torch.einsum("pji,plj->pli", frame, wi))
-        return _exposed(mask, coverage, wi, wo, light * solid_angle[..., None], azimuths)
-
-    return _cached("environment-48", azimuths, make)
+    """The sphere at 48 px under `environment` alone, 320 directions a pixel."""
+    return _scene("environment-48", 48, _surroundings, azimuths)
 
 
-def _cached(name: str, azimuths: bool, make: Callable[[], SphereScene]) -> SphereScene:
-    def tensors() -> dict[str, Tensor]:
-        return {key: part if part.dtype == torch.bool else part.float() for key, part in make()._asdict().items()}
+def _scene(name: str, size: int, light: Callable[[Tensor], tuple[Tensor, Tensor]], azimuths: bool) -> SphereScene:
+    """A scene, float32, cached, such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
 
-    name = f"sphere-{name}{'-phi_h' * azimuths}"
-    return SphereScene(**cached_tensors(name, (__file__, geometry.__file__), tensors))
+    `light` has directions and irradiance, both [P, L, 3], at points with frames [P, 3, 3].
+    """
+
+    def make() -> dict[str, Tensor]:
+        mask, coverage, frame = _surface(size)
+        wi, irradiance = light(frame)
+        weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure(wi, irradiance)
+        to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
+        angles = to_angles(wi, frame[:, None, :, 2].expand_as(wi))
+        return {"mask": mask, "coverage": coverage.float(), "angles": angles.float(), "weights": weights.float()}
+
+    return SphereScene(**cached_tensors(f"sphere-{name}{'-phi_h' * azimuths}", (__file__, geometry.__file__), make))

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from metapp.appearance.flash import Maps
-from metapp.appearance.relief import height_from_normal
+from metapp.appearance.flash import Maps, height_from_normal
 
 DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
 DESCRIPTION = "material.json"  # describes the files of an asset folder

@@ -11,8 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
-from metapp.appearance.detail import detail, softness
-from metapp.appearance.features import channels_of, describe_features, load_features, moments
+from metapp.appearance.features import channels_of, describe_features, detail, load_features, moments, softness
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform

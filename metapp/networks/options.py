@@ -49,16 +49,6 @@ def fov(default: str) -> Option:
     return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=field_of_view)
 
 
-STOPS = Option(
-    "Stops by which photos are too bright; negative: dark.",
-    "STOPS",
-    low=-4.0,
-    high=4.0,
-    panel=INPUT,
-    protocol="photo",
-)
-
-
 @dataclass(frozen=True)
 class CameraOptions(AppOptions):
     """The option of applications that read photos of a known camera."""
@@ -90,3 +80,25 @@ class ExemplarOptions(AppOptions):
         from metapp.networks.exemplar import with_detail
 
         return with_detail(recipe, self.detail) if self.detail else recipe
+
+
+@dataclass(frozen=True)
+class FlashExemplarOptions(ExemplarOptions, CameraOptions):
+    """Size and detail of maps that tile, and the camera of the flash photo."""
+
+
+@dataclass(frozen=True)
+class FlashOptions(CameraOptions):
+    """Camera and exposure of flash photos."""
+
+    stops: Annotated[
+        float,
+        Option(
+            "Stops by which photos are too bright; negative: dark.",
+            "STOPS",
+            low=-4.0,
+            high=4.0,
+            panel=INPUT,
+            protocol="photo",
+        ),
+    ] = 0.0

@@ -14,7 +14,6 @@ from torch import Generator, Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
 from metapp.appearance import features
-from metapp.appearance.detail import detail
 from metapp.appearance.features import (
     IMAGENET_DEVIATION,
     IMAGENET_MEAN,
@@ -24,6 +23,7 @@ from metapp.appearance.features import (
     channels_of,
     describe_features,
     describe_precision,
+    detail,
     distance,
     gram,
     load_features,

@@ -15,6 +15,7 @@ from metapp.appearance.flash import (
     camera_distance,
     expose,
     flash_position,
+    height_from_normal,
     normal_from_height,
     positions,
     render,
@@ -22,7 +23,6 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.appearance.highlight import CLIPPED_PX_SHARE, clipped_highlight, gloss, unlit
-from metapp.appearance.relief import height_from_normal
 from tests import surfaces
 from tests.surfaces import normal_of, waves
 

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.detail import FAINTEST_WAVE, detail
+from metapp.appearance.features import FAINTEST_WAVE, detail
 from metapp.apps import app_of, recipes_of
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import stack

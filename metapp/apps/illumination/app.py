@@ -17,9 +17,8 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination import encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, resampled, seen_loss
-from metapp.apps.illumination.spheres import SPHERES, sphere_errors
+from metapp.apps.illumination.spheres import FACED, MIRRORED, SPHERES, sphere_errors, surfaces
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
-from metapp.apps.illumination.surfaces import FACED, MIRRORED, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec

@@ -18,6 +18,7 @@ from metapp.appearance.flash import (
     camera,
     expose,
     flash_position,
+    height_from_normal,
     normal_from_height,
     positions,
     relightings,
@@ -25,7 +26,6 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.highlight import clipped_highlight, evenly_lit, gloss
-from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
