@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import torch
 from torch import Generator, Tensor
@@ -50,43 +50,9 @@ def convolved(params: Params, name: str, x: Tensor) -> Tensor:
     return conv2d(x, kernel, params[f"{name}.shift"], padding=kernel.shape[-1] // 2)
 
 
-# Maps that tile: padded and enlarged across their edges, at the cost of one copy each way. What autograd would record
-# for circular padding is a copy for each edge, whose gradient fills a whole map with zeros.
-
-
-class _Tiled(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: object, x: Tensor) -> Tensor:
-        return pad(x, (1, 1, 1, 1), mode="circular")
-
-    @staticmethod
-    def backward(ctx: object, pull: Tensor) -> Tensor:
-        apply: Callable[[Tensor], Tensor] = _Folded.apply
-        return apply(pull)
-
-
-class _Folded(torch.autograd.Function):
-    """The adjoint of padding: values outside are added to those they are copies of."""
-
-    @staticmethod
-    def forward(ctx: object, x: Tensor) -> Tensor:
-        rows = x[..., 1:-1, :].clone()
-        rows[..., 0, :] += x[..., -1, :]
-        rows[..., -1, :] += x[..., 0, :]
-        folded = rows[..., 1:-1].contiguous()
-        folded[..., 0] += rows[..., -1]
-        folded[..., -1] += rows[..., 0]
-        return folded
-
-    @staticmethod
-    def backward(ctx: object, pull: Tensor) -> Tensor:
-        return tiled(pull)
-
-
 def tiled(x: Tensor) -> Tensor:
-    """Maps [..., H, W] with one row and column of the opposite edge around them, [..., H + 2, W + 2]."""
-    apply: Callable[[Tensor], Tensor] = _Tiled.apply
-    return apply(x)
+    """Maps [..., C, H, W] with one row and column of the opposite edge around them, [..., C, H + 2, W + 2]."""
+    return pad(x, (1, 1, 1, 1), mode="circular")
 
 
 def enlarged(x: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from metapp.networks import field as fields
 from metapp.networks import layers
 from metapp.networks.field import LocalField, regridded
 from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.layers import enlarged, tiled
+from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_tile, quilted_layout, requilted
 from tests.networks.precise import double
 
@@ -157,45 +157,17 @@ def test_maps_above_are_convolved_as_if_enlarged(rng: Generator) -> None:
         torch.testing.assert_close(one, other)
 
 
-# How they begin
+# Maps enlarged across their edges
 
 
-# Maps padded and enlarged across their edges
-
-
-@pytest.fixture
-def rand(rng: Generator) -> Callable[..., Tensor]:
-    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64, requires_grad=True)
-
-
-def test_enlarged(rand: Callable[..., Tensor]) -> None:
+def test_enlarged(rng: Generator) -> None:
     """Means of neighbours by 3 to 1, also across the edges; the mean of the map stays."""
-    x = rand(1, 2, 4, 6)
+    x = torch.randn(1, 2, 4, 6, generator=rng, dtype=torch.float64)
     made = enlarged(x)
     across = torch.stack([0.25 * x.roll(1, -1) + 0.75 * x, 0.75 * x + 0.25 * x.roll(-1, -1)], -1).flatten(-2)
     down = torch.stack([0.25 * across.roll(1, -2) + 0.75 * across, 0.75 * across + 0.25 * across.roll(-1, -2)], -2)
     torch.testing.assert_close(made, down.flatten(-3, -2))
     torch.testing.assert_close(made.mean((-1, -2)), x.mean((-1, -2)))
-
-
-@pytest.mark.parametrize("size", [(1, 1), (2, 5), (4, 3)])
-@pytest.mark.parametrize("function", [tiled, enlarged])
-def test_derivatives_of_both_orders(
-    function: Callable[[Tensor], Tensor], size: tuple[int, int], rand: Callable[..., Tensor]
-) -> None:
-    x = rand(1, 2, *size)
-    assert torch.autograd.gradcheck(function, (x,))
-    assert torch.autograd.gradgradcheck(lambda each: function(each).sin(), (x,))
-
-
-def test_the_gradient_does_not_depend_on_how_maps_lie_in_memory(rand: Callable[..., Tensor]) -> None:
-    x, weights = rand(2, 3, 4, 5), torch.arange(2 * 3 * 6 * 7, dtype=torch.float64).reshape(2, 3, 6, 7)
-    plain, *others = (
-        torch.autograd.grad((tiled(each) * weights).sum(), x)[0]
-        for each in (x, x.contiguous(memory_format=torch.channels_last), x.transpose(0, 1).contiguous().transpose(0, 1))
-    )
-    for other in others:
-        torch.testing.assert_close(other, plain, rtol=0, atol=0)
 
 
 # Fields with a code in every place
