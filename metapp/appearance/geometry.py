@@ -12,6 +12,7 @@ import functools
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -196,8 +197,6 @@ def direction_cosines(wi: Tensor, wo: Tensor, normal: Tensor) -> Cosines:
 
 @functools.cache
 def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights [count], float64, of Gauss-Legendre quadrature on [0, 1] (Golub and Welsch 1969)."""
-    step = torch.arange(1, count, dtype=torch.float64)
-    off_diagonal = step / (4 * step * step - 1).sqrt()
-    nodes, vectors = torch.linalg.eigh(torch.diag(off_diagonal, 1) + torch.diag(off_diagonal, -1))
-    return (nodes + 1) / 2, vectors[0] ** 2
+    """Nodes and weights [count], float64, of Gauss-Legendre quadrature on [0, 1]."""
+    nodes, weights = map(torch.from_numpy, np.polynomial.legendre.leggauss(count))
+    return (nodes + 1) / 2, weights / 2

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,7 +13,6 @@ from metapp.appearance.geometry import (
     above_horizon,
     cosines,
     directions_to_rusinkiewicz,
-    gauss_legendre,
     half_difference,
     rusinkiewicz_to_directions,
 )
@@ -177,9 +175,3 @@ def test_gradients_are_finite_where_angles_are_undefined(dtype: torch.dtype) -> 
         assert angles.isfinite().all()
         for gradient in torch.autograd.grad(angles.sum(), (wi, wo)):
             assert gradient.isfinite().all()
-
-
-def test_gauss_legendre_agrees_with_numpy() -> None:
-    nodes, weights = np.polynomial.legendre.leggauss(17)
-    torch.testing.assert_close(gauss_legendre(17)[0], torch.from_numpy((nodes + 1) / 2), rtol=0, atol=1e-14)
-    torch.testing.assert_close(gauss_legendre(17)[1], torch.from_numpy(weights / 2), rtol=0, atol=1e-14)

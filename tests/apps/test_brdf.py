@@ -54,11 +54,10 @@ def network_by_hand(theta: Params, task: int, inputs: np.ndarray) -> np.ndarray:
     return x
 
 
-def distance_by_hand(theta: Params, batch: Batch, task: int, clamp: bool) -> np.ndarray:
+def distance_by_hand(theta: Params, batch: Batch, task: int) -> np.ndarray:
     """|log(1 + f cos) - log(1 + f' cos)|, [3, N]."""
     where, target = batch["where"][task].numpy(), batch["target"][task].numpy()
-    value = network_by_hand(theta, task, where[:6])
-    return np.abs(np.log1p((np.maximum(value, 0) if clamp else value) * where[6]) - target)
+    return np.abs(np.log1p(network_by_hand(theta, task, where[:6]) * where[6]) - target)
 
 
 def test_init_of_the_papers_recipe() -> None:
@@ -76,30 +75,21 @@ def test_init_of_the_papers_recipe() -> None:
     assert (training.steps, training.rates, training.decay, training.first.rate) == (1_000_000, {"": 1e-4}, 1e-6, 1e-3)
 
 
-def test_loss_by_hand(theta: Params, batch: Batch) -> None:
+def test_losses_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
+    """Plain, smoothed, and of weighted samples."""
+    rounding, knots = torch.tensor([0.3, 0.1, 0.01, 1.0]), torch.randn(4, KNOTS, generator=rng)
     loss = APP.loss(theta, batch, {})
-    assert loss.shape == (4,)
-    expected = [distance_by_hand(theta, batch, task, clamp=False).mean() for task in range(4)]
-    np.testing.assert_allclose(loss.numpy(), expected, rtol=1e-5)
-
-
-def test_smoothing_by_hand(theta: Params, batch: Batch) -> None:
-    learned = {"smoothing": torch.tensor([0.3, 0.1, 0.01, 1.0]).log(), "weights": torch.zeros(4, KNOTS)}
-    smooth = APP.loss(theta, batch, learned)
-    for task, s in enumerate(learned["smoothing"].exp().tolist()):
-        d = distance_by_hand(theta, batch, task, clamp=False)
-        np.testing.assert_allclose(float(smooth[task]), (np.sqrt(d * d + s * s) - s).mean(), rtol=1e-4)
-    assert (smooth < APP.loss(theta, batch, {})).all()
-
-
-def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
-    knots = torch.randn(4, KNOTS, generator=rng)
+    smooth = APP.loss(theta, batch, {"smoothing": rounding.log(), "weights": torch.zeros(4, KNOTS)})
     weighted = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
-    for task in range(4):
+    assert loss.shape == (4,)
+    assert (smooth < loss).all()
+    for task, s in enumerate(rounding.tolist()):
+        d = distance_by_hand(theta, batch, task)
+        np.testing.assert_allclose(float(loss[task]), d.mean(), rtol=1e-5)
+        np.testing.assert_allclose(float(smooth[task]), (np.sqrt(d * d + s * s) - s).mean(), rtol=1e-4)
         theta_h = np.arccos(batch["where"][task, 2].clamp(-1, 1).numpy())
         weight = np.exp(np.interp(theta_h, np.linspace(0, math.pi / 2, KNOTS), knots[task].numpy()))
-        expected = (distance_by_hand(theta, batch, task, clamp=False) * weight).mean()
-        np.testing.assert_allclose(float(weighted[task]), expected, rtol=1e-4)
+        np.testing.assert_allclose(float(weighted[task]), (d * weight).mean(), rtol=1e-4)
 
 
 def test_same_as_the_published_network(theta: Params, materials: list[Task], tasks: Tasks, tmp_path: Path) -> None:

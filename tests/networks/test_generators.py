@@ -18,7 +18,6 @@ from metapp.networks.field import LocalField, regridded
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_tile, quilted_layout, requilted
-from tests.networks.precise import double
 
 UNET, PYRAMID = UNet(4, levels=3, noise=2, code=5), Pyramid(4, levels=3, noise=2, code=5)
 
@@ -26,6 +25,10 @@ UNET, PYRAMID = UNet(4, levels=3, noise=2, code=5), Pyramid(4, levels=3, noise=2
 @pytest.fixture(params=[UNET, PYRAMID], ids=["U-Net", "pyramid"])
 def network(request: pytest.FixtureRequest) -> UNet | Pyramid:
     return request.param
+
+
+def double(params: Params) -> Params:
+    return {key: value.double() for key, value in params.items()}
 
 
 @pytest.fixture
@@ -235,15 +238,6 @@ def test_values_on_a_finer_grid(rng: Generator) -> None:
         torch.testing.assert_close(constant, torch.full((1, 2, 12, 20), 0.7))
     fine = regridded(torch.arange(4.0).expand(1, 1, 3, 4), 3, 8, periodic=False)
     torch.testing.assert_close(fine[0, 0, 1], torch.tensor([0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3]))
-
-
-def test_a_code_for_each_texel_needs_no_interpolation(rng: Generator) -> None:
-    field = FIELD._replace(rows=8, columns=16, periodic=True)
-    theta = field.init(rng, 2)
-    down, across = fields._interpolation(field, theta["z"].device)
-    whole = down @ (field.gain * theta["z"]) @ across
-    assert torch.equal(field.code_at(theta, 0, 8), whole)
-    assert torch.equal(field.code_at(theta, 3, 5), whole[:, :, 3:5])
 
 
 # Layouts

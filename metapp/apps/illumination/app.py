@@ -245,16 +245,12 @@ class Illumination(CodedApp):
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it."""
         one = {key: value[None] for key, value in theta.items()}
-        pictures = self.answer_pictures(self._answer(one, task), task)
-        if self.size:
-            pictures["map"] = self.map_picture(one, task)
-        return pictures
+        return self.answer_pictures(self._answer(one, task), task) | {"map": self.map_picture(one, task)}
 
     @torch.no_grad()
     def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The map as `pictures` has it."""
-        answer = self._answer({key: value[None] for key, value in theta.items()}, task)
-        return {"radiance": _radiance(of_mean_1(answer), task).pixels}
+        return {"radiance": self.map_picture({key: value[None] for key, value in theta.items()}, task).pixels}
 
     @torch.no_grad()
     def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
