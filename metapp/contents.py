@@ -155,6 +155,11 @@ def register(registry: Registry) -> None:
     registry.tables["storage"] = Entry(f"{tables}.storage:storage")
     registry.tables["samples"] = Entry(f"{tables}.storage:samples")
     registry.tables["convergence"] = Entry(f"{tables}.convergence:convergence")
+    registry.measures["SSIM"] = Entry(
+        "metapp.appearance.picture_measures:SSIM",
+        "Wang et al. 2004, at most 1, more is better",
+        ("brdf", "svbrdf_nonstationary", "illumination"),
+    )
     for paradigm in ("general", "overfit", "finetune", "quickft", "meta"):
         registry.commands[paradigm] = Entry(f"metapp.cli.fit:COMMANDS.{paradigm}")
     registry.commands["evaluate"] = Entry("metapp.cli.evaluate:command")

@@ -1,4 +1,4 @@
-"""Measures of the pictures that fits make: those of an application and those that extensions offer."""
+"""Measures of the pictures that fits make: by name in the registry, and an application's own."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+from metapp.appearance.metrics import ssim
 from metapp.learning.app import App
 from metapp.learning.pictures import Compared, Fitted
 from metapp.learning.task import Task
@@ -26,6 +27,15 @@ class Measure(NamedTuple):
     more_is_better: bool = False
 
 
+def mean_ssim(compared: Compared) -> float:
+    """Mean SSIM over the pixels that count."""
+    values = ssim(compared.pictures, compared.references)
+    return float((values if compared.mask is None else values[..., compared.mask]).mean())
+
+
+SSIM = Measure(mean_ssim, more_is_better=True)
+
+
 def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
     """Notes on the measures of an application's pictures, by name, and a line for each that lacks something."""
     notes, missing = {}, []
@@ -40,13 +50,13 @@ def picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
 
 
 def further_errors(app: str, compared: Compared) -> dict[str, float]:
-    """Measures by extensions of an application's pictures, by name; missing and infinite ones are left out."""
+    """Registered measures of an application's pictures, by name; missing and infinite ones are left out."""
     values = {name: registry().measures[name].load().value(compared) for name in picture_measures(app)[0]}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def image_errors(app: App, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-    """All measures of the pictures that fits of a task make: those of `App.image_errors`, then extensions'."""
+    """All measures of the pictures that fits of a task make: those of `App.image_errors`, then registered ones."""
     errors = app.image_errors(fits, task)
     for name, fit in fits.items():
         if (compared := app.compared(fit.theta, task)) and (further := further_errors(app.name, compared)):

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.app import App, stack
-from metapp.learning.pictures import Fitted
-from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.learning.app import App
+from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.field import LocalField, regridded
 
 CHEAP = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
@@ -28,11 +26,9 @@ class CodedApp(App):
 
     Attributes:
         network: of one task.
-        image_titles: titles in tables of those `errors` that are of pictures.
     """
 
     network: LocalField = field()
-    image_titles: ClassVar[Mapping[str, str]]
 
     single_threaded = compiles = deterministic = True
 
@@ -70,15 +66,6 @@ class CodedApp(App):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task."""
         return {key: value[tasks.rows] for key, value in tasks.data.items()}
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Those errors that are of pictures; of a task without reference none."""
-        stacked, measured = stack(self, [task]), {}
-        for name, fit in fits.items():
-            if errors := self.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
-                errors["error"] = self.scale * errors["error"]
-                measured[name] = {title: float(errors[key]) for key, title in self.image_titles.items()}
-        return measured
 
 
 def encoder_of(reader: Params, theta: Params, own: Collection[str]) -> Params:

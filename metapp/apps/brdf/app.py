@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -15,7 +14,6 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.geometry import half_difference_incident, spread_angles
-from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
@@ -23,7 +21,7 @@ from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
 from metapp.apps.brdf.network import BrdfNetwork, network_of, samples_at
 from metapp.learning.app import App
-from metapp.learning.pictures import Compared, Fitted, Visible
+from metapp.learning.pictures import Compared, Visible
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import norm
 
@@ -209,14 +207,6 @@ class Brdf(App):
         scene = environment_scene(azimuths="phi_h" in task.data)
         fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
         return Compared(_on_white(fit), _on_white(task.data["environment"]), scene.mask)
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """SSIM, mean over the pixels that the sphere touches."""
-        measured = {}
-        for name, fit in fits.items():
-            if pair := self.compared(fit.theta, task):
-                measured[name] = {"SSIM": float(ssim(pair.pictures, pair.references)[..., pair.mask].mean())}
-        return measured
 
     def visible(self, task: Task) -> Visible:
         """The first half of the samples, three angles and a colour each."""

@@ -13,7 +13,6 @@ from torch.nn.functional import avg_pool2d, interpolate, relu, softmax
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
-from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination import encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, resampled, seen_loss
@@ -60,11 +59,7 @@ class Illumination(CodedApp):
         for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
         for name in SPHERES
     }
-    image_measure = (
-        "the second scene under the map; its SSIM after tone mapping; three spheres under the tone-mapped map, as "
-        "DiffusionLight's evaluation"
-    )
-    image_titles: ClassVar = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM", **measures}
+    image_measure = "the second scene under the map, tone-mapped"
     tensors: ClassVar = {
         "photos": TensorSpec(("K", 3, 64, 64), "uint8"),
         "map": TensorSpec((3, "H", "W"), low=0.0, optional=True),
@@ -197,10 +192,7 @@ class Illumination(CodedApp):
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """Of the second scene's pictures `error`, `relative` to their mean, `ssim` after tone mapping.
-
-        And `map`, the mean difference of the maps' logs; and `spheres.sphere_errors` of three spheres.
-        """
+        """Of the second scene's pictures `error`; `map`, of the maps' logs; and `spheres.sphere_errors`."""
         return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
@@ -208,16 +200,8 @@ class Illumination(CodedApp):
         if "map" not in tasks.data:
             return {}
         maps, target = of_mean_1(answer), tasks.data["map"][tasks.rows]
-        pictures, references = relighting.relight(maps), relighting.relight(target)
-        error = (pictures - references).abs().mean((1, 2, 3))
-        logs = _texels(maps, target, {}, 0.0)
-        return {
-            "error": error,
-            "relative": error / references.mean((1, 2, 3)).clamp_min(1e-6),
-            "ssim": ssim(tone_map(pictures), tone_map(references)).flatten(1).mean(1),
-            "map": logs,
-            **sphere_errors(maps, target),
-        }
+        error = (relighting.relight(maps) - relighting.relight(target)).abs().mean((1, 2, 3))
+        return {"error": error, "map": _texels(maps, target, {}, 0.0), **sphere_errors(maps, target)}
 
     def size_refusal(self, height: int, width: int) -> str:
         fits = 2 * height == width and 16 <= height <= LARGEST_ROWS

@@ -13,7 +13,6 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.highlight import clipped_highlight
-from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -97,8 +96,7 @@ class SvbrdfNonstationary(CodedApp):
         "roughness": "roughness",
         "specular": "specular at gamma 2.2",
     }
-    image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"
-    image_titles: ClassVar = {"error": "log L1", "ssim": "SSIM"}
+    image_measure = "renderings under 12 other lights, at gamma 2.2"
     tensors: ClassVar = {
         "photo": TensorSpec((3, "S", "S"), "uint8"),
         "maps": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
@@ -234,7 +232,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """`error` under lights that no fit has seen, `ssim` of these pictures, and how far the maps are off.
+        """`error` under lights that no fit has seen, and how far the maps are off.
 
         `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2; `relief`,
         how steep normals are on average over how steep they should be; `blots`, the difference of diffuse colours where
@@ -247,24 +245,22 @@ class SvbrdfNonstationary(CodedApp):
         if "maps" not in tasks.data:
             return {}
         maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
-        (logs, pictures), (references, target_pictures) = self.judged(maps), self.judged(target)
+        logs, references = self.judged(maps), self.judged(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL_SINE for each in (maps, target)]
         photo = tasks.data["photo"][tasks.rows]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),
-            "ssim": ssim(pictures, target_pictures).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
             "blots": blots(parts["diffuse"], photo),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
 
-    def judged(self, maps: Maps) -> tuple[Tensor, Tensor]:
-        """Maps [T, ...] under JUDGED lights: logs [T, V, 3, H, W], and display values at gamma 2.2 [T * V, 3, H, W]."""
-        logs = self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
-        return logs, expose((logs.exp() - RADIANCE_FLOOR).flatten(0, 1))
+    def judged(self, maps: Maps) -> Tensor:
+        """Logs of the radiance of maps [T, ...] under JUDGED lights, [T, V, 3, H, W]."""
+        return self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
 
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -278,12 +274,13 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared | None:
-        """The renderings whose SSIM is among the errors."""
+        """The renderings that errors are of, as displays of gamma 2.2 show them."""
         if "maps" not in task.data:
             return None
         data = {key: value[None] for key, value in self.prepare(task).items()}
         fitted = self.maps_of({key: value[None] for key, value in theta.items()}, data["photo"])
-        return Compared(*(self.judged(maps)[1] for maps in (fitted, unpack(data["maps"]))))
+        both = (self.judged(maps)[0] for maps in (fitted, unpack(data["maps"])))
+        return Compared(*(expose(logs.exp() - RADIANCE_FLOOR) for logs in both))
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:

@@ -24,7 +24,7 @@ pytestmark = [
 ]
 
 FLAT = {"LPIPS", "DISTS"}
-OWN = {"brdf": {"SSIM"}, "illumination": {"MAE x100", "SSIM"}, "svbrdf_nonstationary": {"log L1", "SSIM"}}
+OWN = {name: {"SSIM"} for name in ("brdf", "illumination", "svbrdf_nonstationary")}
 FURTHER = {
     "brdf": {"CIE 2000, median", "CIE 2000, 95 %", "PSNR"},
     "illumination": {"PSNR", "LPIPS"},
