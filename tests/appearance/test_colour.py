@@ -34,7 +34,7 @@ def pictures() -> Tensor:
     return 0.1 + torch.rand(3, 3, 32, 32, generator=Generator().manual_seed(0))
 
 
-def test_relative_errors_of_dark_pixels_are_of_a_share_of_the_mean() -> None:
+def test_relative_errors_of_dark_pixels_have_a_floor() -> None:
     """1 % of the reference's mean, of a sum 2 %; of a black reference, of nearly nothing, but finite."""
     reference = torch.tensor([0.0, 0.0, 1.0, 1.0]).reshape(1, 1, 2, 2)
     picture = torch.tensor([0.001, 0.5, 1.0, 1.0]).reshape(1, 1, 2, 2)

@@ -221,9 +221,7 @@ def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.long
 @pytest.mark.usefixtures("whole_vgg_in_bfloat16")
-def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
-    rng: Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bfloat16_statistics_and_gradients_are_float32s(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     pictures = torch.rand(2, 3, 64, 64, generator=rng)
     found, slopes = gradient_of(pictures)
     monkeypatch.setenv(features.FLOAT32, "1")
@@ -237,9 +235,7 @@ def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
 
 
 @pytest.mark.usefixtures("whole_vgg_in_bfloat16")
-def test_descended_pictures_alone_are_in_bfloat16_and_where_it_is_fast(
-    rng: Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_descended_pictures_are_in_bfloat16(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else all is as what is judged, bit by bit; float64 is never reduced."""
     pictures = torch.rand(1, 3, 32, 32, generator=rng)
     network = load_features(TAPS, pictures)

@@ -288,7 +288,7 @@ def test_flash_positions_of_wide_photos_and_of_batches(rng: torch.Generator) -> 
     torch.testing.assert_close(flash_position(wide), lights[:, :2], rtol=0, atol=0.05)
 
 
-def test_without_a_clear_maximum_the_flash_is_taken_to_be_central(rng: torch.Generator) -> None:
+def test_an_unclear_flash_is_taken_to_be_central(rng: torch.Generator) -> None:
     x, y = positions(96, 96)
     noise = torch.rand(96, 96, generator=rng)
     photos = {
@@ -362,7 +362,7 @@ def test_clipped_highlights_still_say_how_wide_they_are() -> None:
     assert float(gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
 
 
-def test_contrast_tells_varnish_from_cloth_and_the_lobes_share_metal() -> None:
+def test_contrast_tells_varnish_from_cloth_and_share_metal() -> None:
     light = above(0.0, 0.0)
     shiny, matte = (float(gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))
     assert matte < 0.3 < 0.8 < shiny
@@ -392,7 +392,7 @@ def test_waves_that_tile_are_found_exactly() -> None:
     assert torch.equal(both[1], height_from_normal(normal, periodic=True))
 
 
-def test_a_hill_in_a_frame_and_a_tilted_plane_are_found_where_nothing_tiles() -> None:
+def test_heights_of_a_hill_and_of_a_plane_that_do_not_tile() -> None:
     size = 64
     x, y = ((each - size / 2) / (size / 6) for each in surfaces.grid(size))
     height = 5 * (-(x * x + 2 * y * y) / 2).exp()

@@ -87,7 +87,7 @@ def test_levelled_pictures_lose_slow_changes_alone() -> None:
     assert float(order.levelled(0.5 + slow).std((1, 2)).max()) < 1e-5
 
 
-def test_a_slope_without_peaks_leads_no_lattice_vector_to_shift_zero() -> None:
+def test_a_slope_without_peaks_ends_the_search_of_a_vector() -> None:
     """A correlation that falls off evenly from shift 0 has no peak at any multiple; the search ends all the same."""
     y, x = torch.meshgrid(torch.arange(-SIZE, SIZE), torch.arange(-SIZE, SIZE), indexing="ij")
     cone = torch.exp(-(y * y + x * x).double().sqrt() / 100)

@@ -52,7 +52,7 @@ def test_fresnel_at_published_angles() -> None:
     torch.testing.assert_close(fresnel_schlick(torch.tensor([0.0, 1.0]), 0.04), torch.tensor([1.0, 0.04]))
 
 
-def test_fresnel_is_the_same_from_both_sides_and_for_conductors_that_do_not_absorb() -> None:
+def test_fresnel_agrees_from_both_sides_and_without_absorption() -> None:
     cos = torch.linspace(0.01, 1, 50, dtype=torch.float64)
     within = (1 - (1 - cos**2) / 1.5**2).sqrt()
     reflectance = fresnel_dielectric(cos, 1.5)
@@ -76,7 +76,7 @@ def hemisphere(narrowest: float, count: int = 96) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_masking_is_total_under_the_horizon_and_absent_from_above(kind: MicrofacetKind) -> None:
+def test_masking_is_total_below_and_absent_from_above(kind: MicrofacetKind) -> None:
     masking = smith_masking(torch.tensor([-0.5, 0.0, 1.0]), 0.4, kind)
     torch.testing.assert_close(masking, torch.tensor([0.0, 0.0, 1.0]))
     assert (smith_masking(torch.linspace(0, 1, 200), 0.4, kind).diff() >= -1e-4).all()

@@ -59,7 +59,7 @@ def test_the_sky_integrates_lobes_of_any_width() -> None:
     assert max(levels) < 1.1 * min(levels)
 
 
-def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_does() -> None:
+def test_the_environments_irradiance_is_that_of_a_fine_grid() -> None:
     # irradiance of a diffuse surface: the rings of half vectors against a lat-long grid of the same map
     theta, phi = torch.meshgrid(
         (torch.arange(90, dtype=torch.float64) + 0.5) * math.pi / 90,
@@ -83,7 +83,7 @@ def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_doe
 
 
 @pytest.mark.parametrize("end", [0, 200, -1])
-def test_what_is_kept_is_made_once_and_anew_where_its_file_is_damaged_or_of_other_code(
+def test_cached_tensors_are_remade_if_damaged_or_of_other_code(
     end: int, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And every time where the cache cannot be written to."""

@@ -85,7 +85,7 @@ def test_they_are_small() -> None:
     assert sum(path.stat().st_size for path in PACKAGE.rglob("*.safetensors")) < 25e6
 
 
-def test_recipes_of_another_size_ship_only_where_they_have_a_folder() -> None:
+def test_recipes_of_another_size_ship_with_a_folder() -> None:
     for name in app_names():
         recipes = recipes_of(name)
         if FULL in recipes:

@@ -103,7 +103,7 @@ def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
         torch.testing.assert_close(one, other)
 
 
-def test_softness_counts_at_the_finest_octave_and_by_each_exemplar(app: ExemplarApp, tasks: Tasks) -> None:
+def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, tasks: Tasks) -> None:
     """0 of the exemplar itself; weighted, about ln 2 of one whose detail is half as strong."""
     exemplars = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
@@ -197,7 +197,7 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
     assert not app.init(rng, 2)["layout"].any()
 
 
-def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: ExemplarApp, paved: Tasks) -> None:
+def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, paved: Tasks) -> None:
     rng, (height, width) = Generator().manual_seed(0), app.layout_size
     layout = paved.data["layout"]
     moved = layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)

@@ -61,14 +61,10 @@ def test_all_light_stays_whatever_the_network_has_there() -> None:
     light = sky((towards(0.3, 0.5, 0.8), 0.4, 0.02), (towards(-0.6, 0.3, -0.5), 0.2, 0.03))
     suns, area = suns_of(light[None]), solid_angles(HEIGHT, WIDTH)
     assert (suns[0, :, 3] > 0).sum() == 2
-    lights = suns[0, :, 3:6].sum(0)
+    lights, without = suns[0, :, 3:6].sum(0), torch.tensor([1.0, 1, 1, 0, 0, 0, 1, 1, 1, 1])
     for network in (torch.zeros_like(light), light):
-        around = with_suns(network[None], suns)[0] - with_suns(network[None], suns * _without_light())[0]
+        around = with_suns(network[None], suns)[0] - with_suns(network[None], suns * without)[0]
         torch.testing.assert_close((around * area).sum((1, 2)), lights, rtol=1e-3, atol=0)
-
-
-def _without_light() -> Tensor:
-    return torch.tensor([1.0, 1, 1, 0, 0, 0, 1, 1, 1, 1])
 
 
 def test_wide_and_dim_lights_are_the_networks() -> None:
@@ -87,7 +83,7 @@ def test_there_are_as_many_as_count_the_brightest() -> None:
         assert float(sun[:3] @ at) > 0.999
 
 
-def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generator) -> None:
+def test_fits_of_maps_see_suns_that_no_step_moves(rng: Generator) -> None:
     field = LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2)
     light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})

@@ -243,7 +243,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     assert found["above"][1] > 0.3
 
 
-def test_references_under_other_lights_are_compared_where_there_are_any(sources: list[Task]) -> None:
+def test_references_under_other_lights_are_compared(sources: list[Task]) -> None:
     app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
     (maps, _), place = app.maps(theta, app.noise(seeded(), 1, 1)), camera()

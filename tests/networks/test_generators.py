@@ -263,16 +263,11 @@ def across_edges(picture: Tensor) -> float:
 
 
 @pytest.mark.parametrize(("down", "across"), [(17.3, 22.7), (19.0, 13.1), (14.6, 27.2)])
-def test_regular_patterns_are_stretched_until_they_tile(down: float, across: float) -> None:
-    picture = pattern(down, across)
-    tiling = as_tile(picture, (SIZE, SIZE))
+def test_regular_patterns_alone_are_stretched_until_they_tile(down: float, across: float) -> None:
+    tiling = as_tile(pattern(down, across), (SIZE, SIZE))
     assert all(0.85 * SIZE <= side <= SIZE for side in tiling.shape[1:])
-    periods = [float(tile) for vector in lattice_of(tiling).vectors if (tile := vector.norm())]
-    whole = [SIZE / period for period in periods]
+    whole = [SIZE / float(period) for vector in lattice_of(tiling).vectors if (period := vector.norm())]
     assert all(abs(count - round(count)) < 0.1 for count in whole)
-
-
-def test_pictures_without_order_are_left_as_they_are() -> None:
     noise = torch.rand(3, SIZE, SIZE, generator=Generator().manual_seed(1))
     assert as_tile(noise, (SIZE, SIZE)) is noise
 

@@ -69,9 +69,7 @@ def test_the_users_choice_comes_first_then_the_environments(environment: Path, m
     assert find_llvm() == chosen
 
 
-def test_old_libraries_are_passed_over_and_the_message_says_what_to_install(
-    environment: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_old_libraries_are_passed_over_with_a_remedy(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=r"found none, expected 19 or newer.*apt-get install libllvm19"):
         find_llvm()
     make(environment / "libLLVM-15.so.1")
@@ -94,7 +92,7 @@ def printed(lines: str, *arguments: str, **environment: str) -> str:
 
 
 @pytest.mark.long
-def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> None:
+def test_a_mitsuba_with_an_old_library_is_refused() -> None:
     old = [path for path in SYSTEM if 15 <= (llvm_version(path) or 0) < OLDEST_LLVM]
     try:
         fit = find_llvm()
@@ -110,7 +108,7 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
 
 @pytest.mark.long
 @needs_mitsuba
-def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Path) -> None:
+def test_exr_files_work_with_one_thread_of_torch(tmp_path: Path) -> None:
     """Mitsuba waits for a thread of Dr.Jit's pool, which has one less than it is told."""
     lines = "import sys, numpy, torch\nfrom metapp.rendering.variant import load_mitsuba\ntorch.set_num_threads(1)\n"
     lines += "mi = load_mitsuba()\nmi.Bitmap(numpy.ones((64, 32, 3), 'float32')).write(sys.argv[1])\n"

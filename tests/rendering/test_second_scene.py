@@ -75,7 +75,7 @@ def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Gener
 
 
 @pytest.mark.long
-def test_in_a_furnace_nothing_shines_and_the_open_floor_shows_its_albedo(matrix: Tensor) -> None:
+def test_a_furnace_shows_the_albedo_of_the_open_floor(matrix: Tensor) -> None:
     picture = matrix.sum((-2, -1))
     assert picture.max() < geometry.GLOSSY_REFLECTANCE * 1.03  # noise
     torch.testing.assert_close(picture[0], torch.full_like(picture[0], geometry.FLOOR_ALBEDO), rtol=0.03, atol=0)
@@ -92,9 +92,7 @@ def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: 
     torch.testing.assert_close(picture.mean((1, 2)), expected.mean((1, 2)), rtol=0.02, atol=0)
 
 
-def test_the_matrix_is_built_once_and_again_where_the_file_is_damaged(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_matrix_is_built_once_and_again_if_damaged(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[int, int]] = []
     made = torch.rand(6, 8)
     monkeypatch.setattr(relighting, "_build", lambda height, width: calls.append((height, width)) or made)
