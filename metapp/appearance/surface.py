@@ -1,4 +1,4 @@
-"""The maps of a fitted flat surface, and those of the metallic-roughness workflow of other programs.
+"""The maps of a fitted flat surface, their pictures, and the metallic-roughness workflow of other programs.
 
 In the workflow a texel is a mixture of a dielectric of specular reflectance c = 0.04 and a metal, as in glTF 2.0's core
 materials:
@@ -10,11 +10,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
-from metapp.appearance.flash import Maps, height_from_normal
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import Maps, expose, height_from_normal, positions, relightings, render
+from metapp.learning.pictures import Picture
 
 DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
+STRIP_TEXELS = 2**17  # rendered at a time
 DESCRIPTION = "material.json"  # describes the files of an asset folder
 
 
@@ -62,3 +66,33 @@ class Surface(NamedTuple):
 def from_metallic(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:
     """Diffuse and specular colour [..., 3, H, W] of the workflow's maps."""
     return base * (1 - metallic), DIELECTRIC * (1 - metallic) + base * metallic
+
+
+@torch.no_grad()
+def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0.0) -> dict[str, Picture]:
+    """Maps, specular colour as F0, and three photographs of the material under other lights, by the name of a file.
+
+    Args:
+        maps: [C, H, W] each.
+        height: [1, H, W] in texels, if a fit has it.
+        falloff: of the flash, as of `metapp.appearance.flash.render`.
+    """
+    pictures = {
+        "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
+        "specular": Picture(linear_to_srgb(maps.specular), "srgb"),
+        "roughness": Picture(maps.roughness, "data"),
+        "normal": Picture(maps.normal * 0.5 + 0.5, "data"),
+    }
+    if height is not None:
+        pictures["height"] = Picture(height, "height")
+    for name, (light, view) in relightings(device=maps.diffuse.device).items():
+        pictures[f"lit_from_{name}"] = Picture(photograph(maps, light, view, falloff=falloff), "srgb")
+    return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
+
+
+def photograph(maps: Maps, light: Tensor, view: Tensor, *, falloff: float = 0.0) -> Tensor:
+    """Display values [3, H, W] of maps [C, H, W] under a flash; light and view [3]. Made by rows, for large maps."""
+    place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
+    rows = max(1, STRIP_TEXELS // place.shape[-1])
+    strips = zip(*(part.split(rows, -2) for part in (*maps, place)), strict=True)
+    return torch.cat([expose(render(Maps(*strip[:4]), strip[4], light, view, falloff=falloff)) for strip in strips], 1)

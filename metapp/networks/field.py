@@ -124,13 +124,9 @@ def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
     return weights
 
 
-def strips_of(height: int, width: int) -> Iterator[tuple[int, int]]:
-    """(first, end) of rows that are STRIP_TEXELS together or fewer, from the top."""
-    rows = max(1, STRIP_TEXELS // width)
-    return ((top, min(top + rows, height)) for top in range(0, height, rows))
-
-
 def field_by_rows(field: LocalField, theta: Params, places: Tensor) -> Iterator[Tensor]:
     """The rows of a field's output at places [T, inputs, height, width], [T, outputs, h, width] at a time."""
-    for first, end in strips_of(field.height, field.width):
+    rows = max(1, STRIP_TEXELS // field.width)
+    for first in range(0, field.height, rows):
+        end = first + rows
         yield field.decoded(theta, field.code_at(theta, first, end), places[..., first:end, :])

@@ -13,7 +13,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.highlight import clipped_highlight
-from metapp.appearance.surface import Surface
+from metapp.appearance.surface import Surface, map_pictures, photograph
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
@@ -36,7 +36,6 @@ from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField, field_by_rows
-from metapp.networks.map_pictures import map_pictures, photograph
 
 RADIANCE_FLOOR = 0.1  # of white: the log of radiance is flat below
 LEVEL_SINE = 0.01  # sine of an angle that hardly shows

@@ -26,12 +26,11 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.highlight import clipped_highlight, evenly_lit, gloss
-from metapp.appearance.surface import Surface
+from metapp.appearance.surface import Surface, map_pictures
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.exemplar import ExemplarApp
 from metapp.networks.layout import astray
-from metapp.networks.map_pictures import map_pictures
 
 GRID = 3  # windows along a side
 DRAWN_WINDOWS = 3
