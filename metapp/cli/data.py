@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,7 +71,7 @@ def join(
 
     from metapp.apps import class_of
     from metapp.learning.task import KIND
-    from metapp.storage.shards import ShardWriter, read_manifest, read_shard
+    from metapp.storage.shards import read_manifest, read_shard, write_shard
 
     if folder.resolve() in [source.resolve() for source in folders]:
         raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
@@ -95,12 +95,14 @@ def join(
 
     pairs = [(entry, shared(sets[i][entry.name], i)) for i in range(len(sets)) for entry in manifests[i].tasks]
     notes = {"made_by": "metapp data join", "of": [source.name for source in folders]}
-    new = ShardWriter(folder, name, units, notes, overwrite=overwrite)
-    with new as writer, progress(name, len(pairs), quiet=quiet) as bar:
-        for entry, task in pairs:
-            writer.add(task._replace(group=entry.group), entry.split, entry.source)
-            bar.advance(entry.name)
-        done = converted(name, folder, writer.entries())
+
+    def joint() -> Iterator[tuple[Task, str, str]]:
+        with progress(name, len(pairs), quiet=quiet) as bar:
+            for entry, task in pairs:
+                yield task._replace(group=entry.group), entry.split, entry.source
+                bar.advance(entry.name)
+
+    done = converted(name, folder, write_shard(folder, name, units, joint(), notes, overwrite=overwrite))
     report(done, quiet, as_json)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +17,9 @@ from metapp.registry import did_you_mean, registry
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.runs.reporter import progress
+
+if TYPE_CHECKING:
+    from metapp.learning.task import Task
 
 SHARDS = "shards"
 
@@ -171,14 +175,18 @@ def cornell(
       metapp data cornell --count 4 --samples 288000 --split test --out boxes
     """
     from data_tools.synthetic import transport
-    from metapp.storage.shards import ShardWriter
+    from metapp.storage.shards import write_shard
 
     tasks = transport.cornell_tasks(count, seed, samples=samples, held=held)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
-    new = ShardWriter(folder, "transport", transport.UNITS, notes, transport.BESIDE, overwrite=overwrite)
-    with new as writer, progress("Cornell boxes", count, quiet=quiet) as bar:
-        for task in tasks:
-            writer.add(task, split.value)
-            bar.advance(task.name)
-        done = converted("transport", folder, writer.entries())
+
+    def boxes() -> Iterator[tuple[Task, str, str]]:
+        with progress("Cornell boxes", count, quiet=quiet) as bar:
+            for task in tasks:
+                yield task, split.value, ""
+                bar.advance(task.name)
+
+    units, beside = transport.UNITS, transport.BESIDE
+    written = write_shard(folder, "transport", units, boxes(), notes, beside, overwrite=overwrite)
+    done = converted("transport", folder, written)
     report(done, quiet, as_json)

@@ -11,9 +11,8 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import torch
@@ -49,7 +48,6 @@ class Entry(NamedTuple):
         source: base name of the file or folder it was made of; "" if there is none.
         sha256: of the file's bytes, 64 hexadecimal digits.
         group: the thing that several tasks show, which no split parts; "" if it shows something of its own.
-        beside: name of a file in the folder that holds one of its tensors as text; "" if there is none.
     """
 
     name: str
@@ -58,7 +56,6 @@ class Entry(NamedTuple):
     source: str = ""
     sha256: str = ""
     group: str = ""
-    beside: str = ""
 
 
 class Manifest(NamedTuple):
@@ -116,18 +113,11 @@ def fingerprint(folder: str | Path) -> str:
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
 
 
-def to_json(manifest: Manifest) -> str:
-    """A manifest as the text of its file."""
-    raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
-    # ASCII: a file name may hold bytes that no encoding takes, which Python passes on as lone surrogates.
-    return json.dumps(raw, indent=1, allow_nan=False) + "\n"
-
-
 def _from_json(raw: object, path: Path) -> Manifest:
     """Check every field, since anybody may have written the file."""
 
-    def field(record: object, key: str, kind: type, where: str = "", absent: object = None) -> Any:
-        return entry_of(record, key, kind, f"{path}: {where}", "convert the data again", absent)
+    def field(record: object, key: str, kind: type, where: str = "") -> Any:
+        return entry_of(record, key, kind, f"{path}: {where}", "convert the data again")
 
     schema = field(raw, "schema", int)
     if schema != SCHEMA:
@@ -139,19 +129,11 @@ def _from_json(raw: object, path: Path) -> Manifest:
     entries: list[Entry] = []
     for index, record in enumerate(field(raw, "tasks", list)):
         where = f"task {index + 1}: "
-        # older data sets have neither of two fields
-        absent = {key: "" if key in ("group", "beside") else None for key in Entry._fields}
-        entry = Entry(**{key: field(record, key, str, where, absent[key]) for key in Entry._fields})
+        entry = Entry(**{key: field(record, key, str, where) for key in Entry._fields})
         if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SUFFIX):
             raise ValueError(
                 f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "
                 "same folder; convert the data again."
-            )
-        stem = re.escape(entry.file.removesuffix(SUFFIX))
-        if entry.beside and not re.fullmatch(rf"{stem}\.[a-z]{{1,8}}", entry.beside):
-            raise ValueError(
-                f"{path}: {where}beside {json.dumps(entry.beside)}, expected the name of {entry.file} with another "
-                "suffix; convert the data again."
             )
         if entry.split not in SPLITS:
             raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")
@@ -177,162 +159,143 @@ def split_auto(in_line: Iterable[str]) -> dict[str, str]:
     return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(dict.fromkeys(in_line))}
 
 
-class ShardWriter:
-    """Writes a data set, all or nothing: `with ShardWriter(folder, app, units) as writer: writer.add(task, "train")`.
+def write_shard(
+    folder: str | Path,
+    app: str,
+    units: Mapping[str, str],
+    tasks: Iterable[tuple[Task, str, str | Path]],
+    notes: Mapping[str, object] | None = None,
+    beside: tuple[str, str] | None = None,
+    *,
+    overwrite: bool = False,
+) -> list[Entry]:
+    """Write a data set, all or nothing.
 
     Files are written into a folder with a temporary name; only at the end do they move, and the manifest comes last.
-    When the block is left by an exception, the folder is as it was. With `overwrite` a data set of the same application
-    that was there is replaced as a whole.
+    If the iterator of tasks raises, the folder is as it was.
 
     Args:
         folder: of the data set, made if missing.
         app: the application the tasks belong to.
         units: unit and meaning of every tensor, by name; the manifest has those of tensors that a task holds.
+        tasks: each with its split, "train", "test", or "auto" (by the rule of `split_auto` among all groups of tasks
+            so), and the file or folder it was made of, of which the base name is kept; "" for none.
         notes: anything else worth keeping, as JSON can hold it.
         beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
+        overwrite: whether a data set of the same application that is there is replaced as a whole.
+
+    Returns:
+        The entries of the manifest.
 
     Raises:
-        ValueError: the folder is a file or holds another application's tasks (on entering); no task was added (on
-            leaving).
+        ValueError: the folder is a file or holds another data set (before the first task is asked for); no task; an
+            unknown split, an empty or repeated name, a task without tensors, a tensor without a unit, a value that is
+            not finite.
 
     >>> import tempfile
+    >>> gold = Task("gold", {"angles": torch.zeros(2, 3)})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with ShardWriter(folder, "brdf", {"angles": "rad"}) as writer:
-    ...         writer.add(Task("gold", {"angles": torch.zeros(2, 3)}), "train", "brdfs/gold.binary")
-    ...     [entry.source for entry in read_manifest(folder).tasks], read_shard(folder)[0].data["angles"].shape
-    (['gold.binary'], torch.Size([2, 3]))
+    ...     (entry,) = write_shard(folder, "brdf", {"angles": "rad"}, [(gold, "train", "brdfs/gold.binary")])
+    ...     entry.source, read_shard(folder)[0].data["angles"].shape
+    ('gold.binary', torch.Size([2, 3]))
     """
+    folder, notes = Path(folder), dict(notes or {})
+    # A note that JSON cannot hold should be refused now, not after an hour of converting.
+    try:
+        json.dumps(notes, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: a file, expected a folder to write to; choose another one.")
+    _replaced(folder, app, overwrite)
+    remove_partial(folder / "tasks")
+    partial = partial_path(folder / "tasks")
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    partial.mkdir(parents=True)
+    entries: list[Entry] = []
+    held: set[str] = set()  # names of tensors
+    taken = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the name of the manifest
+    try:
+        for task, split, source in tasks:
+            _check_task(task, split, units, entries, source or folder)
+            held |= set(task.data)
+            # A copy of its own each: safetensors refuses tensors that share memory.
+            own = torch.contiguous_format
+            content = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
+            file = _file_name(task.name, taken)
+            taken.add(file.lower())
+            with naming(folder / file):
+                (partial / file).write_bytes(content)
+                if beside:
+                    text = task.data[beside[0]].cpu().numpy().tobytes().rstrip() + b"\n"
+                    (partial / file).with_suffix(beside[1]).write_bytes(text)
+            base = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
+            entries.append(Entry(task.name, file, split, base, hashlib.sha256(content).hexdigest(), task.group))
+        if not entries:
+            raise ValueError(f"{folder}: 0 tasks to write, expected at least one.")
+        auto = split_auto(sorted(entry.group or entry.name for entry in entries if entry.split == AUTO))
+        entries = [
+            entry._replace(split=auto[entry.group or entry.name]) if entry.split == AUTO else entry for entry in entries
+        ]
+        manifest = Manifest(app, tuple(entries), {key: unit for key, unit in units.items() if key in held}, notes)
+        _publish(folder, partial, manifest, _replaced(folder, app, overwrite), beside)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        for path in made:
+            if any(path.iterdir()):
+                break
+            path.rmdir()
+    return entries
 
-    def __init__(
-        self,
-        folder: str | Path,
-        app: str,
-        units: Mapping[str, str],
-        notes: Mapping[str, object] | None = None,
-        beside: tuple[str, str] | None = None,
-        *,
-        overwrite: bool = False,
-    ) -> None:
-        self.folder = Path(folder)
-        self._partial = partial_path(self.folder / "tasks")
-        self._beside, self._overwrite = beside, overwrite
-        self._manifest = Manifest(app, (), dict(units), dict(notes or {}))
-        # A note that JSON cannot hold should be refused now, not after an hour of converting.
-        try:
-            json.dumps(self._manifest.notes, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
-        self._entries: list[Entry] = []
-        self._held: set[str] = set()  # names of tensors
-        self._files = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the same name
-        self._made: list[Path] = []
 
-    def __enter__(self) -> ShardWriter:
-        if self.folder.exists() and not self.folder.is_dir():
-            raise ValueError(f"{self.folder}: a file, expected a folder to write to; choose another one.")
-        self._before()
-        remove_partial(self.folder / "tasks")
-        self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
-        self._partial.mkdir(parents=True)
-        return self
+def _check_task(task: Task, split: str, units: Mapping[str, str], before: Sequence[Entry], subject: str | Path) -> None:
+    if split not in (*SPLITS, AUTO):
+        raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
+    if not task.name.strip():
+        raise ValueError(f"{subject}: a task with an empty name; give it one.")
+    if any(entry.name == task.name for entry in before):
+        raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
+    if not task.data:
+        raise ValueError(f"{task.name}: a task without tensors.")
+    for key, tensor in task.data.items():
+        if key not in units:
+            raise ValueError(f"{task.name}: tensor '{key}' has no unit; add it to units.")
+        if not torch.isfinite(tensor).all():
+            raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
 
-    def add(self, task: Task, split: str, source: str | Path = "") -> None:
-        """Write one task, into the temporary folder.
 
-        Args:
-            task: its tensors may live anywhere, in any layout; a name that another task has is refused.
-            split: "train", "test", or "auto": by the rule of `split_auto` among all groups of tasks added so.
-            source: the file or folder it was made of; only the base name is kept.
-
-        Raises:
-            ValueError: an unknown split, an empty or repeated name, a task without tensors, a tensor without a unit,
-                a value that is not finite.
-        """
-        if split not in (*SPLITS, AUTO):
-            raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
-        if not task.name.strip():
-            raise ValueError(f"{source or self.folder}: a task with an empty name; give it one.")
-        if any(entry.name == task.name for entry in self._entries):
-            raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
-        if not task.data:
-            raise ValueError(f"{task.name}: a task without tensors.")
-        for key, tensor in task.data.items():
-            if key not in self._manifest.units:
-                raise ValueError(f"{task.name}: tensor '{key}' has no unit; add it to units.")
-            if not torch.isfinite(tensor).all():
-                raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
-        self._held |= set(task.data)
-        # A copy of its own each: safetensors refuses tensors that share memory.
-        own = torch.contiguous_format
-        payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
-        file = _file_name(task.name, self._files)
-        with naming(self.folder / file):
-            (self._partial / file).write_bytes(payload)
-        self._files.add(file.lower())
-        beside = ""
-        if self._beside is not None:
-            key, suffix = self._beside
-            beside = file.removesuffix(SUFFIX) + suffix
-            (self._partial / beside).write_bytes(task.data[key].cpu().numpy().tobytes().rstrip() + b"\n")
-            self._files.add(beside.lower())
-        digest = hashlib.sha256(payload).hexdigest()
-        base = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
-        self._entries.append(Entry(task.name, file, split, base, digest, task.group, beside))
-
-    def entries(self) -> tuple[Entry, ...]:
-        """The tasks added so far, in that order, each in its split."""
-        auto = split_auto(sorted(entry.group or entry.name for entry in self._entries if entry.split == AUTO))
-        return tuple(
-            entry._replace(split=auto[entry.group or entry.name]) if entry.split == AUTO else entry
-            for entry in self._entries
+def _replaced(folder: Path, app: str, overwrite: bool) -> Manifest | None:
+    """The manifest of the data set to replace; ValueError if that must stay."""
+    try:
+        before = read_manifest(folder)
+    except ValueError:  # there is none
+        return None
+    if before.app != app:
+        raise ValueError(
+            f"{folder}: holds tasks of '{before.app}', expected an empty folder or tasks of '{app}'; choose another "
+            "folder."
         )
+    if not overwrite:
+        raise ValueError(
+            f"{folder}: holds a data set of {len(before.tasks)} tasks, expected a new folder; add --overwrite to "
+            "replace it."
+        )
+    return before
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._publish()
-        finally:
-            shutil.rmtree(self._partial, ignore_errors=True)
-            for path in self._made:
-                if any(path.iterdir()):
-                    break
-                path.rmdir()
 
-    def _publish(self) -> None:
-        """Move all files to their place, the manifest last; while there is no manifest, there is no data set."""
-        if not self._entries:
-            raise ValueError(f"{self.folder}: 0 tasks to write, expected at least one.")
-        before = self._before()
-        units = {key: unit for key, unit in self._manifest.units.items() if key in self._held}
-        text = to_json(self._manifest._replace(tasks=self.entries(), units=units))
-        (self.folder / MANIFEST).unlink(missing_ok=True)
-        for file in _files(self._entries):
-            os.replace(self._partial / file, self.folder / file)
-        if before is not None:
-            for file in _files(before.tasks):
-                if file.lower() not in self._files:
-                    (self.folder / file).unlink(missing_ok=True)
-        write_bytes(self.folder / MANIFEST, text.encode("ascii"))
-
-    def _before(self) -> Manifest | None:
-        """The manifest of the data set to replace; ValueError if that must stay."""
-        try:
-            before = read_manifest(self.folder)
-        except ValueError:  # there is none
-            return None
-        if before.app != self._manifest.app:
-            raise ValueError(
-                f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
-                f"'{self._manifest.app}'; choose another folder."
-            )
-        if not self._overwrite:
-            raise ValueError(
-                f"{self.folder}: holds a data set of {len(before.tasks)} tasks, expected a new folder; add "
-                "--overwrite to replace it."
-            )
-        return before
+def _publish(
+    folder: Path, partial: Path, manifest: Manifest, before: Manifest | None, beside: tuple[str, str] | None
+) -> None:
+    """Move all files to their place, the manifest last; while there is no manifest, there is no data set."""
+    raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for entry in before.tasks if before else ():
+        for suffix in (SUFFIX, beside[1] if beside else SUFFIX):
+            (folder / entry.file).with_suffix(suffix).unlink(missing_ok=True)
+    for file in sorted(partial.iterdir()):
+        os.replace(file, folder / file.name)
+    # ASCII: a file name may hold bytes that no encoding takes, which Python passes on as lone surrogates.
+    write_bytes(folder / MANIFEST, json.dumps(raw, indent=1, allow_nan=False).encode("ascii") + b"\n")
 
 
 def read_shard(
@@ -397,23 +360,18 @@ def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = Non
                 f"{path}: SHA-256 {digest[:12]}..., expected {entry.sha256[:12]}...; the file has changed since."
             )
         problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
-    missing = [entry.beside for entry in manifest.tasks if entry.beside and not (folder / entry.beside).is_file()]
-    problems += [f"{folder / file}: missing, expected a file as {MANIFEST} lists it." for file in missing]
     beside = manifest.notes.get("files")  # what else its command wrote there
-    listed = {MANIFEST, *_files(manifest.tasks), *(map(str, beside) if isinstance(beside, list) else ())}
+    listed = {MANIFEST, *(map(str, beside) if isinstance(beside, list) else ())}
+    stems = {entry.file.removesuffix(SUFFIX) for entry in manifest.tasks}  # a task's text has its name
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())
-        if path.name not in listed
+        if path.name not in listed and path.stem not in stems
     ]
     return problems
 
 
-def _files(entries: Iterable[Entry]) -> list[str]:
-    return [file for entry in entries for file in (entry.file, entry.beside) if file]
-
-
-def _file_name(name: str, taken: set[str]) -> str:
+def _file_name(name: str, taken: Collection[str]) -> str:
     """A file name that every file system takes, and that differs from those taken even if case does not count."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
     file, count = stem + SUFFIX, 1

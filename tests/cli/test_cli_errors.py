@@ -36,12 +36,13 @@ SLOW_WRITER = """
 import sys, time, torch
 from pathlib import Path
 from typing import Any
-from metapp.storage.shards import ShardWriter
+from metapp.storage.shards import write_shard
 from metapp.learning.task import Task
-with ShardWriter(Path(sys.argv[1]), "brdf", {"x": "1"}) as writer:
-    writer.add(Task("slow", {"x": torch.ones(2)}), "train")
+def slow():
+    yield Task("slow", {"x": torch.ones(2)}), "train", ""
     print("writing", flush=True)
     time.sleep(60)
+write_shard(Path(sys.argv[1]), "brdf", {"x": "1"}, slow())
 """
 
 

@@ -149,13 +149,12 @@ def meshes() -> list[Files]:
 
 def shards() -> list[Files]:
     from data_tools.readers.brdf_task import UNITS, brdf_task
-    from metapp.storage.shards import ShardWriter
+    from metapp.storage.shards import write_shard
 
     with tempfile.TemporaryDirectory() as folder:
-        with ShardWriter(folder, "brdf", UNITS, {"made_by": "a test"}) as writer:
-            for index, split in enumerate(("train", "test")):
-                task = brdf_task(f"task{index}", lambda angles, i=index: angles * 0 + 0.1 + i, samples=64)
-                writer.add(task._replace(data={k: v for k, v in task.data.items() if k in UNITS}), split, "x")
+        tasks = [brdf_task(f"task{i}", lambda angles, i=i: angles * 0 + 0.1 + i, samples=64) for i in range(2)]
+        pairs = zip(tasks, ("train", "test"), "xx", strict=True)
+        write_shard(folder, "brdf", UNITS, pairs, {"made_by": "a test"})
         return [{file.name: file.read_bytes() for file in sorted(Path(folder).iterdir())}]
 
 

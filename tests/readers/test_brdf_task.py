@@ -16,7 +16,7 @@ from data_tools.readers.merl import SCALE, merl_centres, merl_index, merl_valid,
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
 from metapp.appearance.geometry import above_horizon
-from metapp.storage.shards import ShardWriter, check_shard
+from metapp.storage.shards import check_shard, write_shard
 
 
 def evaluate(angles: Tensor) -> Tensor:
@@ -57,8 +57,7 @@ def test_an_analytic_task(tmp_path: Path) -> None:
     assert task.data["render"][48, 48, 3] == 1
     assert task.data["render"][0, 0].tolist() == [0, 0, 0, 0]
     assert (task.data["render"][48, 48, :3] > 0).all()
-    with ShardWriter(tmp_path, "brdf", UNITS) as writer:
-        writer.add(brdf_task("a", evaluate, samples=64), "train")
+    write_shard(tmp_path, "brdf", UNITS, [(brdf_task("a", evaluate, samples=64), "train", "")])
     assert check_shard(tmp_path) == []
 
 

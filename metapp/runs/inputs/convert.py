@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,6 +12,7 @@ from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
 
 if TYPE_CHECKING:
+    from metapp.learning.task import Task
     from metapp.storage.shards import Entry
 
 Find = Callable[[list[Path]], tuple[list[Path], list[str]]]  # as of a format's module
@@ -60,7 +61,7 @@ def convert(
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
-    from metapp.storage.shards import AUTO, ShardWriter
+    from metapp.storage.shards import AUTO, write_shard
 
     form = registry().formats[name]
     reader = form.load()
@@ -69,10 +70,11 @@ def convert(
     entries: dict[Path, Entry] = {source: own[source] for source in found if source in own}
     _require_distinct(entries)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
-    usable: set[Path] = set()
+    usable: set[Path | None] = set()
     shown = {key: value.name if isinstance(value, Path) else value for key, value in options.items() if value}
     notes = {"made_by": f"metapp data {name}", **shown, "split": split}
-    with ShardWriter(out, form.app, reader.UNITS, notes, overwrite=overwrite) as writer:
+
+    def read() -> Iterator[tuple[Task, str, Path]]:
         with progress(name, len(entries), quiet=quiet) as bar:
             for source, entry in entries.items():
                 bar.name(entry.name)
@@ -85,18 +87,19 @@ def convert(
                     bad.setdefault(folder, []).append(str(named(error, source)))
                 else:
                     part = entry.split or AUTO if split == AUTO else split
-                    writer.add(task._replace(name=entry.name, group=entry.group), part, source)
-                    usable |= {folder} if folder else set()
+                    yield task._replace(name=entry.name, group=entry.group), part, source
+                    usable.add(folder)
                 bar.advance(entry.name)
         empty = [folder for folder in bad if folder not in usable]
         if empty and len(bad[empty[0]]) == 1:
             raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant
-        skipped += [line for lines in bad.values() for line in lines]
+        skipped.extend(line for lines in bad.values() for line in lines)
         for line in skipped:
             say(f"warning: skipped: {line}")
         if empty:
             raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} sources, none usable; expected at least one.")
-        written = writer.entries()
+
+    written = write_shard(out, form.app, reader.UNITS, read(), notes, overwrite=overwrite)
     return converted(form.app, out, written, skipped)
 
 

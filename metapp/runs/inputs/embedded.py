@@ -6,15 +6,18 @@ import inspect
 import os
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metapp.registry import registry
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import PARTIAL, partial_path
+
+if TYPE_CHECKING:
+    from metapp.learning.task import Task
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
@@ -157,17 +160,19 @@ def _cached(app: str, notes: Document) -> Path:
 def _make(
     app: str, folder: Path, counts: dict[str, int], notes: Document, *, overwrite: bool = False, quiet: bool
 ) -> None:
-    from metapp.storage.shards import ShardWriter
+    from metapp.storage.shards import write_shard
 
     module, drawn = embedded_module(app), _drawn(app, notes)
     units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
-    bars = progress(f"{app} data", sum(counts.values()), quiet=quiet)
-    new = ShardWriter(folder, app, units, notes, getattr(module, "BESIDE", None), overwrite=overwrite)
-    with new as writer, bars as bar:
-        for split, count in counts.items():
-            for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
-                writer.add(task, split)
-                bar.advance(task.name)
+
+    def draw() -> Iterator[tuple[Task, str, str]]:
+        with progress(f"{app} data", sum(counts.values()), quiet=quiet) as bar:
+            for split, count in counts.items():
+                for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
+                    yield task, split, ""
+                    bar.advance(task.name)
+
+    write_shard(folder, app, units, draw(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
 
 
 def _is_finished(folder: Path, app: str, notes: Document) -> bool:

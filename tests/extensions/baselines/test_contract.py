@@ -26,7 +26,7 @@ from metapp.runs.options import fit_options
 from metapp.runs.reporter import Reporter
 from metapp.runs.run import Run
 from metapp.storage.fits import Fits, read_params
-from metapp.storage.shards import ShardWriter
+from metapp.storage.shards import write_shard
 from tests.marked import long
 from tests.quick import app_by
 
@@ -67,9 +67,9 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
     def write(name: str) -> Path:
         angles, app = 0.6 * torch.rand(256, 3, generator=rng), class_of(name)
         units = dict.fromkeys((*app.tensors, "render"), "any")
-        with ShardWriter(tmp_path / "data", name, units) as writer:
-            for i in range(TRAIN + TEST):
-                writer.add(random_task(name, f"t{i}", rng, angles), "train" if i < TRAIN else "test")
+        tasks = [random_task(name, f"t{i}", rng, angles) for i in range(TRAIN + TEST)]
+        splits = ["train"] * TRAIN + ["test"] * TEST
+        write_shard(tmp_path / "data", name, units, [(*pair, "") for pair in zip(tasks, splits, strict=True)])
         return tmp_path / "data"
 
     return write

@@ -27,7 +27,7 @@ from metapp.runs.options import fit_options
 from metapp.runs.recipes import FULL, chosen_recipe, shipped_path
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
-from metapp.storage.shards import ShardWriter
+from metapp.storage.shards import write_shard
 
 APP = "svbrdf_nonstationary"
 
@@ -104,8 +104,7 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: s
 
 def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tmp_path: Path, lacking: str) -> None:
     task = photos.read_task(folder)
-    with ShardWriter(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), {}) as writer:
-        writer.add(task, "test")
+    write_shard(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
     options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
     assert chosen_recipe(options) == chosen_recipe(options, [task]) == "several"
     one = Task("one", {"photo": task.data["photo"]})

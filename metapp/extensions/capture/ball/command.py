@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,7 @@ from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
     from metapp.extensions.capture.ball.capture import Capture
+    from metapp.learning.task import Task
 
 UNITS = {
     "photos": "the ball as a camera far away sees it, display values, uint8 0..255 [1, 3, 64, 64]; black outside",
@@ -113,7 +115,7 @@ def _write(name: str, paths: list[Path], captured: Capture, folder: Path, *, ove
     from metapp.extensions.capture.photos import FOUND, write_found
     from metapp.learning.task import Task
     from metapp.storage.images import write_exr
-    from metapp.storage.shards import ShardWriter
+    from metapp.storage.shards import write_shard
 
     notes = {
         "made_by": "metapp data ball",
@@ -123,10 +125,13 @@ def _write(name: str, paths: list[Path], captured: Capture, folder: Path, *, ove
         "files": [FOUND, f"{name}.exr"],
     }
     turn = np.linspace(0, 2 * np.pi, 361)
-    with ShardWriter(folder, "illumination", UNITS, notes, overwrite=overwrite) as writer:
-        writer.add(Task(name, captured.data), "test", paths[captured.chosen])
+
+    def task() -> Iterator[tuple[Task, str, Path]]:
+        yield Task(name, captured.data), "test", paths[captured.chosen]
         for path, ball in zip(paths, captured.balls, strict=True):
             contour = ball.to_px(np.stack([np.cos(turn), np.sin(turn)])).T
             write_found(read_pixels(path), [(contour, "lime")], folder / FOUND / f"{path.stem}.png")
         light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
         write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")
+
+    write_shard(folder, "illumination", UNITS, task(), notes, overwrite=overwrite)
