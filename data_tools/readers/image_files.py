@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import io
 import os
 import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from data_tools.readers.colours import Array, Floats, Space, fraction, linear_rgb, space_of_file, space_of_profile
 from metapp.storage.files import check_readable, open_regular
 
 if TYPE_CHECKING:
@@ -39,15 +38,9 @@ _MIN_SIDE, _MAX_PIXELS = 32, 2**28
 _ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
 _REASON = 120  # characters of a library's message
 
-CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
-SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
-_PROFILES = {"Display P3": "srgb_p3d65_scene", "Adobe RGB (1998)": "g22_adobergb_scene"}
-
 INSTALL = 'pip install "metapp[heic]"'
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")  # ISO/IEC 23008-12
 _FOCAL_TAG, _EXIF_BLOCK = 0xA405, 0x8769
-
-Array = NDArray[Any]
 
 
 class Pixels(NamedTuple):
@@ -55,15 +48,26 @@ class Pixels(NamedTuple):
 
     Attributes:
         values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
-        space: encoding of the colours, by OpenColorIO's name.
+        space: of the colours.
         is_premultiplied: whether colours are multiplied by alpha.
         focal_mm: focal length as of 35 mm film; 0 if the file does not say.
     """
 
     values: Array
-    space: str
+    space: Space
     is_premultiplied: bool
     focal_mm: float = 0.0
+
+    def linear(self, rows: slice = slice(None)) -> Floats:
+        """Some rows in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
+        stored = self.values[rows]
+        if stored.shape[-1] == 3:
+            return linear_rgb(stored, self.space).clip(0, 1)
+        values = fraction(stored)
+        colours, alpha = values[..., :3], values[..., 3:].clip(0, 1)
+        if self.is_premultiplied:  # in the file's encoding, which does not commute with it
+            colours = colours / np.maximum(alpha, 1e-6)
+        return np.concatenate([linear_rgb(colours, self.space).clip(0, 1) * alpha, alpha], axis=-1)
 
 
 def check_exists(path: Path) -> None:
@@ -138,7 +142,8 @@ def read_pixels(path: Path) -> Pixels:
 
     Raises:
         ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than 2^28
-            px; channels other than gray or RGB.
+            px; deep pixels; channels other than gray or RGB, of several layers the first one in RGB; floating-point
+            values in a space that is not known.
     """
     check_exists(path)
     if is_heif(path):
@@ -148,10 +153,10 @@ def read_pixels(path: Path) -> Pixels:
         check_size(spec.width, spec.height, path)
         check_memory(spec, path)
         channels = _channels(spec, path)
-        kind = str(spec.format)
-        values = source.read_image(kind if kind in ("uint8", "uint16") else "float")
+        space = space_of_file(spec, path)
+        kind, first = str(spec.format), min(channels)
+        values = source.read_image(0, 0, first, max(channels) + 1, kind if kind in ("uint8", "uint16") else "float")
         problem = error_of(source)
-        space = _space(spec)
         focal_mm = float(max(0, spec.get_int_attribute("Exif:FocalLengthIn35mmFilm", 0)))
     if values is None or problem:
         raise ValueError(
@@ -160,7 +165,7 @@ def read_pixels(path: Path) -> Pixels:
         )
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
     is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
-    return Pixels(upright[..., channels], space, is_premultiplied, focal_mm)
+    return Pixels(upright[..., [channel - first for channel in channels]], space, is_premultiplied, focal_mm)
 
 
 def _read_heif(path: Path) -> Pixels:
@@ -198,7 +203,7 @@ def pixels_of_pil(image: PilImage, name: str) -> Pixels:
 
 
 def _tagged(values: Array, profile: bytes | None, exif: bytes | None) -> Pixels:
-    return Pixels(values, _PROFILES.get(_description(profile), SRGB), False, focal_length_of(exif))
+    return Pixels(values, space_of_profile(profile), False, focal_length_of(exif))
 
 
 def check_size(width: int, height: int, path: Path | str) -> None:
@@ -210,32 +215,29 @@ def check_size(width: int, height: int, path: Path | str) -> None:
 
 
 def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
-    """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha."""
+    """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha.
+
+    Those without a layer count, else those of the first layer in RGB.
+    """
     names = [name.upper() for name in spec.channelnames]
+    if spec.deep:
+        raise ValueError(f"{path}: a deep image, expected one colour a pixel; flatten it.")
     if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB":
         names = ["L*", "a*", "b*"]  # called R, G, B
-    if {"R", "G", "B"} <= set(names):
-        colours = [names.index(name) for name in "RGB"]
-    elif spec.nchannels == 1 or (spec.nchannels == 2 and "A" in names):
-        colours = [next(index for index, name in enumerate(names) if name != "A" or spec.nchannels == 1)] * 3
-    else:
-        shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
-        raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
-    return colours + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
-
-
-def _space(spec: oiio.ImageSpec) -> str:
-    """The encoding of a file's colours."""
-    import OpenImageIO as oiio
-
-    profile = spec.get_string_attribute("ICCProfile:profile_description")
-    if profile in _PROFILES:
-        return _PROFILES[profile]
-    stated = spec.get_string_attribute("oiio:ColorSpace")
-    if stated in (SRGB, LINEAR) or (stated and oiio.ColorConfig(CONFIG).getColorSpaceIndex(stated) >= 0):
-        result: str = stated
-        return result
-    return LINEAR if str(spec.format) in ("half", "float", "double") else SRGB
+    layers: dict[str, dict[str, int]] = {"": {}}
+    for index, name in enumerate(names):
+        layer, _, channel = name.rpartition(".")
+        layers.setdefault(layer, {})[channel] = index
+    for found in layers.values():
+        if found.keys() >= {"R", "G", "B"}:
+            return [found[channel] for channel in "RGBA" if channel in found]
+    if spec.nchannels == 1:
+        return [0, 0, 0]
+    if spec.nchannels == 2 and "A" in names:
+        alpha = names.index("A")
+        return [1 - alpha] * 3 + [alpha]
+    shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
+    raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
 
 
 def turn_upright(values: Array, orientation: int) -> Array:
@@ -267,16 +269,6 @@ def can_read() -> bool:
 def _damaged(path: Path, error: Exception) -> str:
     reason = (str(error) or type(error).__name__).splitlines()[0][:80].replace(str(path), "").strip(" :.")
     return f"{path}: a HEIF picture that cannot be decoded ({reason}), expected a whole one; copy or download it again."
-
-
-def _description(profile: bytes | None) -> str:
-    """The name of an ICC profile; "" if it is damaged."""
-    from PIL import ImageCms
-
-    with contextlib.suppress(ImageCms.PyCMSError, OSError, TypeError):
-        if profile:
-            return str(ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))).strip()
-    return ""
 
 
 def focal_length_of(exif: bytes | None) -> float:

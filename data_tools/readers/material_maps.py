@@ -26,7 +26,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.image_files import LINEAR, SUFFIXES, Pixels, read_pixels, shape_of
+from data_tools.readers.colours import LINEAR
+from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import files_below
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as UNITS

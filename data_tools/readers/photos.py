@@ -1,8 +1,6 @@
 """Photographs: find image files, and read any of them as a square sRGB picture, such as a texture's.
 
-Integers are taken as sRGB and floating-point values (EXR, Radiance HDR) as linear, unless the file states another space
-that OpenImageIO or its ICC profile's name tells, such as Display P3 of many phones. EXIF says how wide the field of
-view is.
+EXIF says how wide the field of view is.
 """
 
 from __future__ import annotations
@@ -13,19 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from data_tools.readers.colours import Floats
 from data_tools.readers.flash_places import TEXTS
 from data_tools.readers.image_files import (
-    CONFIG,
     EXPECTED,
-    LINEAR,
     NAMED,
-    SRGB,
     SUFFIXES,
-    Array,
     Pixels,
     check_exists,
     opens,
@@ -33,7 +27,7 @@ from data_tools.readers.image_files import (
     to_export,
 )
 from data_tools.readers.listing import files_below, find_files
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
 
@@ -45,8 +39,6 @@ _MIN_DEVIATION = 1 / 255
 _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
 
 BESIDE = ("metadata.json", DESCRIPTION, *TEXTS)  # texts that belong in folders of images
-
-Floats = NDArray[np.floating]
 
 
 def find_photos(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
@@ -170,7 +162,7 @@ def resample(pixels: Pixels, size: int) -> Floats:
     side = pixels.values.shape[0]
     columns = min(side, size)
     rows = [
-        _area(linear_light(pixels, slice(row, row + _ROWS)).swapaxes(0, 1), columns).swapaxes(0, 1)
+        _area(pixels.linear(slice(row, row + _ROWS)).swapaxes(0, 1), columns).swapaxes(0, 1)
         for row in range(0, side, _ROWS)
     ]
     result = _area(np.concatenate(rows), columns)
@@ -189,47 +181,6 @@ def _area(values: Floats, count: int) -> Floats:
     at_edges = total[entry] + (edges - entry)[:, None, None] * values[entry]
     result: Floats = np.diff(at_edges, axis=0) * (count / length)
     return result
-
-
-def linear_light(pixels: Pixels, rows: slice) -> Floats:
-    """Some rows of a picture in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
-    stored = pixels.values[rows]
-    if stored.shape[-1] == 3:
-        return _decode(stored, pixels.space)
-    values = fraction(stored)
-    colours, alpha = values[..., :3], values[..., 3:].clip(0, 1)
-    if pixels.is_premultiplied:  # in the file's encoding, which does not commute with it
-        colours = colours / np.maximum(alpha, 1e-6)
-    return np.concatenate([_decode(colours, pixels.space) * alpha, alpha], axis=-1)
-
-
-def _decode(values: Array, space: str) -> Floats:
-    """Stored colours, uint8, uint16 or float [rows, columns, 3], as linear RGB in [0, 1], float32."""
-    if values.dtype.kind == "u" and space == SRGB:
-        levels = torch.linspace(0, 1, np.iinfo(values.dtype).max + 1, dtype=torch.float64)
-        return srgb_to_linear(levels).float().numpy()[values]
-    floats = fraction(values)
-    if space == SRGB:
-        floats = srgb_to_linear(torch.from_numpy(floats)).numpy()
-    elif space != LINEAR:
-        floats = _converted(floats, space)
-    return floats.clip(0, 1).astype(np.float32)
-
-
-def fraction(values: Array) -> Floats:
-    """Integers over their greatest value, floats as they are; float32."""
-    return values.astype(np.float32) / (np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1)
-
-
-def _converted(values: Floats, space: str) -> Floats:
-    """Colours of another space, float32 [rows, columns, 3], as linear RGB, which may leave [0, 1]."""
-    import OpenImageIO as oiio
-
-    image = oiio.ImageBuf(np.ascontiguousarray(values))
-    done = oiio.ImageBufAlgo.colorconvert(image, space, LINEAR, colorconfig=CONFIG)
-    linear = done.get_pixels(oiio.FLOAT)
-    assert linear is not None, done.geterror()  # `_space` names known ones only
-    return linear
 
 
 def _over_mean(linear: Floats, name: str) -> Floats:

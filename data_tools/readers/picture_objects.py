@@ -18,7 +18,8 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import latlong, material_maps, svbrdf_inputs
-from data_tools.readers.image_files import LINEAR, SRGB, Array, Pixels, check_size, pixels_of_pil
+from data_tools.readers.colours import LINEAR, SRGB, Array
+from data_tools.readers.image_files import Pixels, check_size, pixels_of_pil
 from data_tools.readers.photos import SIZE, photo_of
 from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task

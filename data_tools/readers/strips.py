@@ -20,8 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.image_files import LINEAR, Pixels, is_heif, read_pixels, shape_of
-from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, resample, side_of
+from data_tools.readers.colours import LINEAR, Floats, fraction
+from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
+from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack

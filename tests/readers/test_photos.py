@@ -164,6 +164,9 @@ def test_named_colour_spaces_are_converted(tmp_path: Path) -> None:
     assert (as_adobe.int() - planes(values)).abs().max() > 3
     as_srgb = read_photo(png(tmp_path / "srgb.png", values, profile=profile("sRGB IEC61966-2.1")), 48)
     assert torch.equal(as_srgb, planes(values))
+    wide = {"chromaticities": (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)}
+    as_exr = read_photo(write(tmp_path / "p3.exr", linear.permute(1, 2, 0).float().numpy(), **wide), 48)
+    assert (as_exr - expected).abs().max() < 1
 
 
 def test_the_suffix_may_be_wrong_or_missing(tmp_path: Path) -> None:
@@ -211,6 +214,17 @@ def halved(path: Path) -> None:
     truncated(write(path, noise(99, 99).astype(np.float32) if path.suffix == ".exr" else noise(99, 99)))
 
 
+def deep(path: Path) -> None:
+    """An image with a list of values for each pixel."""
+    spec = oiio.ImageSpec(48, 48, 4, "float")
+    spec.deep = True
+    output, values = oiio.ImageOutput.create(str(path)), oiio.DeepData()
+    values.init(48 * 48, 4, (oiio.TypeFloat,) * 4, spec.channelnames)
+    assert output.open(str(path), spec)
+    assert output.write_deep_image(values)
+    output.close()
+
+
 def two_channels(path: Path) -> None:
     write(path, noise(64, 64, 2), **{"oiio:UnassociatedAlpha": 0})
 
@@ -231,6 +245,7 @@ BAD: dict[str, tuple[str, Content, str]] = {
     "glaring": ("a.exr", 2 + FLOATS, "values up to 257, most above 1, which is white, expected values in [0, 1];"),
     "NaN": ("a.exr", WITH_NAN, "holds NaN, expected finite values"),
     "transparent": ("a.png", noise(64, 64, 4) * np.uint8([1, 1, 1, 0]), "transparent all"),
+    "deep": ("a.exr", deep, "a deep image, expected one colour a pixel"),
     "two channels": ("a.tif", two_channels, "channels "),
     "raw": (
         "a.dng",

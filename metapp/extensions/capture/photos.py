@@ -9,8 +9,8 @@ from types import ModuleType
 import numpy as np
 import torch
 
+from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels
-from data_tools.readers.photos import Floats, linear_light
 from metapp.appearance.colour import linear_to_srgb
 from metapp.storage.images import write_png
 
@@ -34,7 +34,7 @@ def opencv() -> ModuleType:
 
 def display(pixels: Pixels) -> Floats:
     """Display values of a photograph, sRGB [height, width, 3] in [0, 1]."""
-    result: Floats = linear_to_srgb(torch.from_numpy(linear_light(pixels, slice(None))[..., :3])).numpy()
+    result: Floats = linear_to_srgb(torch.from_numpy(pixels.linear()[..., :3])).numpy()
     return result
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data_tools.readers.image_files import LINEAR, Pixels
+from data_tools.readers.colours import LINEAR
+from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.ball.geometry import Ball, Floats, mirrored
 from metapp.storage.images import write_png

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels, is_heif, opened
-from data_tools.readers.photos import Floats
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.illumination.mirror import CLIPPED_VALUE
 from metapp.extensions.capture.ball.geometry import Ball, disc

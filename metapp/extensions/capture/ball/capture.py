@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.latlong import HEIGHT
-from data_tools.readers.photos import Floats
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.latlong import directions
 from metapp.apps.illumination.mirror import CLIPPED_VALUE

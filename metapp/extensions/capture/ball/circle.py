@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 from scipy.optimize import minimize
 from scipy.signal import fftconvolve
 
-from data_tools.readers.photos import Floats
+from data_tools.readers.colours import Floats
 from metapp.extensions.capture.ball.geometry import TELESCOPE, Ball, Lens
 from metapp.extensions.capture.ball.picture import sampled
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from data_tools.readers.photos import Floats
+from data_tools.readers.colours import Floats
 
 FAR = 1e-6  # rad, half the angle that a ball fills for a camera far away
 _NODES = 2000  # of the splines through where directions are seen

@@ -9,9 +9,10 @@ import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 from torch import Tensor
 
+from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels
 from data_tools.readers.latlong import SIZE
-from data_tools.readers.photos import Floats, field_of_view, linear_light
+from data_tools.readers.photos import field_of_view
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import sphere_normals
 from metapp.extensions.capture.ball.geometry import TELESCOPE, Ball, Lens, disc, mirrored, seen_at
@@ -66,7 +67,7 @@ def picture_of(pixels: Pixels, ball: Ball, size: int, angle: float) -> Floats:
     there = (np.hypot(*places) < 1) & (speed > 0) & (px > 0).all(0) & (px < ends[:, None, None]).all(0)
     left, top = low = np.clip(px.min((1, 2)).astype(int) - 1, 0, ends - 2)
     right, bottom = np.maximum(px.max((1, 2)).astype(int), low) + 2
-    part = linear_light(pixels._replace(values=pixels.values[top:bottom, left:right]), slice(None))[..., :3]
+    part = pixels._replace(values=pixels.values[top:bottom, left:right]).linear()[..., :3]
     light = sampled(part.transpose(2, 0, 1), px - low[:, None, None])
     return means(np.concatenate([light, there[None]]), many)
 

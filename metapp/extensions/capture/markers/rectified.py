@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import MAX_ERROR, Camera, Sighting, camera_of, common_focal, find_sheet
@@ -126,7 +125,7 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float
     left, top = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
     right, bottom = np.ceil(corners.max(0)).astype(int) + 2
     part = pixels._replace(values=pixels.values[top:bottom, left:right, :3])
-    linear = np.ascontiguousarray(linear_light(part, slice(None)))
+    linear = np.ascontiguousarray(part.linear())
     side = size * max(2, math.ceil(sighting.scales()[1] * side_cm / size))
     step, middle = side_cm / side, (side - 1) / 2  # cm, px
     to_cm = np.array([[step, 0, -middle * step], [0, -step, middle * step], [0, 0, 1]])
