@@ -12,7 +12,7 @@ from torch import Tensor
 
 from data_tools.draws import Rng, stream
 from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
-from data_tools.readers.image_files import check_exists, opened, opens, read_pixels
+from data_tools.readers.image_files import check_exists, check_size, opened, opens, read_pixels
 from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.photos import fault_of
 from metapp.appearance.latlong import mean_luminance, resample
@@ -30,8 +30,6 @@ UNITS = {
 
 _SUFFIXES = (".exr", ".hdr", ".rgbe")
 _FLOATS = ("half", "float", "double")
-_MIN_HEIGHT = 32
-_MAX_PIXELS = 2**27  # 16,384 x 8,192 px are 1.6 GB
 _NEGATIVE = 1e-3  # of all light: far more than compression and conversions leave around 0
 _EXPECTED = "expected an HDR map (.exr or .hdr)"
 
@@ -106,19 +104,16 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
     hold.
 
     Raises:
-        ValueError: as `read_pixels`; an LDR image; not 2 : 1 (but for a row), below 32 or over 2^27 px; no linear
-            space; NaN, infinite or negative values; a black map.
+        ValueError: as `read_pixels`; an LDR image; not 2 : 1 (but for a row); no linear space;
+            NaN, infinite or negative values; a black map.
     """
-    path = Path(path)
-    with opened(path) as source:
-        spec = source.spec()
-    if str(spec.format) not in _FLOATS:
+    pixels = read_pixels(path := Path(path))
+    if pixels.values.dtype.kind != "f":
         raise ValueError(
-            f"{path}: an LDR image ({spec.format}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
-            "photo."
+            f"{path}: an LDR image ({pixels.values.dtype}), {_EXPECTED}; a photograph of a sphere is for fits with "
+            "--observe photo."
         )
-    _check_shape(path, spec.height, spec.width)
-    pixels = read_pixels(path)
+    _check_shape(path, *pixels.values.shape[:2])
     if not is_linear(pixels.space):
         raise ValueError(
             f"{path}: colours in {pixels.space!a}, expected a linear space such as Rec.709, Rec.2020 or ACEScg; "
@@ -128,13 +123,12 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
 
 
 def _check_shape(subject: Path | str, height: int, width: int) -> None:
-    found = f"{subject}: {width}x{height} px"
     if not is_latlong(height, width):
         raise ValueError(
-            f"{found}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG or JPEG."
+            f"{subject}: {width}x{height} px, expected a lat-long map, twice as wide as high; a photograph of a sphere "
+            "should be PNG or JPEG."
         )
-    if height < _MIN_HEIGHT or width * height > _MAX_PIXELS:
-        raise ValueError(f"{found}, expected {_MIN_HEIGHT} rows or more and {_MAX_PIXELS:,} px or fewer.")
+    check_size(width, height, subject)
 
 
 def _light_of(radiance: Floats, space: Space, subject: Path | str, height: int) -> Tensor:

@@ -203,7 +203,10 @@ def stated(**attributes: Any) -> Callable[[Path], Path]:
 
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "square": (lambda folder: write(folder / "a.exr", radiance(64, 64)), "64x64 px, expected a lat-long map"),
-    "tiny": (lambda folder: write(folder / "a.exr", radiance(4, 8)), "8x4 px, expected 32 rows or more"),
+    "tiny": (
+        lambda folder: write(folder / "a.exr", radiance(4, 8)),
+        "8x4 px, expected 32 px or more on the short side",
+    ),
     "nan": (with_values(float("nan"), 3), "a.exr: 3 values are NaN or infinite"),
     "negative": (with_values(-1, 200), "radiance down to -1 at a mean of 2"),
     "black": (lambda folder: write(folder / "a.exr", 0 * radiance()), "a.exr: black all over"),
