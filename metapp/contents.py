@@ -64,8 +64,8 @@ def register(registry: Registry) -> None:
     )
     registry.formats["images"] = Format("data_tools.readers.photos", app="texture", inputs="images")
     registry.formats["flash"] = Format("data_tools.readers.flash", app="svbrdf_stationary", inputs="flash photos")
-    registry.objects["texture"] = Entry("data_tools.readers.picture_objects:texture")
-    registry.objects["svbrdf_stationary"] = Entry("data_tools.readers.picture_objects:flash_photo")
+    registry.objects["texture"] = Entry("data_tools.readers.photos:task_of_object")
+    registry.objects["svbrdf_stationary"] = Entry("data_tools.readers.flash:task_of_object")
     registry.synthetic["texture"] = Entry(
         "data_tools.synthetic.texture", "photos of 20 kinds of flat materials; 0.2 MB (240 + 20)"
     )
@@ -89,7 +89,7 @@ def register(registry: Registry) -> None:
         inputs="flash photos, strips, a material's maps",
         kinds=(("photo", ""),),
     )
-    registry.objects[name] = Entry(f"{readers}.picture_objects:material")
+    registry.objects[name] = Entry(f"{readers}.svbrdf_inputs:task_of_object")
     registry.synthetic[name] = Entry(
         "data_tools.synthetic.svbrdf_nonstationary", "maps and flash photos of 19 kinds; 0.4 MB (1,200 + 16)"
     )
@@ -106,7 +106,7 @@ def register(registry: Registry) -> None:
         options="metapp.apps.transport.options:TransportOptions",
     )
     registry.formats["laval"] = Format("data_tools.readers.latlong", app="illumination", inputs="HDR maps (.exr, .hdr)")
-    registry.objects["illumination"] = Entry("data_tools.readers.picture_objects:light")
+    registry.objects["illumination"] = Entry("data_tools.readers.latlong:task_of_object")
     registry.synthetic["illumination"] = Entry(
         "data_tools.synthetic.illumination", "HDR maps of 16 kinds, photos of spheres; 0.15 MB (900 + 16)"
     )

@@ -88,7 +88,7 @@ def _called(name: str, function: Function, angles: Tensor) -> Tensor:
 
 def _doubles(name: str, values: object) -> Tensor:
     """Numbers of any kind as a tensor; a copy, since arrays may be read-only or run backwards."""
-    from data_tools.readers.picture_objects import array_of  # here: files of BRDFs need no readers of pictures
+    from data_tools.readers.arrays import array_of  # here: files of BRDFs need no readers of pictures
 
     return torch.from_numpy(np.array(array_of(name, values), np.float64, order="C"))
 

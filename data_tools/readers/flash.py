@@ -15,16 +15,20 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
-from metapp.appearance.flash import FOV_RAD
+from data_tools.readers import material_maps
+from data_tools.readers.arrays import pixels_of
+from data_tools.readers.colours import SRGB
+from data_tools.readers.image_files import Pixels, read_pixels
+from data_tools.readers.photos import SIZE, find_photos, flash_view, holds_photos, photo_of
 from metapp.learning.task import Task
 from metapp.storage.shards import AUTO, SPLITS, Entry
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the flash is at the centre"}
 
+_RENDERED_PX = 2048  # a side of the photograph of maps, at most
 _NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 
 find = find_photos  # the names that every reader has
@@ -32,8 +36,20 @@ recognises = holds_photos
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:
-    """A flash photograph as a task, named by `shown`; arguments and errors as of `photo_of`."""
-    return Task(shown(path).name, {"image": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)})
+    """A flash photograph as a task, named by `shown`; arguments and errors as of `flash_view` and `photo_of`."""
+    return Task(shown(path).name, {"image": photo_of(flash_view(read_pixels(path), fov_rad), str(path), size, least)})
+
+
+def task_of_object(
+    source: object, name: str, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, **_: object
+) -> Task:
+    """The task of a flash photograph in memory, or of one that is rendered of maps, as of `task_of_arrays`."""
+    if isinstance(source, Mapping):
+        photo = material_maps.task_of_arrays(source, name, _RENDERED_PX, least=1).data["photo"]
+        pixels = Pixels(photo.permute(1, 2, 0).numpy(), SRGB, False)
+    else:
+        pixels = pixels_of(name, source, material_maps.OR_MAPS)
+    return Task(name, {"image": photo_of(flash_view(pixels, fov_rad), name, size, least)})
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
+from data_tools.readers.arrays import pixels_of, planes_of
 from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
 from data_tools.readers.image_files import check_exists, check_size, opened, opens, read_pixels
 from data_tools.readers.listing import files_of, find_files
@@ -18,6 +19,7 @@ from data_tools.readers.photos import fault_of
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
+from metapp.registry import inputs_of
 
 HEIGHT, WIDTH = 64, 128
 SIZE, COUNT = 64, 4  # px and number of the photographs of a map
@@ -44,11 +46,39 @@ def read_task(path: Path, rows: int = HEIGHT) -> Task:
     return map_task(path.stem, read_map(path, rows), _draws(path.stem), rows)
 
 
-def task_of_array(radiance: Floats, name: str, size: int = HEIGHT) -> Task:
-    """As `read_task`, of linear Rec.709 radiance float32 [H, 2 H, 3]."""
-    _check_shape(name, *radiance.shape[:2])
-    light = _light_of(radiance, LINEAR, name, size)
-    return map_task(name, light, _draws(name), size)
+def task_of_object(
+    source: object, name: str, rows: int = HEIGHT, fov_rad: float = 0.0, observe: str = "", **_: object
+) -> Task:
+    """The task of an environment map in memory, or of the photograph of a ball.
+
+    Args:
+        source: linear Rec.709 radiance, floating point, lat-long [H, 2 H, 3] or gray [H, 2 H], rows from the top (+y),
+            the middle looks to +z; or the photograph of a ball, a picture as of `pixels_of`.
+        name: of the task.
+        rows, fov_rad: as of the reader.
+        observe: "photo" takes floating-point values of another shape for a photograph.
+
+    Raises:
+        ValueError: neither; as the reader.
+    """
+    if isinstance(source, np.ndarray | Tensor):
+        values = planes_of(name, source)
+        is_float, (height, width) = values.dtype.kind == "f", values.shape[:2]
+        if is_float and is_latlong(height, width):
+            check_size(width, height, name)
+            with np.errstate(over="ignore"):  # what is infinite is refused
+                return map_task(name, _light_of(values.astype(np.float32), LINEAR, name, rows), _draws(name), rows)
+        if is_float and observe != "photo":
+            raise ValueError(
+                f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is "
+                "for fits with --observe photo."
+            )
+    forms = inputs_of("illumination").values()
+    readers = [files for files in (form.load() for form in forms) if hasattr(files, "task_of_pixels")]
+    if not readers:
+        raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
+    task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, rows, fov_rad)
+    return task
 
 
 def _draws(name: str) -> Rng:

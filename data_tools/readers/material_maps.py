@@ -20,12 +20,13 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, planes_of
 from data_tools.readers.colours import LINEAR
 from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import files_below
@@ -61,6 +62,8 @@ _WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
 _RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192", re.IGNORECASE)
 _IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
 _SAME_SHAPE = 0.02  # log of a ratio of width to height
+_UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
+OR_MAPS = " or maps (a dictionary of such)"  # what errors say of objects in memory
 _EXPECTED = "expected names such as rock_diffuse.png, rock_normal.png, rock_roughness.png"
 
 
@@ -170,11 +173,6 @@ def lies_aside(file: Path) -> bool:
     return _parts(file.stem)[1] == ""
 
 
-def role_of(word: str) -> str | None:
-    """The role of a map of this name, such as "base colour"; "" for nothing of use here, None for no usual name."""
-    return _parts(word)[1]
-
-
 def _parts(stem: str) -> tuple[str, str | None]:
     """A stem as the material's name and a role: "" for one of no use here, None for none."""
     words = list(_WORD.finditer(stem))
@@ -205,14 +203,48 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
     return read_material(_material(source), size, normals, least)
 
 
-def task_of_pixels(maps: Mapping[str, tuple[str, Pixels]], name: str, size: int = SIZE, least: int = 0) -> Task:
-    """As `read_task`, of maps in memory by their names, each with its role."""
-    files = {Path(f"{name}_{word}"): pixels for word, (_, pixels) in maps.items()}
+def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, least: int = 0) -> Task:
+    """As `read_task`, of maps in memory.
+
+    Args:
+        maps: pictures as of `pixels_of` by their usual names, such as "diffuse", "normal", "roughness", "specular".
+            Integers are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values are linear:
+            colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface.
+        name: of the material.
+        size, least: as of `read_task`.
+    """
+    words = {key: _parts(str(key))[1] for key in maps}
+    unknown = [key for key, role in words.items() if role is None]
+    if unknown or len(set(filter(None, words.values()))) < 2:
+        found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
+        raise ValueError(f"{name}: {found}, expected diffuse, normal, roughness, and, if there is one, specular.")
+    files: dict[Path, Pixels] = {}
     roles: dict[str, tuple[Path, ...]] = {}
-    for file, (role, _) in zip(files, maps.values(), strict=True):
-        roles[role] = (*roles.get(role, ()), file)
+    for key, word in words.items():
+        if word:
+            role, pixels = _map_of(f"{name}: {key}", maps[key], word)
+            files[file := Path(f"{name}_{key}")] = pixels
+            roles[role] = (*roles.get(role, ()), file)
     side = max(min(pixels.values.shape[:2]) for pixels in files.values())
     return _task(Material(Path(), name, roles), files.__getitem__, side_of(side, size, least), "auto")
+
+
+def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
+    """The role of a map in memory and its values, those of floating point linear, normals 0..1 for -1..1."""
+    if is_pil(source) or (values := planes_of(subject, source)).dtype.kind != "f":
+        return role, pixels_of(subject, source)
+    if not role.startswith("normal"):
+        check_range(subject, values, "linear values", "scale them to it")
+    else:
+        check_range(subject, values, "unit vectors", "divide them by their length", -1.0)
+        lengths = np.linalg.norm(values, axis=-1)
+        if np.abs(lengths - 1).mean() > _UNIT:
+            raise ValueError(
+                f"{subject}: vectors of length {lengths.min():.3g} to {lengths.max():.3g}, expected unit vectors "
+                "[H, W, 3], x right, y up; of values in [0, 1] take 2 v - 1."
+            )
+        values, role = values * 0.5 + 0.5, "normal (OpenGL)" if role == "normal" else role
+    return role, checked(subject, Pixels(values.astype(np.float32), LINEAR, False))
 
 
 def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:

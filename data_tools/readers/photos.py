@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import Floats
-from data_tools.readers.flash_places import TEXTS
 from data_tools.readers.image_files import (
     EXPECTED,
     NAMED,
@@ -28,6 +28,7 @@ from data_tools.readers.image_files import (
 )
 from data_tools.readers.listing import files_below, find_files
 from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
 
@@ -38,7 +39,10 @@ FRAME_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film"
 _MIN_DEVIATION = 1 / 255
 _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
 
-BESIDE = ("metadata.json", DESCRIPTION, *TEXTS)  # texts that belong in folders of images
+# places of camera and flash, and the side in cm, for several photos of one flat material
+CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT = "camera_pos.txt", "light_pos.txt", "image_size.txt"
+# texts that belong in folders of images; no fit reads the power of the light
+BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
 def find_photos(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
@@ -68,25 +72,31 @@ def holds_photos(path: str | Path) -> bool:
     return any(file.suffix.lower() in NAMED for file in files_below(path)) if path.is_dir() else is_photo(path)
 
 
+def placed_in(folder: Path) -> list[Path]:
+    """A folder and those below it that say where camera or flash were, sorted, hidden ones left out."""
+    return sorted({file.parent for file in files_below(folder) if file.name in (CAMERA_TEXT, LIGHT_TEXT)})
+
+
 find = find_photos  # the names that every reader has
 recognises = holds_photos
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:
     """An image file as a texture task named by the file's stem; arguments and errors as of `photo_of`."""
-    return Task(path.stem, {"image": read_photo(path, size, least=least)})
+    return Task(path.stem, {"image": read_photo(path, size, least)})
 
 
-def read_photo(
-    path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0, least: int = 0
-) -> Tensor:
+def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, **_: object) -> Task:
+    """The task of a picture in memory; arguments and errors as of `pixels_of` and `photo_of`."""
+    return Task(name, {"image": photo_of(pixels_of(name, source), name, size, least)})
+
+
+def read_photo(path: str | Path, size: int = SIZE, least: int = 0) -> Tensor:
     """The central square of an image file, as `photo_of`; ValueError as there and as of `read_pixels`."""
-    return photo_of(read_pixels(Path(path)), str(path), size, fov_rad=fov_rad, within_rad=within_rad, least=least)
+    return photo_of(read_pixels(Path(path)), str(path), size, least)
 
 
-def photo_of(
-    whole: Pixels, name: str, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0, least: int = 0
-) -> Tensor:
+def photo_of(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tensor:
     """The central square of a picture.
 
     Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.
@@ -96,8 +106,6 @@ def photo_of(
         whole: the picture.
         name: begins errors.
         size: side of the result in px.
-        fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
-        within_rad: of a camera with a wider field, only the part within this one counts; 0: all of it.
         least: the side that smaller pictures than `size` are enlarged to, if at all; 0: `size`.
 
     Returns:
@@ -106,9 +114,7 @@ def photo_of(
     Raises:
         ValueError: NaN; transparent all over; a picture of one colour.
     """
-    if not fov_rad and whole.focal_mm:
-        fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
-    pixels = central_square(whole, seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0)
+    pixels = central_square(whole)
     linear = resample(pixels, side_of(len(pixels.values), size, least))
     if not np.isfinite(linear).all():
         raise ValueError(f"{name}: holds NaN, expected finite values; export the image again.")
@@ -141,9 +147,16 @@ def field_of_view(focal_mm: float, height: int, width: int) -> float:
     return 2 * math.atan(shorter / 2 / focal_mm)
 
 
-def seen_share(fov_rad: float, wanted_rad: float) -> float:
-    """The share of a picture's side that a camera in the same place sees whose field is no wider than wanted."""
-    return min(1.0, math.tan(wanted_rad / 2) / math.tan(fov_rad / 2))
+def flash_view(whole: Pixels, fov_rad: float = 0.0) -> Pixels:
+    """The middle of a photograph under a flash: of a camera with a wider field, what that of fits sees, a square.
+
+    Args:
+        whole: the photograph.
+        fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
+    """
+    if not fov_rad and whole.focal_mm:
+        fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
+    return central_square(whole, min(1.0, math.tan(FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)
 
 
 def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from data_tools.readers import material_maps, strips
-from data_tools.readers.flash_places import placed_in
+from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import NAMED, Pixels, check_exists, read_pixels
 from data_tools.readers.listing import files_below
-from data_tools.readers.photos import SIZE, find_photos, holds_photos, photo_of
+from data_tools.readers.photos import SIZE, find_photos, flash_view, holds_photos, photo_of, placed_in
 from data_tools.readers.svbrdf_task import rightly_exposed, task_name
-from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
 
 
@@ -47,7 +46,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
     Args:
         path: the file.
         size: side in px; above 256 only of files as fine as that.
-        fov_rad: of a photograph's camera, as of `photo_of`.
+        fov_rad: of a photograph's camera, as of `flash_view`.
         stops: by which a photograph is too bright.
 
     Returns:
@@ -59,12 +58,21 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
         return material_maps.read_task(path, size, least=least)
     if strips.is_strip(path):
         return strips.read_task(path, size, least=least)
-    return photo_task(path.stem, read_pixels(path), str(path), size, fov_rad, stops)
+    return _photo_task(path.stem, read_pixels(path), str(path), size, fov_rad, stops)
 
 
-def photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: float, stops: float) -> Task:
+def task_of_object(
+    source: object, name: str, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, **_: object
+) -> Task:
+    """The task of a material in memory, of its maps or of its flash photograph; else as `read_task`."""
+    if isinstance(source, Mapping):
+        return material_maps.task_of_arrays(source, name, size, min(size, SIZE))
+    return _photo_task(name, pixels_of(name, source, material_maps.OR_MAPS), name, size, fov_rad, stops)
+
+
+def _photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: float, stops: float) -> Task:
     """A photograph as a task; `subject` begins errors."""
-    photo = photo_of(pixels, subject, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
+    photo = photo_of(flash_view(pixels, fov_rad), subject, size, min(size, SIZE))
     return Task(task_name(name), {"photo": rightly_exposed(photo, stops)})
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import image_files
+from data_tools.readers import flash, image_files
 from data_tools.readers.photos import find_photos, read_photo
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from tests.pictures import P3_TO_SRGB, STORED, planes
@@ -78,5 +78,5 @@ def test_the_lens_is_read_from_it(tmp_path: Path) -> None:
     share = np.tan(np.radians(22.5)) / (15.2967 / 20)  # half of 43.2666 / sqrt(2) mm
     side = round(120 * share)
     cropped = planes(values[(120 - side) // 2 :, (120 - side) // 2 :][:side, :side])
-    found = read_photo(path, side, within_rad=np.radians(45)).float()
+    found = flash.read_task(path, side).data["image"].float()
     assert (found - cropped).abs().mean() < 2

@@ -10,11 +10,12 @@ import torch
 from PIL import Image
 
 from data_tools.readers import brdf_objects, flash, latlong, photos, svbrdf_inputs
-from data_tools.readers.picture_objects import LARGEST, array_of, flash_photo, light, material, texture
+from data_tools.readers.arrays import LARGEST_SIZE, array_of
 from metapp.extensions.capture.ball import reading
 from metapp.learning.task import Task
 from tests.pictures import noise, write
 
+texture, flash_photo, material, light = (form.task_of_object for form in (photos, flash, svbrdf_inputs, latlong))
 SIDE = 48
 RGB = noise(SIDE, SIDE)
 
@@ -185,7 +186,7 @@ UNIT = RGB / 255
         (array, np.broadcast_to(np.float32(0.5), (60000, 60000, 3)), "object: 10,800,000,000 values, expected"),
         (array, np.array([["a"]]), "object: an array of <U1, expected"),
         # more rows than the function was asked for: nothing of 3e9 values is copied
-        (function, lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), rf"values, expected {LARGEST:,} or fewer"),
+        (function, lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), rf"values, expected {LARGEST_SIZE:,} or fewer"),
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
     ],
 )

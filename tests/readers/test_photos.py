@@ -18,8 +18,8 @@ import torch
 
 from data_tools.readers import flash, photos, svbrdf_inputs
 from data_tools.readers.flash import shown
-from data_tools.readers.image_files import focal_length_of
-from data_tools.readers.photos import field_of_view, find_photos, holds_photos, is_photo, read_photo, seen_share
+from data_tools.readers.image_files import Pixels, focal_length_of
+from data_tools.readers.photos import field_of_view, find_photos, flash_view, holds_photos, is_photo, read_photo
 from data_tools.readers.svbrdf_inputs import read_task
 from data_tools.readers.svbrdf_task import encoded, rightly_exposed
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -422,9 +422,9 @@ def test_fields_of_view_of_known_lenses_and_what_a_narrower_camera_sees() -> Non
     lenses = {(50, 24, 36): 26.99, (24, 36, 24): 53.13, (26, 3024, 4032): 53.07, (13, 3024, 4032): 89.91}
     found = {lens: math.degrees(field_of_view(*lens)) for lens in lenses}
     assert found == pytest.approx(lenses, abs=0.05)
-    assert seen_share(math.radians(90), math.radians(45)) == pytest.approx(math.tan(math.radians(22.5)))
-    assert seen_share(math.radians(45), math.radians(45)) == pytest.approx(1)
-    assert seen_share(math.radians(30), math.radians(45)) == 1  # nothing can be added
+    whole = Pixels(np.zeros((1000, 1200, 3), np.uint8), "", False)
+    sides = {degrees: len(flash_view(whole, math.radians(degrees)).values) for degrees in (0, 30, 45, 90)}
+    assert sides == {0: 1000, 30: 1000, 45: 1000, 90: 414}  # nothing can be added
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tif", "png"])

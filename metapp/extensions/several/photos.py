@@ -13,11 +13,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from data_tools.readers.flash_places import CAMERA, LIGHT, placed_in
-from data_tools.readers.flash_places import SIZE as SIDE
 from data_tools.readers.image_files import shape_of
+from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, is_photo, placed_in, read_photo
 from data_tools.readers.photos import SIZE as PX
-from data_tools.readers.photos import is_photo, read_photo
 from data_tools.readers.svbrdf_task import rightly_exposed, task_name
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
@@ -62,24 +60,24 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
-    photo, *others = (rightly_exposed(read_photo(path, size, least=min(size, PX)), stops) for path in paths)
+    photo, *others = (rightly_exposed(read_photo(path, size, min(size, PX)), stops) for path in paths)
     return Task(task_name(folder.resolve().name), {"photo": photo, "others": torch.stack(others), "places": places})
 
 
 def read_places(folder: Path, photos: int) -> Tensor:
     """Places of camera and flash [photos, 2, 3] that a folder gives, in the order of the photos' names.
 
-    In half sides of the patch: origin in its centre, x right, y up, z along its normal. CAMERA and LIGHT hold a line
-    "x,y,z" in cm for each photo, SIZE the patch's side in cm.
+    In half sides of the patch: origin in its centre, x right, y up, z along its normal. CAMERA_TEXT and LIGHT_TEXT hold
+    a line "x,y,z" in cm for each photo, SIZE_TEXT the patch's side in cm.
 
     Raises:
         ValueError: a file is missing, malformed or of another count; a place is not above the patch.
     """
-    side = _rows(folder / SIDE, 1, 1)[0][0]
+    side = _rows(folder / SIZE_TEXT, 1, 1)[0][0]
     if not 1 / LARGEST_CM <= side <= LARGEST_CM:
         expected = f"the patch's side in cm, {1 / LARGEST_CM:g} to {LARGEST_CM:g}"
-        raise ValueError(f"{folder / SIDE}: {side:g}, expected {expected}; measure it.")
-    places = [_above(folder / name, photos, FARTHEST * side) for name in (CAMERA, LIGHT)]
+        raise ValueError(f"{folder / SIZE_TEXT}: {side:g}, expected {expected}; measure it.")
+    places = [_above(folder / name, photos, FARTHEST * side) for name in (CAMERA_TEXT, LIGHT_TEXT)]
     return torch.stack(places, 1) / (side / 2)
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Generator
 
 from data_tools.readers import svbrdf_inputs
-from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp import registry
 from metapp.apps import recipes_of
@@ -45,9 +45,9 @@ def folder(tmp_path: Path) -> Path:
     made.mkdir()
     for name, seed in (("c.png", 3), ("a.png", 1), ("b.png", 2)):
         write(made / name, seed)
-    (made / CAMERA).write_text("0,0,16\n1,0,16\n2,0,16\n\n")
-    (made / LIGHT).write_text("0,2,16\n-2,4,8\n0,0,16\n")
-    (made / SIZE).write_text("8\n")
+    (made / CAMERA_TEXT).write_text("0,0,16\n1,0,16\n2,0,16\n\n")
+    (made / LIGHT_TEXT).write_text("0,2,16\n-2,4,8\n0,0,16\n")
+    (made / SIZE_TEXT).write_text("8\n")
     (made / "light_power.txt").write_text("1500,1500,1500\n")
     return made
 
@@ -78,7 +78,7 @@ def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
     assert found(folder.parent) == [("placed", folder)]
     plain = write(folder.parent / "wall.png", 4)
     assert found(folder.parent) == [("placed", folder), ("svbrdf", plain)]
-    for name in (CAMERA, LIGHT):
+    for name in (CAMERA_TEXT, LIGHT_TEXT):
         (folder / name).unlink()
     assert [name for name, _ in found(folder)] == ["svbrdf"] * 3
 
@@ -145,14 +145,14 @@ def pipe(path: Path) -> None:
 
 
 TEXTS = [
-    (CAMERA, "1,0,16\n", "camera_pos.txt: 1 lines, expected 3; give one for each photo"),
-    (LIGHT, "1,0\n1,0,3\n1,0,3\n", "light_pos.txt: line '1,0', expected 3 finite"),
-    (LIGHT, "1,0,nan\n1,0,3\n1,0,3\n", "expected 3 finite"),
-    (CAMERA, "1,0,5\n1,0,-3\n1,0,5\n", "place 2 has z -3 cm"),
-    (SIZE, "0\n", "image_size.txt: 0, expected the patch's side in cm, 1e-05 to 100000"),
-    (SIZE, "1e300\n", "1e+300, expected the patch's side"),
-    (LIGHT, "1,0,1e39\n1,0,3\n1,0,3\n", "place 1 is 1e+39 cm away, expected 8000 at most"),
-    (SIZE, "wide\n", "line 'wide', expected 1 finite"),
+    (CAMERA_TEXT, "1,0,16\n", "camera_pos.txt: 1 lines, expected 3; give one for each photo"),
+    (LIGHT_TEXT, "1,0\n1,0,3\n1,0,3\n", "light_pos.txt: line '1,0', expected 3 finite"),
+    (LIGHT_TEXT, "1,0,nan\n1,0,3\n1,0,3\n", "expected 3 finite"),
+    (CAMERA_TEXT, "1,0,5\n1,0,-3\n1,0,5\n", "place 2 has z -3 cm"),
+    (SIZE_TEXT, "0\n", "image_size.txt: 0, expected the patch's side in cm, 1e-05 to 100000"),
+    (SIZE_TEXT, "1e300\n", "1e+300, expected the patch's side"),
+    (LIGHT_TEXT, "1,0,1e39\n1,0,3\n1,0,3\n", "place 1 is 1e+39 cm away, expected 8000 at most"),
+    (SIZE_TEXT, "wide\n", "line 'wide', expected 1 finite"),
 ]
 
 
@@ -160,9 +160,12 @@ TEXTS = [
     ("change", "line"),
     [
         *((lambda at, name=name, text=text: (at / name).write_text(text), line) for name, text, line in TEXTS),
-        (lambda at: pipe(at / CAMERA), f"{CAMERA}: a pipe or device, expected a file"),  # which is not waited for
-        (lambda at: (at / LIGHT).unlink(), "light_pos.txt: cannot be read as text, expected lines in cm: 3"),
-        (lambda at: (at / SIZE).unlink(), "image_size.txt: cannot be read as text"),
+        (
+            lambda at: pipe(at / CAMERA_TEXT),
+            f"{CAMERA_TEXT}: a pipe or device, expected a file",
+        ),  # which is not waited for
+        (lambda at: (at / LIGHT_TEXT).unlink(), "light_pos.txt: cannot be read as text, expected lines in cm: 3"),
+        (lambda at: (at / SIZE_TEXT).unlink(), "image_size.txt: cannot be read as text"),
         (lambda at: write(at / "b.png", 2, 48, 64), "b.png: 64 x 48 px, expected square photos of one size"),
         (lambda at: write(at / "b.png", 2, 64, 64), "b.png: 64 x 64 px, expected square photos of one size"),
         (lambda at: (at / "b.png").write_bytes(b"no image"), "b.png"),

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.readers.image_files import Pixels, read_pixels
+from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import MAX_ERROR, Camera, Sighting, camera_of, common_focal, find_sheet
@@ -111,7 +111,7 @@ def write_set(
         write_found(pixels, [(points + 0.5, colour) for points, colour in outlines], folder / FOUND / name)
         done(name)
     sizes, places = np.array([cameras[0].sighting.opening_cm]), np.stack([camera.place_cm for camera in cameras])
-    for name, rows in ((SIZE, sizes), (LIGHT, np.stack(lights_cm)), (CAMERA, places)):
+    for name, rows in ((SIZE_TEXT, sizes), (LIGHT_TEXT, np.stack(lights_cm)), (CAMERA_TEXT, places)):
         write_atomically(folder / name, functools.partial(np.savetxt, X=rows, fmt="%.4f", delimiter=","))
 
 

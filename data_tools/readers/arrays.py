@@ -1,0 +1,122 @@
+"""Arrays, tensors and pictures of PIL in memory, as readers have the pictures of files.
+
+Pictures are of PIL, or arrays or tensors [H, W, 3] or gray [H, W], rows from the top. Integers of 8 or 16 bits are
+sRGB, floating-point values display values in [0, 1].
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeGuard
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.readers.colours import SRGB, Array
+from data_tools.readers.image_files import Pixels, check_size, pixels_of_pil
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+LARGEST_SIZE = 3 * 2**28  # numbers of an array, as of an image file
+
+_EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
+_SLACK = 1e-3  # by which rounding may leave [0, 1]
+
+
+def pixels_of(name: str, source: object, others: str = "") -> Pixels:
+    """A picture as readers have that of a file.
+
+    Args:
+        name: begins errors.
+        source: of PIL, or an array or tensor.
+        others: what else a reader takes, for the error.
+
+    Raises:
+        ValueError: no picture; another shape or type, size or range.
+    """
+    if not is_picture(source):
+        raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}{others}.")
+    if is_pil(source):
+        return checked(name, pixels_of_pil(source, name))
+    values = planes_of(name, source)
+    if values.dtype.kind == "f":
+        check_range(name, values, "display values", "clip them, divide by 255 or give uint8")
+        values = (np.clip(values, 0, 1) * 65535 + 0.5).astype(np.uint16)
+    return checked(name, Pixels(values, SRGB, False))
+
+
+def checked(name: str, pixels: Pixels) -> Pixels:
+    """A picture whose size `check_size` takes."""
+    height, width = pixels.values.shape[:2]
+    check_size(width, height, name)
+    return pixels
+
+
+def is_pil(source: object) -> TypeGuard[Image]:
+    """True if something is a picture of PIL of 8 bits; others are arrays of their numbers."""
+    from PIL.Image import Image
+
+    return isinstance(source, Image) and source.mode not in ("I", "I;16", "F")
+
+
+def is_picture(source: object) -> bool:
+    """True if something is an array, a tensor or a picture of PIL, whatever its shape."""
+    from PIL.Image import Image
+
+    return isinstance(source, np.ndarray | Tensor | Image) or hasattr(source, "__array_interface__")
+
+
+def planes_of(name: str, source: object) -> Array:
+    """The values of a picture, [H, W, 3]: uint8, uint16, or float; ValueError for another shape or type."""
+    values = array_of(name, source)
+    shape = tuple(values.shape)
+    if values.ndim == 2:
+        values = values[..., None]
+    if values.ndim != 3 or values.shape[2] not in (1, 3) or not values.size:
+        remedy = ""
+        if values.ndim == 3 and values.shape[2] == 4:
+            remedy = "; leave alpha out: a[..., :3]"
+        elif values.ndim == 3 and values.shape[0] in (1, 3):
+            remedy = "; put the channels last: np.moveaxis(a, 0, -1)"
+        raise ValueError(f"{name}: an array {list(shape)}, expected [H, W, 3] or gray [H, W]{remedy}.")
+    if values.dtype.kind != "f" and values.dtype not in (np.uint8, np.uint16):
+        raise ValueError(
+            f"{name}: values of type {values.dtype}, expected uint8, uint16 or floating point; convert them."
+        )
+    return np.repeat(values, 3, -1) if values.shape[-1] == 1 else values
+
+
+def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0.0) -> None:
+    """Refuse values that are not finite or outside [low, 1]."""
+    if not np.isfinite(values).all():
+        count = np.count_nonzero(~np.isfinite(values))
+        raise ValueError(f"{name}: {count:,} values are NaN or infinite, expected finite {what}; replace them.")
+    if values.size and not (low - _SLACK <= values.min() and values.max() <= 1 + _SLACK):
+        raise ValueError(
+            f"{name}: {what} from {values.min():.4g} to {values.max():.4g}, expected {low:g} to 1; {remedy}."
+        )
+
+
+def array_of(name: str, source: object) -> Array:
+    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array; halves become float32.
+
+    Raises:
+        ValueError: no numbers, masked ones, too many, or a tensor that is not dense.
+    """
+    if isinstance(source, np.ma.MaskedArray) and (masked := np.count_nonzero(np.ma.getmaskarray(source))):
+        raise ValueError(f"{name}: {masked:,} values are masked, expected all; fill them: a.filled(0).")
+    try:
+        dense = source.detach().cpu().resolve_neg() if isinstance(source, Tensor) else source
+        values = np.asarray(dense.float() if isinstance(dense, Tensor) and dense.dtype == torch.bfloat16 else dense)
+    except Exception:  # whatever an object of another library raises
+        values = np.asarray(None)
+    if values.dtype.kind not in "uif":
+        kind = f"an array of {values.dtype}" if values.ndim else type(source).__name__
+        if isinstance(source, Tensor):
+            kind = f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
+        raise ValueError(f"{name}: {kind}, expected an array of numbers.")
+    if values.size > LARGEST_SIZE:
+        raise ValueError(f"{name}: {values.size:,} values, expected {LARGEST_SIZE:,} or fewer; take a part of them.")
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
+    return values.astype(np.float32) if values.dtype == np.float16 else values
