@@ -125,7 +125,7 @@ class Format(Entry):
 
     The module has these names:
 
-    - `find(paths)`: the sources, and a message for each skipped file of a folder; ValueError for a bad path;
+    - `find(path)`: the sources, and a message for each skipped file of a folder; ValueError for a bad path;
     - `read_task(source, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names;
     - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files;
     - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from data_tools.draws import Rng, stream
 from data_tools.readers.arrays import pixels_of, planes_of
 from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
 from data_tools.readers.image_files import check_exists, check_size, opened, opens, read_pixels
-from data_tools.readers.listing import files_of, find_files
+from data_tools.readers.listing import Found, files_of, find_files
 from data_tools.readers.photos import fault_of
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
@@ -116,7 +116,7 @@ def recognises(path: Path) -> bool:
     return any(map(is_map, files_of(path)))
 
 
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+def find(path: Path) -> Found:
     """Find HDR maps, as `find_files`; the error of a named file comes when it is read."""
 
     def fault(file: Path) -> str | None:
@@ -124,7 +124,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
             return line
         return "" if is_map(file) else f"{file}: not an HDR map, {_EXPECTED}."
 
-    return find_files(paths, check_exists, fault, f"no map in this folder, {_EXPECTED}; name the folder of the maps.")
+    return find_files(path, check_exists, fault, f"no map in this folder, {_EXPECTED}; name the folder of the maps.")
 
 
 def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:

@@ -3,61 +3,51 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from pathlib import Path
+
+Found = tuple[list[Path], list[str]]  # the sources of a path, and the line of each skipped file of a folder
 
 
 def find_files(
-    paths: Iterable[str | Path],
+    path: Path,
     check: Callable[[Path], None],
     fault: Callable[[Path], str | None],
     nothing: str,
     likely: Collection[str] = (),
-) -> tuple[list[Path], list[str]]:
-    """Find files of a format: named ones, and those in folders at any depth (hidden ones left out).
+) -> Found:
+    """Find files of a format: a named one, or those in a folder at any depth (hidden ones left out), sorted.
 
     Args:
-        paths: files and folders.
+        path: a file or folder.
         check: raises ValueError for a named path that cannot be a file of the format.
         fault: of a file in a folder, the line why it is skipped; "" for a file of the format, None to say nothing.
         nothing: said of a folder without such a file.
         likely: suffixes of the format; if a folder has only bad files of these, the error names the fault of the first.
 
-    Returns:
-        The files, each once, those of a folder sorted; and the line of each skipped file.
-
     Raises:
         ValueError: as `check`; a folder without such a file.
     """
-    files: dict[Path, Path] = {}
-    skipped: list[str] = []
-    for path in map(Path, paths):
-        if not path.is_dir():
-            check(path)
-            files.setdefault(path.resolve(), path)
-            continue
-        faults = {file: fault(file) for file in files_below(path)}
-        if "" not in faults.values():
-            bad = [line for file, line in faults.items() if line and file.suffix.lower() in likely]
-            raise ValueError(bad[0] if bad else f"{path}: {nothing}")
-        for file, line in faults.items():
-            if line == "":
-                files.setdefault(file.resolve(), file)
-            elif line:
-                skipped.append(line)
-    return list(files.values()), skipped
+    if not path.is_dir():
+        check(path)
+        return [path], []
+    faults = {file: fault(file) for file in files_below(path)}
+    if "" not in faults.values():
+        bad = [line for file, line in faults.items() if line and file.suffix.lower() in likely]
+        raise ValueError(bad[0] if bad else f"{path}: {nothing}")
+    return [file for file, line in faults.items() if line == ""], [line for line in faults.values() if line]
 
 
-def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple[list[Path], list[str]]:
+def find_by_suffix(path: Path, suffix: str, what: str) -> Found:
     """As `find_files`, by suffix (with its dot) alone; `what` is their noun in errors."""
 
-    def check(path: Path) -> None:
-        if not path.is_file() or path.suffix != suffix:
-            found = f"a file {path.suffix}" if path.is_file() else "no such file"
-            raise ValueError(f"{path}: {found}, expected {what}; check the path.")
+    def check(file: Path) -> None:
+        if not file.is_file() or file.suffix != suffix:
+            found = f"a file {file.suffix}" if file.is_file() else "no such file"
+            raise ValueError(f"{file}: {found}, expected {what}; check the path.")
 
     nothing = f"no {suffix} file, expected {what}; name its folder."
-    return find_files(paths, check, lambda file: "" if file.suffix == suffix else None, nothing)
+    return find_files(path, check, lambda file: "" if file.suffix == suffix else None, nothing)
 
 
 def has_suffix(path: str | Path, suffix: str) -> bool:

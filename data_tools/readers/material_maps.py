@@ -18,7 +18,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ from torch import Tensor
 from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, planes_of
 from data_tools.readers.colours import LINEAR
 from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
-from data_tools.readers.listing import files_below
+from data_tools.readers.listing import Found, files_below
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import svbrdf_task, task_name, unit_normals
@@ -100,35 +100,22 @@ def recognises(path: Path) -> bool:
     return any(materials_in(folder)[0] for folder in {file.parent for file in files_below(path)})
 
 
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """One file of each material; see `find_materials`."""
-    materials, skipped = find_materials(paths)
-    return [material.source for material in materials], skipped
-
-
-def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[str]]:
-    """All materials of folders at any depth and of named maps, and a line for each file that is no map of one.
+def find(path: Path) -> Found:
+    """One file of each material in a folder at any depth, or of the one of a named map; and files that are no map.
 
     Raises:
         ValueError: a path that does not exist, a folder without a map.
     """
-    by_source: dict[Path, Material] = {}
-    skipped: list[str] = []
-    for path in map(Path, paths):
-        files, lines = find_photos([path])
-        if not path.is_dir():
-            material = _material(path)
-            by_source.setdefault(material.source.resolve(), material)
-            continue
-        in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
-        below = [material for materials, _ in in_folders for material in materials]
-        if not below:
-            names = ", ".join(file.name for file in files[:3])
-            raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED}; rename them.")
-        by_source.update({material.source.resolve(): material for material in below})
-        others = [file for _, files in in_folders for file in files]
-        skipped += lines + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
-    return list(by_source.values()), skipped
+    files, skipped = find_photos(path)
+    if not path.is_dir():
+        return [_material(path).source], []
+    in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
+    materials = [material.source for some, _ in in_folders for material in some]
+    if not materials:
+        names = ", ".join(file.name for file in files[:3])
+        raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED}; rename them.")
+    others = [file for _, files in in_folders for file in files]
+    return materials, skipped + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
 
 
 def material_of(file: Path) -> Material | None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.listing import files_below
+from data_tools.readers.listing import Found, files_below
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
@@ -36,32 +36,25 @@ _FILE = re.compile(r"(?:(?P<name>.*)_)?(?P<part>fc[123]|b[123])\.npy")
 _EXPECTED = "expected fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy"
 
 
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find networks by the names of their files, in folders at any depth (hidden ones left out).
+def find(path: Path) -> Found:
+    """Find networks by the names of their files, in a folder at any depth (hidden ones left out).
 
     Returns:
-        The places of networks, each once, those of a folder sorted: a network's folder, or folder/name if its files
-        have a name in front. And a line for each network of a folder that lacks files.
+        The places of networks, sorted: a network's folder, or folder/name if its files have a name in front. And a line
+        for each network of a folder that lacks files.
 
     Raises:
         ValueError: a path that is neither folder nor network, a folder without a whole network.
     """
-    networks: dict[Path, Path] = {}
-    skipped: list[str] = []
-    for path in map(Path, paths):
-        if not path.is_dir():
-            _files_of(path)
-            networks.setdefault(path.resolve(), path)
-            continue
-        groups = _networks(files_below(path, ".npy"))
-        whole = sorted(network for network, files in groups.items() if len(files) == len(SHAPES))
-        broken = [_missing(network, groups[network]) for network in sorted(groups.keys() - set(whole))]
-        if not whole:
-            raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
-        for network in whole:
-            networks.setdefault(network.resolve(), network)
-        skipped += broken
-    return list(networks.values()), skipped
+    if not path.is_dir():
+        _files_of(path)
+        return [path], []
+    groups = _networks(files_below(path, ".npy"))
+    whole = sorted(network for network, files in groups.items() if len(files) == len(SHAPES))
+    broken = [_missing(network, groups[network]) for network in sorted(groups.keys() - set(whole))]
+    if not whole:
+        raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
+    return whole, broken
 
 
 def recognises(path: str | Path) -> bool:

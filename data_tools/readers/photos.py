@@ -6,7 +6,6 @@ EXIF says how wide the field of view is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ from data_tools.readers.image_files import (
     read_pixels,
     to_export,
 )
-from data_tools.readers.listing import files_below, find_files
+from data_tools.readers.listing import Found, files_below, find_files
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
@@ -45,10 +44,10 @@ CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT = "camera_pos.txt", "light_pos.txt", "image_s
 BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
-def find_photos(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+def find_photos(path: Path) -> Found:
     """Find image files, as `find_files`; the error of a named file comes when it is read."""
     nothing = f"no image in this folder, {EXPECTED}; name the folder of the photographs."
-    return find_files(paths, check_exists, fault_of, nothing, NAMED)
+    return find_files(path, check_exists, fault_of, nothing, NAMED)
 
 
 def fault_of(file: Path) -> str | None:

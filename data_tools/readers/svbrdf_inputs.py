@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from data_tools.readers import material_maps, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import NAMED, Pixels, check_exists, read_pixels
-from data_tools.readers.listing import files_below
+from data_tools.readers.listing import Found, files_below
 from data_tools.readers.photos import SIZE, find_photos, flash_view, holds_photos, photo_of, placed_in
 from data_tools.readers.svbrdf_task import rightly_exposed, task_name
 from metapp.learning.task import Task
@@ -22,22 +22,20 @@ def recognises(path: Path) -> bool:
     return any(file.suffix.lower() in NAMED and _is_elsewhere(file, placed) for file in files_below(path))
 
 
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+def find(path: Path) -> Found:
     """All strips and photographs, and one file of each material that is kept as maps, as `find_files`.
 
     Folders with the places of several photographs, as of `placed_in`, are left out.
     """
-    named = list(map(Path, paths))
-    files, skipped = find_photos(named)
-    placed = [folder for path in named if path.is_dir() for folder in placed_in(path)]
-    files = [file for file in files if file in named or _is_elsewhere(file, placed)]
+    files, skipped = find_photos(path)
+    placed = placed_in(path) if path.is_dir() else []
+    files = [file for file in files if _is_elsewhere(file, placed)]
     stands_for: dict[Path, Path | None] = {}
     for folder in {file.parent for file in files}:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
             stands_for.update(dict.fromkeys(filter(material_maps.lies_aside, folder.iterdir())))
             stands_for.update(dict.fromkeys(material.maps, material.source))
-    sources = [source for file in files if (source := stands_for.get(file, file))]
-    return list({source.resolve(): source for source in sources}.values()), skipped
+    return list(dict.fromkeys(source for file in files if (source := stands_for.get(file, file)))), skipped
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:

@@ -73,7 +73,7 @@ def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]])
     if chosen is None:
         return ""
     if other := next((each for each in kinds if each[0] != chosen[0]), None):
-        (first, *_), (second, *_) = (reader.find([path])[0] or [path] for _, reader, path in (chosen, other))
+        (first, *_), (second, *_) = (reader.find(path)[0] or [path] for _, reader, path in (chosen, other))
         name, recipe = by_kind[chosen[0]]
         raise BadOption(
             f"{options.app}: {first} has {recipe.help}, {second} has not, and recipes for these differ; fit them by "

@@ -49,7 +49,7 @@ def read_input(app: str, folder: Path, file: Path) -> None:
     for reader in (form.load() for form in inputs_of(app).values()):
         read = reader.read_task
         few = {"samples": 64, "size": 32}
-        for source in reader.find([place])[0] if reader.recognises(place) else ():
+        for source in reader.find(place)[0] if reader.recognises(place) else ():
             finite(read(source, **{key: few[key] for key in few & inspect.signature(read).parameters.keys()}))
 
 
@@ -59,7 +59,7 @@ def read_scene(folder: Path, file: Path) -> None:
     from metapp.rendering.scenes.loading import load_scene
     from metapp.rendering.variant import load_mitsuba
 
-    path = next(path for path in find([folder])[0] if path.name.startswith("box"))
+    path = next(path for path in find(folder)[0] if path.name.startswith("box"))
     scene = read_scene(path)
     try:
         try_scene(scene, load_mitsuba().variant())

@@ -69,7 +69,7 @@ def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monke
     ):
         read_photo(path)
     with pytest.raises(ValueError, match="a picture in HEIF or AVIF"):
-        find_photos([tmp_path])
+        find_photos(tmp_path)
 
 
 def test_the_lens_is_read_from_it(tmp_path: Path) -> None:

@@ -167,14 +167,14 @@ def test_what_is_recognised_and_found(tmp_path: Path) -> None:
         assert latlong.recognises(tmp_path / name)
     for name in ("notes.txt", "b.png"):
         assert not latlong.recognises(tmp_path / name)
-    found, skipped = find([tmp_path, tmp_path / "sub" / "a.HDR"])
+    found, skipped = find(tmp_path)
     assert [file.name for file in found] == ["b.exr", "a.HDR"]
     assert [line.partition(": ")[0] for line in skipped] == [str(tmp_path / name) for name in ("b.png", "notes.txt")]
-    assert find([tmp_path / "b.png"]) == ([tmp_path / "b.png"], [])  # reading it says what is wrong
+    assert find(tmp_path / "b.png") == ([tmp_path / "b.png"], [])  # reading it says what is wrong
     (tmp_path / "b.exr").unlink()
     (tmp_path / "sub" / "a.HDR").unlink()
     with pytest.raises(ValueError, match="no map in this folder, expected an HDR map"):
-        find([tmp_path])
+        find(tmp_path)
 
 
 # What is refused

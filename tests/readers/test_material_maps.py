@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import material_maps
-from data_tools.readers.material_maps import entries, find, find_materials, mixed_slopes, read_task
+from data_tools.readers.material_maps import entries, find, mixed_slopes, read_task
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
@@ -35,7 +35,7 @@ def folder(path: Path, **maps: Any) -> Path:
 
 def maps_of(path: Path, **options: Any) -> Tensor:
     """The maps of the one material of a folder, float32 [10, S, S]."""
-    (source,), _ = material_maps.find([path])
+    (source,), _ = material_maps.find(path)
     return read_task(source, 64, **options).data["maps"].float()
 
 
@@ -91,7 +91,7 @@ def test_formats(tmp_path: Path, kind: str, suffix: str) -> None:
 
 
 def test_a_task_is_photographed_by_the_renderer(tmp_path: Path) -> None:
-    (source,), _ = material_maps.find([folder(tmp_path)])
+    (source,), _ = material_maps.find(folder(tmp_path))
     task = read_task(source, 48)
     assert task.name == "rock"
     assert list(task.data) == list(material_maps.UNITS)
@@ -143,15 +143,15 @@ def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
     for role in ("color", "normal", "gloss"):
         write(tmp_path / "deep" / "sand" / f"{role}.png", UP)
     write(tmp_path / "preview of all.png", UP)
-    materials, skipped = find_materials([tmp_path, tmp_path / "box"])
-    assert [each.title for each in materials] == ["rock", "Wood", "sand"]
+    sources, skipped = find(tmp_path)
+    assert [source.name for source in sources] == ["rock_diffuse.png", "WoodBaseColor.png", "color.png"]
     (line,) = skipped
     assert "preview of all.png: no map under a usual name, expected names such as" in line
     assert material_maps.recognises(tmp_path)
     assert not material_maps.recognises(tmp_path / "preview of all.png")
-    assert [read_task(each.source, 32).name for each in materials] == ["rock", "Wood", "sand"]
+    assert [read_task(source, 32).name for source in sources] == ["rock", "Wood", "sand"]
     # any map names its material
-    assert [each.title for each in find_materials([tmp_path / "box" / "WoodNormal.png"])[0]] == ["Wood"]
+    assert find(tmp_path / "box" / "WoodNormal.png") == ([sources[1]], [])
 
 
 def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
             write(path / "color.png", 0.5)
             write(path / "rough.png", 0.1 * index)
             write(path / "normal.png", torch.tensor([0.5 + 0.02 * index, 0.5, 1.0]))
-    groups = {entry.name: entry.group for entry in entries(find([tmp_path])[0], [tmp_path], "auto").values()}
+    groups = {entry.name: entry.group for entry in entries(find(tmp_path)[0], [tmp_path], "auto").values()}
     assert groups == {f"m{index}{variant}": f"m{index}a" for index in range(10) for variant in "ab"}
 
 

@@ -149,12 +149,12 @@ def test_find(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "brdfs" / "b.binary").symlink_to(merl_file)
     (tmp_path / "readme.txt").write_text("about")
     (tmp_path / ".hidden").write_text("")
-    files, skipped = find([tmp_path, merl_file])
-    assert files == [tmp_path / "brdfs" / "b.binary"]  # the other is the same file
+    files, skipped = find(tmp_path)
+    assert files == [tmp_path / "brdfs" / "b.binary"]
     assert len(skipped) == 1
     assert "readme.txt: 5 bytes" in skipped[0]
     with pytest.raises(ValueError, match="no such file"):
-        find([tmp_path / "none"])
+        find(tmp_path / "none")
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match=r"empty: no MERL file, expected \*.binary files"):
-        find([tmp_path / "empty"])
+        find(tmp_path / "empty")

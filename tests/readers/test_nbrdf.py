@@ -73,13 +73,13 @@ def test_evaluate_worked_value_and_gradients() -> None:
 def test_names_in_front(tmp_path: Path) -> None:
     make_network(tmp_path, "red_felt_", seed=3)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["fc3"], make_weights(3)["fc3"])
-    assert find([tmp_path]) == ([tmp_path / "red_felt"], [])
+    assert find(tmp_path) == ([tmp_path / "red_felt"], [])
     make_network(tmp_path, "gold_", seed=4)
     with pytest.raises(ValueError, match=r"2 networks \(gold, red_felt\), expected one; name it: .*gold"):
         read_nbrdf(tmp_path)
-    assert find([tmp_path])[0] == [tmp_path / "gold", tmp_path / "red_felt"]
+    assert find(tmp_path)[0] == [tmp_path / "gold", tmp_path / "red_felt"]
     np.testing.assert_array_equal(read_nbrdf(tmp_path / "gold")["b1"], make_weights(4)["b1"])
-    assert find([tmp_path / "gold"])[0] == [tmp_path / "gold"]
+    assert find(tmp_path / "gold")[0] == [tmp_path / "gold"]
     make_network(tmp_path, "", seed=5)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["b1"], make_weights(5)["b1"])
 
@@ -91,15 +91,15 @@ def test_find(tmp_path: Path) -> None:
     (tmp_path / "set" / "broken" / "b2.npy").unlink()
     make_network(tmp_path / "set" / ".hidden")
     (tmp_path / "set" / "notes.txt").write_text("")
-    found, skipped = find([tmp_path, tmp_path / "set" / "gold"])
+    found, skipped = find(tmp_path)
     assert found == [tmp_path / "set" / "gold", tmp_path / "set" / "tin"]
     assert len(skipped) == 1
     assert "broken: no file for b2, expected fc1.npy" in skipped[0]
     with pytest.raises(ValueError, match="no such folder"):
-        find([tmp_path / "none"])
+        find(tmp_path / "none")
     shutil.rmtree(tmp_path / "set")
     with pytest.raises(ValueError, match="no NBRDF network, expected"):
-        find([tmp_path])
+        find(tmp_path)
     make_network(tmp_path)
     (tmp_path / "b3.npy").unlink()
     os.mkfifo(tmp_path / "b3.npy")  # is not waited for

@@ -283,8 +283,8 @@ def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
     text(tmp_path / "bad.jpg")
     text(tmp_path / "bad")
     write(tmp_path / "good.png", noise(64, 64))
-    lines = "import sys\nfrom data_tools.readers.photos import find_photos, read_photo\n"
-    lines += "for file in find_photos([sys.argv[1]])[0]:\n    try:\n        kept = read_photo(file)\n"
+    lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find_photos, read_photo\n"
+    lines += "for file in find_photos(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
     done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
@@ -300,10 +300,10 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
     write(tmp_path / "deep" / "picture.png", noise(32, 32)).rename(tmp_path / "deep" / "picture")
     text(tmp_path / "notes.txt")
     text(tmp_path / "metadata.json")
-    files, skipped = find_photos([tmp_path, tmp_path / "deep"])
+    files, skipped = find_photos(tmp_path)
     assert [str(file.relative_to(tmp_path)) for file in files] == ["a.png", "b.JPG", "deep/er/c.tiff", "deep/picture"]
     assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["notes.txt"]
-    assert find_photos([tmp_path / "notes.txt"]) == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
+    assert find_photos(tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
     for name, holds in {"": True, "deep/picture": True, "notes.txt": False, "nothing": False}.items():
         assert holds_photos(tmp_path / name) == holds, name
 
@@ -315,10 +315,10 @@ def test_what_cameras_and_phones_write_is_recognised_so_that_reading_explains(tm
     assert not is_photo(tmp_path / "none.heic")
     assert holds_photos(tmp_path)
     with pytest.raises(ValueError, match=r"a\.dng: raw values of a camera, .*; export it as JPEG or PNG\.$"):
-        find_photos([tmp_path])
+        find_photos(tmp_path)
     jpg = write(tmp_path / "a.jpg", noise(48, 48))  # a camera may write both
     renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
-    files, skipped = find_photos([tmp_path])
+    files, skipped = find_photos(tmp_path)
     assert files == [jpg, renamed]
     raw, heif = "raw values of a camera", "a picture in HEIF or AVIF"
     whys = {"a.dng": raw, "b.CR2": raw, "c.heic": heif, "d.HEIF": heif}
@@ -329,9 +329,9 @@ def test_a_folder_without_images_a_missing_path_and_a_bomb_are_refused(tmp_path:
     text(tmp_path / "notes.txt")
     assert not holds_photos(tmp_path)
     with pytest.raises(ValueError, match=r"no image in this folder, expected an image file"):
-        find_photos([tmp_path])
+        find_photos(tmp_path)
     with pytest.raises(ValueError, match=r"none.jpg: no such file, expected an image file"):
-        find_photos([tmp_path / "none.jpg"])
+        find_photos(tmp_path / "none.jpg")
     (tmp_path / "bomb.ppm").write_bytes(b"P6\n16384 16384\n255\n" + bytes(1000))
     with pytest.raises(ValueError, match=r"bomb.ppm: 16384x16384 px of 3 channels in 1,\d+ bytes"):
         read_photo(tmp_path / "bomb.ppm")
@@ -348,7 +348,7 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    found = flash.entries(flash.find([folder])[0], [folder], "auto").values()
+    found = flash.entries(flash.find(folder)[0], [folder], "auto").values()
     by_group = split_auto(sorted(entry.group for entry in found))
     return {entry.name: entry.split or by_group[entry.group] for entry in found}
 
@@ -395,16 +395,16 @@ def test_every_fifth_material_is_for_tests_whole(tmp_path: Path, layout: str) ->
 def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
     touch(tmp_path, "test_a_1.jpg", "test_a_2.jpg", "train_b_1.jpg", "test/c/1.jpg", "train/d.jpg", "metadata.json")
     assert splits_of(tmp_path) == {"a_1": "test", "a_2": "test", "b_1": "train", "c_1": "test", "d": "train"}
-    assert flash.find([tmp_path])[1] == []
+    assert flash.find(tmp_path)[1] == []
     touch(tmp_path, "e.jpg")  # one that says nothing: the rule decides on all
     assert {name for name, side in splits_of(tmp_path).items() if side == "test"} == {"e"}
 
 
 def test_a_material_on_both_sides_and_bad_paths_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no image in this folder"):
-        flash.find([tmp_path])
+        flash.find(tmp_path)
     with pytest.raises(ValueError, match=r"none.jpg: no such file"):
-        flash.find([tmp_path / "none.jpg"])
+        flash.find(tmp_path / "none.jpg")
     touch(tmp_path, "train_a_1.jpg", "test_a_2.jpg")
     with pytest.raises(ValueError, match=r"test_a_2.jpg and .*train_a_1.jpg: training and test .* material 'a'"):
         splits_of(tmp_path)

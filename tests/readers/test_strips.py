@@ -248,7 +248,7 @@ def test_fits_read_strips_maps_and_photographs(tmp_path: Path) -> None:
     write(tmp_path / "rock" / "rock_norm.png", maps[:3] / 2 + 0.5)
     write(tmp_path / "rock" / "rock_gloss.png", maps[6:7])
     assert svbrdf_inputs.recognises(tmp_path)
-    sources, skipped = svbrdf_inputs.find([tmp_path])
+    sources, skipped = svbrdf_inputs.find(tmp_path)
     assert skipped == []
     tasks = {source.name: svbrdf_inputs.read_task(source, 64) for source in sources}
     mapped = {name: ["maps", "photo"] for name in ("off by one.png", "rock.png", "strip.png")}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,9 +17,9 @@ def recognises(path: Path) -> bool:
     return any(path.glob("*.curve")) if path.is_dir() else path.suffix == ".curve"
 
 
-def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+def find(path: Path) -> tuple[list[Path], list[str]]:
     """Find curves, those of a folder sorted."""
-    return [file for path in paths for file in (sorted(path.glob("*.curve")) if path.is_dir() else [path])], []
+    return sorted(path.glob("*.curve")) if path.is_dir() else [path], []
 
 
 def read_task(path: Path) -> Task:

@@ -48,7 +48,7 @@ recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 def has_few(path: Path) -> bool:
     """Test whether a file, or each in a folder, has FEW rows at most."""
-    return all(_few_lines(file) for file in find([path])[0])
+    return all(_few_lines(file) for file in find(path)[0])
 
 
 def has_few_task(task: Task) -> bool:

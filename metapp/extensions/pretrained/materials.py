@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 
 from data_tools.readers import material_maps
+from data_tools.readers.listing import Found
 from data_tools.readers.material_maps import PLAIN, material_of, read_material
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import svbrdf_task
@@ -31,15 +32,10 @@ ROUGHNESS = 0.6  # where there is none
 OLD = 0.3  # what colours with shading in them count
 
 
-def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """One file of each set of maps, and all files of data sets; errors as of maps and `read_shard`."""
-    sources, skipped = [], []
-    for path in paths:
-        drawn = path.is_dir() and (path / MANIFEST).is_file()
-        found, lines = ([path / file for file in _drawn(path)], []) if drawn else material_maps.find([path])
-        sources += found
-        skipped += lines
-    return sources, skipped
+def find(path: Path) -> Found:
+    """One file of each set of maps, or all files of a data set; errors as of maps and `read_shard`."""
+    drawn = path.is_dir() and (path / MANIFEST).is_file()
+    return ([path / file for file in _drawn(path)], []) if drawn else material_maps.find(path)
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:

@@ -35,7 +35,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         ValueError: none of these, damaged, two of one name, or an anisotropic material for a MERL table.
         BadOption: a file is there already.
     """
-    found = [reader.find([path]) for reader in READERS if reader.recognises(path)]
+    found = [reader.find(path) for reader in READERS if reader.recognises(path)]
     if not found:
         problem = "another kind" if path.exists() else "no such file"
         remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"

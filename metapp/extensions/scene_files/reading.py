@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data_tools.readers.listing import Found
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
@@ -34,25 +35,21 @@ def recognises(path: Path) -> bool:
     return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SUFFIXES
 
 
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find scene files: in folders by their suffix, at any depth; named files as they are.
+def find(path: Path) -> Found:
+    """Find scene files: in a folder by their suffix, at any depth; a named file as it is.
 
     Returns:
-        The files, each once, those of a folder sorted; and no line about others, since meshes and textures belong to
-        scenes.
+        The files, sorted; and no line about others, since meshes and textures belong to scenes.
 
     Raises:
         ValueError: a path that does not exist, a folder without any scene.
     """
-    files: list[Path] = []
-    for path in map(Path, paths):
-        if not path.exists():
-            raise ValueError(f"{path}: no such file or folder; give existing scene files.")
-        scenes = _below(path) if path.is_dir() else [path]
-        if not scenes:
-            raise ValueError(f"{path}: no scene in this folder, expected .xml or .json files of Mitsuba 3.")
-        files += scenes
-    return list({file.resolve(): file for file in files}.values()), []
+    if not path.exists():
+        raise ValueError(f"{path}: no such file or folder; give existing scene files.")
+    scenes = _below(path) if path.is_dir() else [path]
+    if not scenes:
+        raise ValueError(f"{path}: no scene in this folder, expected .xml or .json files of Mitsuba 3.")
+    return scenes, []
 
 
 def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Iterable[Path] = ()) -> Task:

@@ -7,13 +7,13 @@ folder is one task.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
+from data_tools.readers.listing import Found
 from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, is_photo, placed_in, read_photo
 from data_tools.readers.photos import SIZE as PX
 from data_tools.readers.svbrdf_task import rightly_exposed, task_name
@@ -29,9 +29,9 @@ def recognises(path: Path) -> bool:
     return path.is_dir() and bool(placed_in(path))
 
 
-def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """The folders among these and below, each once; no lines, as nothing else is looked at."""
-    return list({folder.resolve(): folder for path in paths for folder in placed_in(path)}.values()), []
+def find(path: Path) -> Found:
+    """The folder and those below it that say so; no lines, as nothing else is looked at."""
+    return placed_in(path), []
 
 
 def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:

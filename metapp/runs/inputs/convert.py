@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from metapp.learning.task import Task
     from metapp.storage.shards import Entry
 
-Find = Callable[[list[Path]], tuple[list[Path], list[str]]]  # as of a format's module
-
 
 class Converted(NamedTuple):
     """The result of a conversion: names by split, and a line for each file that was skipped."""
@@ -123,14 +121,14 @@ def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> di
 
 
 def _find(
-    find: Callable[[list[Path]], tuple[list[Path], list[str]]], paths: Iterable[Path]
+    find: Callable[[Path], tuple[list[Path], list[str]]], paths: Iterable[Path]
 ) -> tuple[dict[Path, Path | None], list[str]]:
     """All sources, each once, with the folder it was found in (None: it was named), and lines about skipped files."""
     sources_by_path: dict[Path, tuple[Path, Path | None]] = {}
     skipped: list[str] = []
     for path in paths:
         check_readable(path)
-        sources, lines = find([path])
+        sources, lines = find(path)
         skipped += lines
         for source in sources:
             key = source.resolve()

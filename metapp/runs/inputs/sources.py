@@ -172,7 +172,7 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
                 more = f"; the extension {name} reads it, which {WITHOUT} leaves out; unset it"
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
     for name, reader in readers.items():
-        places, skipped = reader.find([path])
+        places, skipped = reader.find(path)
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
         yield name, places, functools.partial(reader.read_task, **_taken(reader, _arguments(run)))

@@ -87,8 +87,8 @@ def test_maps_that_are_made_of_others_are_the_same_material(asset: Path) -> None
 def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
     """The maps that were fitted are read, not those that were made of them, unless there are no others."""
     pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
-    (source,) = find([tmp_path / "rock"])[0]
-    assert svbrdf_inputs.find([tmp_path / "rock"]) == ([source], [])  # no preview or height for a photograph
+    (source,) = find(tmp_path / "rock")[0]
+    assert svbrdf_inputs.find(tmp_path / "rock") == ([source], [])  # no preview or height for a photograph
     found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
     for name in Maps._fields:
         assert (getattr(found, name) - getattr(maps, name)).abs().max() < 1e-3, name  # kept as halves

@@ -69,7 +69,7 @@ def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..
     assert float((found - expected).abs().mean() / expected.mean()) < 0.01
     task = rgl.read_task(file, samples=256)
     assert (task.name, task.data["reflectance"].shape) == ("glossy", (256, 3))
-    assert rgl.find([file.parent]) == ([file], [])
+    assert rgl.find(file.parent) == ([file], [])
     assert rgl.recognises(file.parent)
 
 

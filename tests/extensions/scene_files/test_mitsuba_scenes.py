@@ -48,15 +48,15 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
     assert not recognises(write(tmp_path / "room.obj", ""))
     other = write(tmp_path / "box.json", "")
     write(tmp_path / "manifest.json", "")  # of a data set
-    assert find([tmp_path]) == ([other, scene], [])
-    assert find([scene, tmp_path])[0] == [scene, other]
+    assert find(tmp_path) == ([other, scene], [])
+    assert find(scene)[0] == [scene]
     empty = tmp_path / "empty"
     empty.mkdir()
     assert not recognises(empty)
     with pytest.raises(ValueError, match=r"no scene in this folder, expected \.xml or \.json"):
-        find([empty])
+        find(empty)
     with pytest.raises(ValueError, match="no such file or folder"):
-        find([tmp_path / "none.xml"])
+        find(tmp_path / "none.xml")
 
 
 @pytest.fixture(autouse=True)

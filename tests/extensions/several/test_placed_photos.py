@@ -69,7 +69,7 @@ def found(path: Path) -> list[tuple[str, Path]]:
     """What each format of the application finds in a path that it recognises."""
     modules = {name: form.load() for name, form in inputs_of(APP).items()}
     readers = {name: module for name, module in modules.items() if module.recognises(path)}
-    return [(name, place) for name, module in readers.items() for place in module.find([path])[0]]
+    return [(name, place) for name, module in readers.items() for place in module.find(path)[0]]
 
 
 def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:

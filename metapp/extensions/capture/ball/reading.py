@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from data_tools.readers import latlong
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.listing import files_of
+from data_tools.readers.listing import Found, files_of
 from data_tools.readers.photos import find_photos, is_photo, photo_of
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
@@ -18,9 +17,9 @@ def recognises(path: Path) -> bool:
     return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path))
 
 
-def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+def find(path: Path) -> Found:
     """All LDR images; as `data_tools.readers.photos.find_photos`."""
-    files, skipped = find_photos(paths)
+    files, skipped = find_photos(path)
     return [file for file in files if not latlong.is_map(file)], skipped
 
 

@@ -109,10 +109,11 @@ def rectify(
 
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
-    names, others = find_photos(paths)
+    in_paths = [find_photos(path) for path in paths]
+    names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
     with progress("photos", len(names), quiet=quiet) as bar:
         cameras, focal_mm, skipped = find_cameras(names, math.radians(options.fov), options.ruler, bar.advance)
-    skipped = [*others, *skipped]
+    skipped = [*(line for _, lines in in_paths for line in lines), *skipped]
     for line in skipped:
         say(f"warning: skipped: {line}")
     right, up = options.flash or (0.0, 0.0)
