@@ -22,10 +22,16 @@ from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
 from metapp.runs.surroundings import make_folder, precision_of, versions
 from metapp.storage import Document
-from metapp.storage.checkpoints import digest, load_checkpoint, save_checkpoint, tensor_digest
+from metapp.storage.checkpoints import (
+    digest,
+    load_checkpoint,
+    load_state,
+    save_checkpoint,
+    save_state,
+    tensor_digest,
+)
 from metapp.storage.files import remove_partial
 from metapp.storage.shards import fingerprint, read_shard
-from metapp.storage.training_checkpoint import load_state, save_state
 
 SECONDS = 60.0  # between two training checkpoints; METAPP_CHECKPOINT_SECONDS is another number
 

@@ -123,7 +123,7 @@ CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
 ]
 
 
-def test_checkpoints_of_other_rules_sizes_or_applications_are_one_line(fit: Callable, network: Path) -> None:
+def test_checkpoints_of_other_fits_are_one_line(fit: Callable, network: Path) -> None:
     for rule, changes, said in CHECKPOINTS:
         line = fit("meta", network, "--rule", rule, "--checkpoint", written(rule, changes)).error
         assert said in line, changes

@@ -17,8 +17,7 @@ from metapp.learning.task import Tasks
 from metapp.paradigms import Paradigm, training
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.training import TrainState, prepare
-from metapp.storage.checkpoints import save_checkpoint
-from metapp.storage.training_checkpoint import load_state, save_state
+from metapp.storage.checkpoints import load_state, save_checkpoint, save_state
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, rng, untrained
 

@@ -81,9 +81,7 @@ def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
 
 
 @pytest.mark.parametrize(("brightest", "form"), [(1e-7, "float"), (3.0, "half"), (65504.0, "half"), (1e6, "float")])
-def test_written_radiance_is_read_back_from_the_smallest_form_that_holds_it(
-    tmp_path: Path, brightest: float, form: str
-) -> None:
+def test_radiance_is_written_in_the_smallest_form_that_holds_it(tmp_path: Path, brightest: float, form: str) -> None:
     light = torch.linspace(0.1, brightest, 64 * 128 * 3).reshape(64, 128, 3)
     write_exr(light, tmp_path / "a.exr")
     assert str(oiio.ImageBuf(str(tmp_path / "a.exr")).spec().format) == form

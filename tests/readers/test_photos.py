@@ -67,7 +67,7 @@ def profile(description: str) -> bytes:
 # What is read
 
 
-def test_bits_are_kept_exactly_where_the_size_is_the_files_and_nearly_where_formats_lose(tmp_path: Path) -> None:
+def test_bits_are_kept_as_far_as_formats_keep_them(tmp_path: Path) -> None:
     values = noise(48, 48)
     deep = values.astype(np.uint16) * 257
     stored = {"a.png": values, "a.tif": values, "a.bmp": values, "a.tga": values, "a.ppm": values}
@@ -90,7 +90,7 @@ def test_floats_are_linear_and_clamped(tmp_path: Path, suffix: str, kind: str) -
     assert difference.mean() < 1 if suffix == "hdr" else difference.max() < 1  # RGBE shares an exponent
 
 
-def test_averages_are_over_exact_areas_in_linear_light_after_clamping(tmp_path: Path) -> None:
+def test_averages_are_over_exact_areas_in_linear_light(tmp_path: Path) -> None:
     values = np.random.default_rng(0).random((80, 80, 3), dtype=np.float32)
     image = read_photo(write(tmp_path / "a.exr", values), 32)
     # a pixel covers 2.5 x 2.5 of the file's: repeating these twice makes it 5 x 5
@@ -308,7 +308,7 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
         assert holds_photos(tmp_path / name) == holds, name
 
 
-def test_what_cameras_and_phones_write_is_recognised_so_that_reading_explains(tmp_path: Path) -> None:
+def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> None:
     for name in ("a.dng", "b.CR2", "c.heic", "d.HEIF"):
         assert is_photo(text(tmp_path / name))
         assert holds_photos(tmp_path / name)
@@ -325,7 +325,7 @@ def test_what_cameras_and_phones_write_is_recognised_so_that_reading_explains(tm
     assert [line.partition(",")[0] for line in skipped] == [f"{tmp_path / name}: {why}" for name, why in whys.items()]
 
 
-def test_a_folder_without_images_a_missing_path_and_a_bomb_are_refused(tmp_path: Path) -> None:
+def test_folders_without_images_and_bombs_are_refused(tmp_path: Path) -> None:
     text(tmp_path / "notes.txt")
     assert not holds_photos(tmp_path)
     with pytest.raises(ValueError, match=r"no image in this folder, expected an image file"):
@@ -417,7 +417,7 @@ def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Pat
     return write(path, np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)), **attributes)
 
 
-def test_fields_of_view_of_known_lenses_and_what_a_narrower_camera_sees() -> None:
+def test_fields_of_view_of_known_lenses() -> None:
     """50 mm and 24 mm on film, 24 mm along the shorter side; a phone's main and wide lens, of pictures 4:3."""
     lenses = {(50, 24, 36): 26.99, (24, 36, 24): 53.13, (26, 3024, 4032): 53.07, (13, 3024, 4032): 89.91}
     found = {lens: math.degrees(field_of_view(*lens)) for lens in lenses}
@@ -467,7 +467,7 @@ def linear(photo: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("stops", [-2.0, -1.0, -0.3, 0.5, 1.0, 2.0])
-def test_a_photo_becomes_as_bright_as_it_should_be_and_what_clips_stays_white(stops: float) -> None:
+def test_a_photo_is_exposed_anew_but_where_it_clips(stops: float) -> None:
     photo = encoded(RADIANCE * 2**stops)
     found, clips = rightly_exposed(photo, stops), (linear(photo) > 0.95).any(0)
     assert clips.any() == (stops > 0)

@@ -61,7 +61,7 @@ def test_a_checkpoint_takes_the_encoder_of_the_general_beside_it(tmp_path: Path)
             load_checkpoint(tmp_path / "general.safetensors")
 
 
-def test_a_checkpoint_of_a_protocol_takes_the_general_of_its_protocol(tmp_path: Path) -> None:
+def test_a_checkpoint_takes_the_general_of_its_protocol(tmp_path: Path) -> None:
     """Whatever else lies beside it, such as a training's own file."""
     encoder, other = {"w": torch.arange(3.0)}, {"w": torch.zeros(3)}
     (tmp_path / "general-photo.training.safetensors").write_bytes(b"no checkpoint")

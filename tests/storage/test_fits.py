@@ -74,9 +74,7 @@ def write_until(path: Path, previous: Path, calls: float) -> bool:
 
 
 @pytest.mark.parametrize("earlier", [{}, {"start": "old"}, {"start": "old", "previous": "older"}])
-def test_a_kill_at_any_call_leaves_nothing_that_the_next_run_does_not_mend(
-    tmp_path: Path, earlier: dict[str, str]
-) -> None:
+def test_after_a_kill_at_any_call_the_next_run_mends_all(tmp_path: Path, earlier: dict[str, str]) -> None:
     """The same command again leaves the same files as one that was never killed."""
     for calls in itertools.count():
         folder = tmp_path / str(calls)
@@ -193,7 +191,7 @@ def test_a_fit_is_a_folder(tmp_path: Path) -> None:
     assert [place.name for place in (tmp_path / "run").iterdir()] == [folder.name]
 
 
-def test_the_record_is_written_last_and_a_fit_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> None:
     seen = []
 
     def draw(folder: Path) -> None:
@@ -210,7 +208,7 @@ def test_the_record_is_written_last_and_a_fit_that_fails_leaves_nothing(tmp_path
     assert [each["error"] for each in read_fits(tmp_path)] == [7.0]
 
 
-def test_the_same_input_replaces_its_fit_and_another_of_its_name_has_a_folder_of_its_own(tmp_path: Path) -> None:
+def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
     nan = {"ssim": float("nan"), "curve": [(1, float("inf"))]}  # JSON has no such numbers
     for source, error in (("/a/wall.jpg", 1.0), ("/b/wall.jpg", 2.0), ("/a/wall.jpg", 3.0), ("/b/wall.jpg", 4.0)):
         write_fit(tmp_path, record("wall", source, error=error, **nan), {"w": torch.tensor([error])})

@@ -134,7 +134,7 @@ def test_counts_names_and_tensors(app: str, data: Drawn) -> None:
 
 
 @pytest.mark.long
-def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(app: str, data: Drawn) -> None:
+def test_a_larger_set_begins_with_the_smaller_one(app: str, data: Drawn) -> None:
     for one, two in zip(data.source.synthetic_tasks("train", 6), data.train, strict=False):
         assert one.name == two.name
         assert all(torch.equal(one.data[key], two.data[key]) for key in two.data)
@@ -144,7 +144,7 @@ def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(app: st
 
 
 @pytest.mark.long
-def test_draws_are_the_same_on_every_machine_and_no_two_are_alike(app: str, data: Drawn) -> None:
+def test_draws_are_the_same_everywhere_and_no_two_are_alike(app: str, data: Drawn) -> None:
     """Whoever changes a draw changes the default data set, and with it all checkpoints and tables."""
     expected = SETS[app]
     tensors = torch.stack([task.data[next(iter(expected.tensors))] for task in data.tasks]).float()
@@ -175,7 +175,7 @@ def test_impossible_sets_are_errors(app: str, arguments: tuple[Any, ...]) -> Non
 
 
 @pytest.mark.parametrize("app", app_names())
-def test_example_inputs_are_small_files_of_the_names_that_are_listed(app: str, tmp_path: Path) -> None:
+def test_example_inputs_are_small_files_of_listed_names(app: str, tmp_path: Path) -> None:
     files = write_example(app, tmp_path / "new")
     assert files == [tmp_path / "new" / name for name in EXAMPLES[app].files]
     assert sorted((tmp_path / "new").iterdir()) == sorted(files)
@@ -336,7 +336,7 @@ def check_mirror_and_light(scene: dict[str, Any]) -> None:
         assert np.dot(facing(scene[name]), corners(scene[name]).mean(0)) == pytest.approx(-1)
 
 
-def test_all_is_inside_the_box_nothing_overlaps_and_mirror_and_light_hang_where_they_should() -> None:
+def test_spheres_mirror_and_light_of_a_box_lie_where_they_should() -> None:
     for scene in SCENES:
         check_balls(scene)
     for scene in SCENES[:50]:
