@@ -206,12 +206,18 @@ def _tagged(values: Array, profile: bytes | None, exif: bytes | None) -> Pixels:
     return Pixels(values, space_of_profile(profile), False, focal_length_of(exif))
 
 
-def check_size(width: int, height: int, path: Path | str) -> None:
-    """Refuse a picture of a side below 32 px or of more than 2^28 px; `path` names it."""
-    found = f"{width}x{height} px"
-    check_pixels(width, height, path)
-    if min(width, height) < _MIN_SIDE:
-        raise ValueError(f"{path}: {found}, expected {_MIN_SIDE} px or more on the short side; take a larger image.")
+def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) -> None:
+    """Refuse a picture of a shorter side, in px, or of more pixels than memory should hold; `path` names it.
+
+    >>> check_size(100_000, 100_000, "photo.jpg")
+    Traceback (most recent call last):
+    ValueError: photo.jpg: 100000x100000 px, expected 268,435,456 px or fewer; scale it down.
+    """
+    if width * height > _MAX_PIXELS:
+        raise ValueError(f"{path}: {width}x{height} px, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
+    if min(width, height) < low:
+        found = f"{width}x{height} px, expected {low} px or more on the short side"
+        raise ValueError(f"{path}: {found}; take a larger image.")
 
 
 def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
@@ -299,20 +305,6 @@ def silent() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
-
-
-def check_pixels(width: int, height: int, path: Path | str) -> None:
-    """Refuse a picture of more pixels than memory should hold.
-
-    Raises:
-        ValueError: it has more.
-
-    >>> check_pixels(100_000, 100_000, "photo.jpg")
-    Traceback (most recent call last):
-    ValueError: photo.jpg: 100000x100000 px, expected 268,435,456 px or fewer; scale it down.
-    """
-    if width * height > _MAX_PIXELS:
-        raise ValueError(f"{path}: {width}x{height} px, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
 
 
 def check_memory(spec: oiio.ImageSpec, path: Path) -> None:

@@ -30,36 +30,24 @@ def read(from_object: Callable, source: object, observe: str = "", **how: object
     return from_object(source, "object", observe=observe, **how)
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        RGB,
-        torch.from_numpy(RGB),
-        Image.fromarray(RGB),
-        RGB.astype(np.uint16) * 257,
-        (RGB.astype(np.uint16) * 257).astype(">u2"),
-        RGB / 255,
-        RGB / np.longdouble(255),
-        torch.complex(torch.from_numpy(RGB / -255), torch.from_numpy(RGB / -255)).conj().imag,
-        torch.from_numpy(RGB / 255).float().requires_grad_(),
-        np.ascontiguousarray(RGB[::-1])[::-1],
-    ],
-    ids=[
-        "uint8",
-        "tensor",
-        "PIL",
-        "uint16",
-        "big-endian",
-        "float64",
-        "long double",
-        "conjugate",
-        "float32 tensor",
-        "strided",
-    ],
-)
-def test_a_picture_is_read_as_its_file_is(source: object, tmp_path: Path) -> None:
-    file = write(tmp_path / "file.png", RGB)
-    assert same(read(texture, source), photos.read_task(file))
+PICTURES: dict[str, object] = {
+    "uint8": RGB,
+    "tensor": torch.from_numpy(RGB),
+    "PIL": Image.fromarray(RGB),
+    "uint16": RGB.astype(np.uint16) * 257,
+    "big-endian": (RGB.astype(np.uint16) * 257).astype(">u2"),
+    "float64": RGB / 255,
+    "long double": RGB / np.longdouble(255),
+    "conjugate": torch.complex(torch.from_numpy(RGB / -255), torch.from_numpy(RGB / -255)).conj().imag,
+    "float32 tensor": torch.from_numpy(RGB / 255).float().requires_grad_(),
+    "strided": np.ascontiguousarray(RGB[::-1])[::-1],
+}
+
+
+def test_a_picture_is_read_as_its_file_is(tmp_path: Path) -> None:
+    task = photos.read_task(write(tmp_path / "file.png", RGB))
+    for kind, source in PICTURES.items():
+        assert same(read(texture, source), task), kind
 
 
 def test_a_picture_of_halves_is_the_picture() -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from data_tools.readers.image_files import check_memory, check_pixels, error_of, reason_of, silent
+from data_tools.readers.image_files import check_memory, check_size, error_of, reason_of, silent
 from metapp.rendering.scenes.rules import Files, snake_case
 from metapp.storage.files import open_regular
 
@@ -159,7 +159,7 @@ def _check_picture(path: Path) -> None:
             raise ValueError(f"no image ({reason_of(error_of(oiio), path)}), expected one; export it again.")
         with contextlib.closing(source):
             spec = source.spec()
-            check_pixels(spec.width, spec.height, path)
+            check_size(spec.width, spec.height, path, low=1)
             check_memory(spec, path)
 
 
