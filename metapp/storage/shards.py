@@ -11,7 +11,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -240,6 +240,8 @@ def write_shard(
         manifest = Manifest(app, tuple(entries), {key: unit for key, unit in units.items() if key in held}, notes)
         _publish(folder, partial, manifest, _replaced(folder, app, overwrite), beside)
     finally:
+        if isinstance(tasks, Generator):
+            tasks.close()  # ends a progress bar before an error is shown
         shutil.rmtree(partial, ignore_errors=True)
         for path in made:
             if any(path.iterdir()):
