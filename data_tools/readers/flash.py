@@ -18,11 +18,11 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from data_tools.readers import material_maps
+from data_tools.readers import material_maps, photos
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import SRGB
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import SIZE, find_photos, flash_view, holds_photos, photo_of
+from data_tools.readers.photos import SIZE, flash_view, photo_of
 from metapp.learning.task import Task
 from metapp.storage.shards import AUTO, SPLITS, Entry
 
@@ -31,8 +31,7 @@ UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the
 _RENDERED_PX = 2048  # a side of the photograph of maps, at most
 _NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 
-find = find_photos  # the names that every reader has
-recognises = holds_photos
+find, recognises = photos.find, photos.recognises
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:

@@ -26,11 +26,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from data_tools.readers import photos
 from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, planes_of
 from data_tools.readers.colours import LINEAR
 from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import Found, files_below
-from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
+from data_tools.readers.photos import SIZE, central_square, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -106,7 +107,7 @@ def find(path: Path) -> Found:
     Raises:
         ValueError: a path that does not exist, a folder without a map.
     """
-    files, skipped = find_photos(path)
+    files, skipped = photos.find(path)
     if not path.is_dir():
         return [_material(path).source], []
     in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]

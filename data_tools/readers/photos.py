@@ -44,7 +44,7 @@ CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT = "camera_pos.txt", "light_pos.txt", "image_s
 BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
-def find_photos(path: Path) -> Found:
+def find(path: Path) -> Found:
     """Find image files, as `find_files`; the error of a named file comes when it is read."""
     nothing = f"no image in this folder, {EXPECTED}; name the folder of the photographs."
     return find_files(path, check_exists, fault_of, nothing, NAMED)
@@ -65,7 +65,7 @@ def is_photo(path: str | Path) -> bool:
     return path.is_file() and (path.suffix.lower() in NAMED or opens(path))
 
 
-def holds_photos(path: str | Path) -> bool:
+def recognises(path: str | Path) -> bool:
     """True if a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
     return any(file.suffix.lower() in NAMED for file in files_below(path)) if path.is_dir() else is_photo(path)
@@ -74,10 +74,6 @@ def holds_photos(path: str | Path) -> bool:
 def placed_in(folder: Path) -> list[Path]:
     """A folder and those below it that say where camera or flash were, sorted, hidden ones left out."""
     return sorted({file.parent for file in files_below(folder) if file.name in (CAMERA_TEXT, LIGHT_TEXT)})
-
-
-find = find_photos  # the names that every reader has
-recognises = holds_photos
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:

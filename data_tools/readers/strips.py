@@ -22,7 +22,8 @@ from torch import Tensor
 
 from data_tools.readers.colours import LINEAR, Floats, fraction
 from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
-from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
+from data_tools.readers.photos import SIZE, central_square, resample, side_of
+from data_tools.readers.photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -43,8 +44,6 @@ _CLIPPED = 0.995
 _DARKEST = 1 / 255  # neither diffuse nor specular above it anywhere: nothing to see
 _FEW = 5  # components; fewer have no fifth to leave for tests
 _CANDIDATES, _WALKS = 256, 4096  # blends that a step chooses from; walks times blends
-
-find = find_photos  # the names that every reader has
 
 
 def is_strip(path: Path) -> bool:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from data_tools.readers import material_maps, strips
+from data_tools.readers import material_maps, photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import NAMED, Pixels, check_exists, read_pixels
 from data_tools.readers.listing import Found, files_below
-from data_tools.readers.photos import SIZE, find_photos, flash_view, holds_photos, photo_of, placed_in
+from data_tools.readers.photos import SIZE, flash_view, photo_of, placed_in
 from data_tools.readers.svbrdf_task import rightly_exposed, task_name
 from metapp.learning.task import Task
 
@@ -17,7 +17,7 @@ from metapp.learning.task import Task
 def recognises(path: Path) -> bool:
     """True if a path is an image file, or a folder with one below it that is not among those with places."""
     if not path.is_dir():
-        return holds_photos(path)
+        return photos.recognises(path)
     placed = placed_in(path)
     return any(file.suffix.lower() in NAMED and _is_elsewhere(file, placed) for file in files_below(path))
 
@@ -27,7 +27,7 @@ def find(path: Path) -> Found:
 
     Folders with the places of several photographs, as of `placed_in`, are left out.
     """
-    files, skipped = find_photos(path)
+    files, skipped = photos.find(path)
     placed = placed_in(path) if path.is_dir() else []
     files = [file for file in files if _is_elsewhere(file, placed)]
     stands_for: dict[Path, Path | None] = {}

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from data_tools.readers import flash, image_files
-from data_tools.readers.photos import find_photos, read_photo
+from data_tools.readers.photos import find, read_photo
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from tests.pictures import P3_TO_SRGB, STORED, planes
 
@@ -69,7 +69,7 @@ def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monke
     ):
         read_photo(path)
     with pytest.raises(ValueError, match="a picture in HEIF or AVIF"):
-        find_photos(tmp_path)
+        find(tmp_path)
 
 
 def test_the_lens_is_read_from_it(tmp_path: Path) -> None:

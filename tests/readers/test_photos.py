@@ -19,7 +19,7 @@ import torch
 from data_tools.readers import flash, photos, svbrdf_inputs
 from data_tools.readers.flash import shown
 from data_tools.readers.image_files import Pixels, focal_length_of
-from data_tools.readers.photos import field_of_view, find_photos, flash_view, holds_photos, is_photo, read_photo
+from data_tools.readers.photos import field_of_view, find, flash_view, is_photo, read_photo, recognises
 from data_tools.readers.svbrdf_inputs import read_task
 from data_tools.readers.svbrdf_task import encoded, rightly_exposed
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -283,8 +283,8 @@ def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
     text(tmp_path / "bad.jpg")
     text(tmp_path / "bad")
     write(tmp_path / "good.png", noise(64, 64))
-    lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find_photos, read_photo\n"
-    lines += "for file in find_photos(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
+    lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find, read_photo\n"
+    lines += "for file in find(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
     done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
@@ -300,25 +300,25 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
     write(tmp_path / "deep" / "picture.png", noise(32, 32)).rename(tmp_path / "deep" / "picture")
     text(tmp_path / "notes.txt")
     text(tmp_path / "metadata.json")
-    files, skipped = find_photos(tmp_path)
+    files, skipped = find(tmp_path)
     assert [str(file.relative_to(tmp_path)) for file in files] == ["a.png", "b.JPG", "deep/er/c.tiff", "deep/picture"]
     assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["notes.txt"]
-    assert find_photos(tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
+    assert find(tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
     for name, holds in {"": True, "deep/picture": True, "notes.txt": False, "nothing": False}.items():
-        assert holds_photos(tmp_path / name) == holds, name
+        assert recognises(tmp_path / name) == holds, name
 
 
 def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> None:
     for name in ("a.dng", "b.CR2", "c.heic", "d.HEIF"):
         assert is_photo(text(tmp_path / name))
-        assert holds_photos(tmp_path / name)
+        assert recognises(tmp_path / name)
     assert not is_photo(tmp_path / "none.heic")
-    assert holds_photos(tmp_path)
+    assert recognises(tmp_path)
     with pytest.raises(ValueError, match=r"a\.dng: raw values of a camera, .*; export it as JPEG or PNG\.$"):
-        find_photos(tmp_path)
+        find(tmp_path)
     jpg = write(tmp_path / "a.jpg", noise(48, 48))  # a camera may write both
     renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
-    files, skipped = find_photos(tmp_path)
+    files, skipped = find(tmp_path)
     assert files == [jpg, renamed]
     raw, heif = "raw values of a camera", "a picture in HEIF or AVIF"
     whys = {"a.dng": raw, "b.CR2": raw, "c.heic": heif, "d.HEIF": heif}
@@ -327,11 +327,11 @@ def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> No
 
 def test_folders_without_images_and_bombs_are_refused(tmp_path: Path) -> None:
     text(tmp_path / "notes.txt")
-    assert not holds_photos(tmp_path)
+    assert not recognises(tmp_path)
     with pytest.raises(ValueError, match=r"no image in this folder, expected an image file"):
-        find_photos(tmp_path)
+        find(tmp_path)
     with pytest.raises(ValueError, match=r"none.jpg: no such file, expected an image file"):
-        find_photos(tmp_path / "none.jpg")
+        find(tmp_path / "none.jpg")
     (tmp_path / "bomb.ppm").write_bytes(b"P6\n16384 16384\n255\n" + bytes(1000))
     with pytest.raises(ValueError, match=r"bomb.ppm: 16384x16384 px of 3 channels in 1,\d+ bytes"):
         read_photo(tmp_path / "bomb.ppm")

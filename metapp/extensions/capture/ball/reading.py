@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from data_tools.readers import latlong
+from data_tools.readers import latlong, photos
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.listing import Found, files_of
-from data_tools.readers.photos import find_photos, is_photo, photo_of
+from data_tools.readers.photos import is_photo, photo_of
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
 
@@ -18,8 +18,8 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path) -> Found:
-    """All LDR images; as `data_tools.readers.photos.find_photos`."""
-    files, skipped = find_photos(path)
+    """All LDR images; as `data_tools.readers.photos.find`."""
+    files, skipped = photos.find(path)
     return [file for file in files if not latlong.is_map(file)], skipped
 
 

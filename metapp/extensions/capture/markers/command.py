@@ -103,13 +103,13 @@ def rectify(
       metapp data rectify photos/ --out leaf
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
-    from data_tools.readers.photos import find_photos
+    from data_tools.readers.photos import find
     from metapp.extensions.capture.markers.rectified import find_cameras, write_set
     from metapp.extensions.capture.photos import FOUND
 
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
-    in_paths = [find_photos(path) for path in paths]
+    in_paths = [find(path) for path in paths]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
     with progress("photos", len(names), quiet=quiet) as bar:
         cameras, focal_mm, skipped = find_cameras(names, math.radians(options.fov), options.ruler, bar.advance)
