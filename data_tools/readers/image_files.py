@@ -34,6 +34,7 @@ _HEIF = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read th
 NAMED = (*SUFFIXES, *_RAW, *_HEIF)
 EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
+_BEAUTY = ("COMBINED", "BEAUTY", "RGBA")  # names that renderers give the layer of the picture itself
 _MIN_SIDE, _MAX_PIXELS = 32, 2**28
 _ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
 _REASON = 120  # characters of a library's message
@@ -142,8 +143,8 @@ def read_pixels(path: Path) -> Pixels:
 
     Raises:
         ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than 2^28
-            px; deep pixels; channels other than gray or RGB, of several layers the first one in RGB; floating-point
-            values in a space that is not known.
+            px; deep pixels; channels other than gray or RGB, of several layers as of `_channels`; floating-point values
+            in a space that is not known.
     """
     check_exists(path)
     if is_heif(path):
@@ -223,7 +224,7 @@ def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) 
 def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
     """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha.
 
-    Those without a layer count, else those of the first layer in RGB.
+    Those without a layer count, else those of a layer of _BEAUTY, else of the first one in RGB.
     """
     names = [name.upper() for name in spec.channelnames]
     if spec.deep:
@@ -234,9 +235,9 @@ def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
     for index, name in enumerate(names):
         layer, _, channel = name.rpartition(".")
         layers.setdefault(layer, {})[channel] = index
-    for found in layers.values():
-        if found.keys() >= {"R", "G", "B"}:
-            return [found[channel] for channel in "RGBA" if channel in found]
+    for layer in sorted(layers, key=lambda layer: (layer != "", layer.rpartition(".")[2] not in _BEAUTY)):
+        if layers[layer].keys() >= {"R", "G", "B"}:
+            return [layers[layer][channel] for channel in "RGBA" if channel in layers[layer]]
     if spec.nchannels == 1:
         return [0, 0, 0]
     if spec.nchannels == 2 and "A" in names:

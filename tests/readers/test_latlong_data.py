@@ -64,6 +64,10 @@ LAYOUTS: dict[str, tuple[tuple[str, ...], list[int]]] = {
     "alpha": (("R", "G", "B", "A"), [0, 1, 2]),
     "any order": (("B", "G", "R"), [2, 1, 0]),
     "layers": (("V.Combined.R", "V.Combined.G", "V.Combined.B", "V.Depth.Z"), [0, 1, 2]),
+    "a layer before the picture's": (
+        ("V.AO.R", "V.AO.G", "V.AO.B", "V.Combined.R", "V.Combined.G", "V.Combined.B"),
+        [3, 4, 5],
+    ),
     "a layer besides": (("R", "G", "B", "glow.R", "glow.G", "glow.B"), [0, 1, 2]),
     "others besides": (("Z", "R", "id", "G", "B"), [1, 3, 4]),
     "gray": (("Y",), [0, 0, 0]),
