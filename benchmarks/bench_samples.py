@@ -16,12 +16,13 @@ from typing import NamedTuple
 import torch
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
 from benchmarks.measured import as_measured
 from metapp.cli.console import run
 from metapp.evaluation.statistics import paired
-from metapp.evaluation.style import COLOURS, MUTED, STYLE, new, save
+from metapp.evaluation.style import COLOURS, MUTED, STYLE, save
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Training
 from metapp.extensions.baselines.fits import allowed_for, training_of
@@ -97,8 +98,8 @@ def ratios(found: list[Errors], others: list[Errors]) -> list[str]:
 
 def figure(found: dict[Way, list[float]], file: Path) -> None:
     """Errors over samples, both logarithmic, a line a way, its name at the line's end."""
-    drawn, axes = new(7.0, 4.4)
-    axis = axes[0, 0]
+    drawn = Figure(figsize=(7.0, 4.4))
+    axis = drawn.subplots()
     for way, errors in found.items():
         axis.loglog(COUNTS, errors, way.dashes, marker="o", markersize=4, color=way.colour)
     axis.xaxis.set_major_locator(FixedLocator(COUNTS))

@@ -18,11 +18,12 @@ from typing import Any
 
 import torch
 from matplotlib import rc_context
+from matplotlib.figure import Figure
 from torch import Generator
 
 from benchmarks.bench_growth import exponent
 from metapp.apps import app_of, recipes_of
-from metapp.evaluation.style import STYLE, new, save
+from metapp.evaluation.style import STYLE, save
 from metapp.learning.app import App, stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
@@ -88,8 +89,9 @@ def measure(name: str, side: int) -> dict[str, float]:
 
 def figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
     """Time of a step and memory over texels, both logarithmic, a line an application, beside a linear one."""
-    drawn, panels = new(9, 3.4, columns=2)
-    for panel, (key, label) in zip(panels[0], (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
+    drawn = Figure(figsize=(9, 3.4))
+    panels = drawn.subplots(1, 2)
+    for panel, (key, label) in zip(panels, (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
         for name, rows in found.items():
             panel.loglog([texels(name, side) for side in SIZES[name]], [row[key] for row in rows], "o-", label=name)
         sides = [texels("texture", side) for side in SIZES["texture"]]
@@ -97,7 +99,7 @@ def figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
         panel.loglog(sides, [least * n / sides[0] for n in sides], "k:", label="linear")
         panel.set_xlabel("texels")
         panel.set_ylabel(label)
-    panels[0, 0].legend()
+    panels[0].legend()
     save(drawn, file)
 
 

@@ -33,8 +33,8 @@ MANY = """
 import json, sys
 from metapp.cli.commands import app
 from metapp.cli.console import run
-from metapp.evaluation import style
-style.DPI = 40  # nobody looks at these figures
+from metapp.evaluation.style import STYLE
+STYLE["savefig.dpi"] = 40  # nobody looks at these figures
 for line in sys.stdin:
     code = run(lambda: app(json.loads(line), standalone_mode=False, prog_name="metapp"))
     print(f"\\n== {code}", flush=True)

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from metapp.evaluation.style import COLOURS, GRID, STYLE, new, save
+from metapp.evaluation.style import COLOURS, STYLE, save
 from metapp.storage.checkpoints import load_checkpoint
 
 
@@ -29,7 +30,7 @@ def panel(axes: Axes, path: Path) -> None:
     info = load_checkpoint(path)[1]
     curve = np.array([(step, error) for step, _, error in info["curve"][1:]])
     steps, errors, planned = curve[:, 0], np.minimum.accumulate(curve[:, 1]), info["training"]["steps"]
-    axes.plot(steps, curve[:, 1], color=GRID, linewidth=0.8)
+    axes.plot(steps, curve[:, 1], color="lightgrey", linewidth=0.8)
     axes.plot(steps, errors, color=COLOURS["meta"])
     axes.set(xscale="log", xlabel="outer steps", title=f"{info['app']}\n{info['checkpoint']}, {info['recipe']}")
     words = f"{path}: {errors[-1]:.3f} after {steps[-1]:,.0f} steps"
@@ -48,7 +49,8 @@ def panel(axes: Axes, path: Path) -> None:
 def main(picture: Path, *checkpoints: Path) -> None:
     """Draw all curves side by side."""
     with rc_context(STYLE):
-        figure, panels = new(3.2 * len(checkpoints), 2.4, columns=len(checkpoints))
+        figure = Figure(figsize=(3.2 * len(checkpoints), 2.4))
+        panels = figure.subplots(1, len(checkpoints), squeeze=False)
         for axes, path in zip(panels[0], checkpoints, strict=True):
             panel(axes, path)
         panels[0, 0].set_ylabel("validation error")

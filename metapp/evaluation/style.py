@@ -1,12 +1,11 @@
-"""The style of all figures: colours that the colour-blind tell apart (Okabe & Ito 2008), sizes."""
+"""The style of figures: matplotlib's rcParams, colours that the colour-blind tell apart (Okabe & Ito 2008)."""
 
 from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -20,48 +19,23 @@ COLOURS = {
     "meta": "#D55E00",
 }
 MUTED = "#666666"
-DPI = 160
-INK, GRID = "#222222", "#d9d9d9"
 STYLE: Any = {
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.labelsize": 9,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
     "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "figure.constrained_layout.use": True,
+    "font.size": 9,
+    "grid.color": "#d9d9d9",
     "legend.frameon": False,
-    "legend.fontsize": 8,
-    "lines.linewidth": 1.6,
     "pdf.fonttype": 42,  # text stays text
+    "savefig.dpi": 160,
 }
 
 
-class Drawn(NamedTuple):
-    """A figure and its description in words, for those who read it or hear it."""
-
-    figure: Figure
-    caption: str
-
-
-def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, np.ndarray]:
-    """A figure of so many inches, and its axes [rows, columns]."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
-
-
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure in the format of the suffix. The same figure gives the same file."""
+    """Write a figure in the format of the suffix, without a date, so that files of equal figures are equal."""
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
     with rc_context(STYLE):
-        write_atomically(path, functools.partial(figure.savefig, dpi=DPI, metadata=metadata))
+        write_atomically(path, functools.partial(figure.savefig, metadata=metadata))
     return path

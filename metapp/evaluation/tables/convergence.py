@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import torch
-from torch import Tensor
-
 from metapp.evaluation.rows import paper, row_of
 from metapp.evaluation.subject import FEW, Subject, evenly
 from metapp.evaluation.table import Column, Row, Table, columns
@@ -20,14 +17,12 @@ from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fitting import rng_of
 from metapp.storage.checkpoints import digest
-from metapp.storage.fits import Record, read_params
+from metapp.storage.fits import Record
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 CURVES = ("overfit", "finetune", "quickft", "meta")
 FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
-WALKED = 32  # steps between the places on a path
-ENTRIES = ("curves", "further", "paths", "explained")  # of a record
 COLUMNS = columns(
     "paradigm",
     *(Column("of its steps", "part"), Column("step", "step")),
@@ -87,30 +82,17 @@ def _traced(subject: Subject) -> list[Task]:
 
 
 def trace_records(subject: Subject) -> list[Record]:
-    """Traces of a few tasks: errors of each paradigm along its steps, paths, and the errors of further steps of Meta.
-
-    Beside each record are Meta's parameters at PARTS of its steps, as `<part>/<name>`.
-    """
+    """Traces of a few tasks: errors of each paradigm along its steps, and of further steps of Meta."""
     kept, fits = None, [subject.runs[name] for name in CURVES]
     if all(fit.checkpoint for fit in fits):
         keys = [digest(fit.settings(subject.label)) for fit in fits]
-        settings: Record = {"app": subject.app.name, **subject.app.protocol_entry(), "fits": keys}
-        settings |= {"further": FURTHER, "walked": WALKED}
-        kept = subject.kept("trace", settings, ENTRIES)
+        settings: Record = {"app": subject.app.name, **subject.app.protocol_entry(), "fits": keys, "further": FURTHER}
+        kept = subject.kept("trace", settings, ("curves", "further"))
 
-    def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
-        return (_trace(subject, task) for task in tasks)
+    def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
+        return ((_trace(subject, task), None) for task in tasks)
 
     return subject.measured("trace", kept, measure, _traced(subject), sum(fit.steps for fit in fits) + sum(FURTHER))
-
-
-def parts_of(record: Record) -> dict[float, Params]:
-    """Meta's parameters at PARTS of its steps, without task axis, from a trace."""
-    states: dict[float, Params] = {part: {} for part in PARTS}
-    for name, value in read_params(record["folder"]).items():
-        part, key = name.split("/", 1)
-        states[float(part)][key] = value
-    return states
 
 
 def step_at(part: float, steps: int) -> int:
@@ -123,42 +105,19 @@ def curve_steps(steps: int) -> set[int]:
     return {step_at(part, steps) for part in PARTS} | {round(steps / 4**i) for i in range(2, 16) if steps >= 4**i}
 
 
-def path_steps(steps: int) -> set[int]:
-    """Steps of marks of a path: evenly in the square root of the step, as it moves fastest at first."""
-    return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
-
-
-def _trace(subject: Subject, task: Task) -> tuple[Record, Params]:
-    """The record of one task, and Meta's parameters at PARTS of its steps."""
+def _trace(subject: Subject, task: Task) -> Record:
+    """The record of one task."""
     stacked = stack(subject.app, [task], subject.run.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
-    paths: dict[str, list[Params]] = {}
     for name in CURVES:
         fit = subject.runs[name]
-        measured, walked = curve_steps(fit.steps), path_steps(fit.steps) if name in ("overfit", "meta") else set()
+        measured = curve_steps(fit.steps)
         descent = fit.paradigm.descend(fit.phi, stacked, rng_of(fit, task))  # the fit of the row
-        states = {now.step: now.theta for now in descent if now.step in measured | walked}  # [1, ...] each
+        states = {now.step: now.theta for now in descent if now.step in measured}  # [1, ...] each
         curves[name] = [(step, _error_of(subject, states[step], stacked)) for step in sorted(measured)]
-        paths[name] = [states[step] for step in sorted(walked)]
-    parts = {part: states[step_at(part, fit.steps)] for part in PARTS}  # of Meta, the last of CURVES
-    places, explained = project_paths(paths["meta"], paths["overfit"])
-    record = {
-        "name": task.name,
-        "error": curves["meta"][-1][1],
-        "curves": curves,
-        "further": _further(subject, task, stacked, parts[1.0], curves["overfit"][-1][1]),
-        "paths": places,
-        "explained": explained,
-    }
-    return record, named(parts)
-
-
-def named(parts: dict[float, Params]) -> Params:
-    """Parameters [1, ...] at PARTS of the steps as `<part>/<name>`, [...] each.
-
-    Each has memory of its own, as files ask for; a rule that solves leaves most parameters as they are.
-    """
-    return {f"{part:g}/{key}": value[0].clone() for part, theta in parts.items() for key, value in theta.items()}
+    meta = states[fit.steps]  # the last of CURVES
+    further = _further(subject, task, stacked, meta, curves["overfit"][-1][1])
+    return {"name": task.name, "error": curves["meta"][-1][1], "curves": curves, "further": further}
 
 
 def _error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
@@ -184,24 +143,3 @@ def _further(
         rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(subject.app, recipe.batch)
         errors.append((steps, _error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors
-
-
-def project_paths(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
-    """Both paths in the plane of most variance, and its share; no places if Meta's rule has another network."""
-
-    def vector(theta: Params) -> Tensor:
-        return torch.cat([theta[key].detach().flatten().cpu() for key in sorted(theta)])
-
-    both = [torch.stack([vector(theta) for theta in path]) for path in (meta, overfit)]
-    if both[0].shape[1] != both[1].shape[1]:
-        return {"meta": [], "overfit": []}, 0.0
-    places, explained = project(torch.cat(both))
-    return {"meta": places[: len(meta)].tolist(), "overfit": places[len(meta) :].tolist()}, explained
-
-
-def project(states: Tensor) -> tuple[Tensor, float]:
-    """States [S, D] in the plane of most variance: places [S, 2], and the share of variance in it."""
-    centred = (states - states.mean(0)).double()
-    values, vectors = torch.linalg.eigh(centred @ centred.T)  # S is far less than D
-    places_of = vectors[:, -2:].flip(1) * values[-2:].flip(0).clamp_min(0).sqrt()
-    return places_of, float(values[-2:].sum() / values.sum().clamp_min(1e-30))

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.measured_pairs import Pairs
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.evaluation.style import COLOURS, INK, MUTED, STYLE
+from metapp.evaluation.style import COLOURS, MUTED, STYLE
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.network import NETWORK, linear, slope_of
 from metapp.learning.task import Params
@@ -72,7 +72,7 @@ def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
     for at, pair in enumerate(zip(wi, wo, strict=True), 1):
         pairs.append((*pair, light, detector, str(at) if len(wi) <= NUMBERED else ""))
     with rc_context(STYLE):
-        figure = Figure(figsize=(5.2, 5.6), layout="constrained")
+        figure = Figure(figsize=(5.2, 5.6))
         axis = figure.add_subplot(projection="polar")
         assert isinstance(axis, PolarAxes)
         axis.set_rlim(0, 90)
@@ -86,7 +86,7 @@ def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
             axis.plot([a], [r], "o", color=first, markersize=5, zorder=3)
             axis.plot([b], [s], "s", color=second, markersize=4, zorder=2)
             if number:
-                axis.annotate(number, (a, r), xytext=(4, 3), textcoords="offset points", fontsize=7, color=INK)
+                axis.annotate(number, (a, r), xytext=(4, 3), textcoords="offset points", fontsize=7)
         axis.plot([], [], "o", color=light, markersize=5, label="light")
         axis.plot([], [], "s", color=detector, markersize=4, label="detector")
         if len(before.wi):

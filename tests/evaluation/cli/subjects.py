@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from metapp.apps.brdf.recipes import RECIPES
+from metapp.evaluation.style import STYLE
 from metapp.evaluation.subject import Subject
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
@@ -21,7 +22,7 @@ def few_steps() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.evaluation.tables.convergence.FURTHER", (2, 4))
-        patch.setattr("metapp.evaluation.style.DPI", 40)
+        patch.setitem(STYLE, "savefig.dpi", 40)
         shrink_spheres(patch)
         yield
 

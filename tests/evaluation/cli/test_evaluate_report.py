@@ -1,7 +1,6 @@
 """The figures and the report of `metapp evaluate`: tables as Markdown, which links to the figures."""
 
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,21 +38,6 @@ def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, t
     assert not {"Methods without a network", "Error and time"} & set(headings(text))
     folders = {folder.name.split("-")[0] for folder in (tmp_path / "runs" / "brdf").iterdir()}
     assert folders == {"general", "meta", "quickft"}
-
-
-def test_names_of_tasks_are_text(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
-    names = ["![x](y)", "{0} %s $\\frac$", "<b onload=1>&amp;'\"", "نحاس"]
-    for name in names:
-        shutil.copytree(neural_fits(1) / "m0", tmp_path / "networks" / name)
-    words = ("--split", "test", "--samples", 256, "--out", tmp_path / "set", "--quiet")
-    assert metapp("data", "nbrdf", tmp_path / "networks", *words).code == 0
-    words = ("--data", tmp_path / "set", "--out", tmp_path / "runs", "--which", "convergence", "--quiet", "--json")
-    assert metapp("evaluate", "brdf", *words, "--report", tmp_path / "report").code == 0
-    text = (tmp_path / "report" / "index.md").read_text()
-    assert r"\!\[x\](y)" in text
-    assert r"\<b onload=1\>\&amp;'" in text
-    assert not re.search(r"(?<!\\)<", text)
-    assert text.count("\n![") == len(list((tmp_path / "report").glob("*.png")))
 
 
 def test_a_report_of_nothing_has_the_papers_figures(evaluate: Callable, tmp_path: Path) -> None:

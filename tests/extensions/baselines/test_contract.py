@@ -202,8 +202,8 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
     subject.measuring = False
     drawn = draw_figure("plane", subject)
     assert drawn
-    assert "Meta 5.000 in 1 s" in drawn.caption
-    assert ", flat " in drawn.caption
+    assert "Meta 5.000 in 1 s" in drawn[1]
+    assert ", flat " in drawn[1]
 
 
 def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
