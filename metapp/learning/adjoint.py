@@ -173,6 +173,7 @@ class _LearnThrough(torch.autograd.Function):
     """K steps of learning as one node of the graph: keeps the K states, backpropagates one recomputed at a time."""
 
     steps: Steps
+    names: Sequence[str]
     alpha: Params
     taken: list[tuple[Params, Params, AnyBatch, Params]]
     last_state: Params
@@ -184,7 +185,7 @@ class _LearnThrough(torch.autograd.Function):
         values = (leaf.detach() for leaf in leaves)
         theta, ctx.alpha = ({key: next(values) for key in keys} for keys in (names, steps.alpha))
         state = steps.init(theta)
-        ctx.steps, ctx.taken = steps, []
+        ctx.steps, ctx.names, ctx.taken = steps, names, []
         for i, batch in enumerate(batches):
             before = (theta, state)
             theta, state, _, grads = steps.step(at_step(ctx.alpha, i), theta, state, batch)
@@ -195,16 +196,15 @@ class _LearnThrough(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: _LearnThrough, *d_final: Tensor) -> tuple[Tensor | None, ...]:
-        names = list(ctx.taken[0][0])
-        d_theta = dict(zip(names, (value.contiguous() for value in d_final), strict=True))
+        d_theta = dict(zip(ctx.names, (value.contiguous() for value in d_final), strict=True))
         d_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         d_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
-        for i in reversed(range(len(ctx.taken))):
+        for i, taken in reversed(list(enumerate(ctx.taken))):
             alpha = at_step(ctx.alpha, i)
-            d_theta, d_state, d_alpha_i = ctx.steps.vjp(alpha, *ctx.taken.pop(), d_theta, d_state)
+            d_theta, d_state, d_alpha_i = ctx.steps.vjp(alpha, *taken, d_theta, d_state)
             for key, value in d_alpha_i.items():
                 d_alpha[key][min(i, d_alpha[key].shape[0] - 1)].add_(value)
-        return None, None, None, None, *(d_theta[key] for key in names), *d_alpha.values()
+        return None, None, None, None, *(d_theta[key] for key in ctx.names), *d_alpha.values()
 
 
 def learn_through(
