@@ -1,133 +1,131 @@
 """All that the core has, by name: one page of entries, each imported at first use."""
 
-from metapp.registry import Application, Entry, Export, Format, Recipe, Registry
+from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
 
 EITHER = ("reference", "photo")  # values of --observe
-
-# names of recipes by application, and the protocols under which they are
-USUAL = ("quick", "full", "paper")
-SMALLER = ("paper-64", "paper-128")
-RECIPES = (
-    ("brdf", ("",), USUAL),
-    ("texture", ("",), (*USUAL, *SMALLER)),
-    ("svbrdf_stationary", ("",), (*USUAL, *SMALLER)),
-    ("svbrdf_nonstationary", EITHER, USUAL),
-    ("svbrdf_nonstationary", ("reference",), SMALLER),
-    ("illumination", EITHER, USUAL),
-    ("transport", ("",), USUAL),
-)
-
-
-def register(registry: Registry) -> None:
-    """Add the core's applications and all that belongs to them, rules, tables and commands."""
-    for app, protocols, names in RECIPES:
-        for protocol in protocols:
-            for name in names:
-                place = ".".join(filter(None, ("RECIPES", protocol, name)))
-                registry.recipes[app, protocol, name] = Recipe(f"metapp.apps.{app}.recipes:{place}")
-
-    app, recipes, readers = "metapp.apps.brdf", "metapp.apps.brdf.recipes:RECIPES", "data_tools.readers"
-    registry.applications["brdf"] = Application(
-        f"{app}.app:Brdf",
+APPLICATIONS = {
+    "brdf": Application(
+        "metapp.apps.brdf.app:Brdf",
         help="BRDFs: reflectance of a material over pairs of directions.",
-        options=f"{app}.options:BrdfOptions",
+        options="metapp.apps.brdf.options:BrdfOptions",
         kinds=("phi_h",),
-    )
-    registry.recipes["brdf", "", "anisotropic"] = Recipe(
-        f"{recipes}.anisotropic",
-        help="reflectance that depends on phi_h",
-        kind="phi_h",
-        paradigms=("meta", "overfit"),
-    )
-    registry.networks["brdf", "nbrdf"] = Entry(f"{app}.nbrdf:NBRDF")
-    registry.networks["brdf", "featured"] = Entry(f"{app}.featured:FEATURED")
-    registry.networks["brdf", "anisotropic"] = Entry(f"{app}.featured:ANISOTROPIC")
-    registry.formats["merl"] = Format(f"{readers}.merl", app="brdf", inputs="MERL .binary files")
-    registry.formats["nbrdf"] = Format(f"{readers}.nbrdf", app="brdf", inputs="folders with an NBRDF network")
-    registry.objects["brdf"] = Entry(f"{readers}.brdf_objects:from_object")
-    registry.exports["brdf", "merl"] = Export(f"{readers}.merl:export")
-    registry.exports["brdf", "nbrdf"] = Export(f"{readers}.nbrdf:export", holds=("w1", "w2", "w3", "b1", "b2", "b3"))
-    registry.synthetic["brdf"] = Entry(
-        "data_tools.synthetic.brdf", "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)"
-    )
-
-    # textures, and stationary svBRDFs, whose maps come of noise as well
-    registry.applications["texture"] = Application(
+    ),
+    "texture": Application(
         "metapp.apps.texture.app:Texture",
         help="Textures that look like the photograph of an exemplar.",
         options="metapp.networks.options:ExemplarOptions",
-    )
-    registry.applications["svbrdf_stationary"] = Application(
+    ),
+    "svbrdf_stationary": Application(
         "metapp.apps.svbrdf_stationary.app:SvbrdfStationary",
         help="Tiling maps of a flat material from one flash photograph.",
         options="metapp.networks.options:FlashExemplarOptions",
-    )
-    registry.formats["images"] = Format("data_tools.readers.photos", app="texture", inputs="images")
-    registry.formats["flash"] = Format("data_tools.readers.flash", app="svbrdf_stationary", inputs="flash photos")
-    registry.objects["texture"] = Entry("data_tools.readers.photos:task_of_object")
-    registry.objects["svbrdf_stationary"] = Entry("data_tools.readers.flash:task_of_object")
-    registry.synthetic["texture"] = Entry(
-        "data_tools.synthetic.texture", "photos of 20 kinds of flat materials; 0.2 MB (240 + 20)"
-    )
-    registry.synthetic["svbrdf_stationary"] = Entry(
-        "data_tools.synthetic.svbrdf_stationary", "flash photos of 16 of these kinds; 0.2 MB (120 + 16)"
-    )
-
-    name, readers = "svbrdf_nonstationary", "data_tools.readers"
-    registry.applications[name] = Application(
+    ),
+    "svbrdf_nonstationary": Application(
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",
         help="Maps of a flat material from one or several flash photographs.",
         options="metapp.networks.options:FlashOptions",
         kinds=("places", "photo"),
         protocols=EITHER,
-    )
-    registry.formats["maps"] = Format(f"{readers}.material_maps", app=name)
-    registry.formats["strips"] = Format(f"{readers}.strips", app=name)
-    registry.formats["svbrdf"] = Format(  # of fits: photos, strips and maps
-        f"{readers}.svbrdf_inputs",
-        app=name,
-        inputs="flash photos, strips, a material's maps",
-        kinds=(("photo", ""),),
-    )
-    registry.objects[name] = Entry(f"{readers}.svbrdf_inputs:task_of_object")
-    registry.synthetic[name] = Entry(
-        "data_tools.synthetic.svbrdf_nonstationary", "maps and flash photos of 19 kinds; 0.4 MB (1,200 + 16)"
-    )
-
-    registry.applications["illumination"] = Application(
+    ),
+    "illumination": Application(
         "metapp.apps.illumination.app:Illumination",
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
         options="metapp.apps.illumination.options:IlluminationOptions",
         protocols=EITHER,
-    )
-    registry.applications["transport"] = Application(
+    ),
+    "transport": Application(
         "metapp.apps.transport.app:Transport",
         help="Light transport of a scene: densities that guide its paths.",
         options="metapp.apps.transport.options:TransportOptions",
-    )
-    registry.formats["laval"] = Format("data_tools.readers.latlong", app="illumination", inputs="HDR maps (.exr, .hdr)")
-    registry.objects["illumination"] = Entry("data_tools.readers.latlong:task_of_object")
-    registry.synthetic["illumination"] = Entry(
-        "data_tools.synthetic.illumination", "HDR maps of 16 kinds, photos of spheres; 0.15 MB (900 + 16)"
-    )
-    registry.synthetic["transport"] = Entry(
-        "data_tools.synthetic.transport", "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)"
-    )
+    ),
+}
+SMALLER = ("paper-64", "paper-128")  # further recipes, of --observe reference
+SMALLER_APPLICATIONS = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
+SYNTHETIC = {
+    "brdf": "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)",
+    "texture": "photos of 20 kinds of flat materials; 0.2 MB (240 + 20)",
+    "svbrdf_stationary": "flash photos of 16 of these kinds; 0.2 MB (120 + 16)",
+    "svbrdf_nonstationary": "maps and flash photos of 19 kinds; 0.4 MB (1,200 + 16)",
+    "illumination": "HDR maps of 16 kinds, photos of spheres; 0.15 MB (900 + 16)",
+    "transport": "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)",
+}
+OBJECTS = {
+    "brdf": "brdf_objects:from_object",
+    "texture": "photos:task_of_object",
+    "svbrdf_stationary": "flash:task_of_object",
+    "svbrdf_nonstationary": "svbrdf_inputs:task_of_object",
+    "illumination": "latlong:task_of_object",
+}
+FORMATS = {  # module of data_tools.readers, application, inputs
+    "merl": ("merl", "brdf", "MERL .binary files"),
+    "nbrdf": ("nbrdf", "brdf", "folders with an NBRDF network"),
+    "images": ("photos", "texture", "images"),
+    "flash": ("flash", "svbrdf_stationary", "flash photos"),
+    "maps": ("material_maps", "svbrdf_nonstationary", ""),
+    "strips": ("strips", "svbrdf_nonstationary", ""),
+    "laval": ("latlong", "illumination", "HDR maps (.exr, .hdr)"),
+}
+PARTS = {  # of rules, in the order in which they act on a step
+    "sgd": "parts:SignedRates",
+    "rates": "parts:Rates",
+    "shared": "parts:SharedRates",
+    "solve": "solve:Solve",
+    "betas": "parts:Betas",
+    "loss": "parts:LossParameters",
+    "pace": "parts:Paces",
+    "eps": "parts:Eps",
+    "curvature": "parts:Curvature",
+    "network": "network:Network",
+    "average": "parts:Average",
+    "basis": "parts:Basis",
+}
+TABLES = {
+    "results": "results:results",
+    "quickft": "results:quickft",
+    "image": "image:image",
+    "ablation": "ablation:ablation",
+    "storage": "storage:storage",
+    "samples": "storage:samples",
+    "convergence": "convergence:convergence",
+}
 
-    parts = "metapp.learning.rules.parts"
-    # in the order in which they act on a step
-    registry.parts["sgd"] = Entry(f"{parts}:SignedRates")
-    registry.parts["rates"] = Entry(f"{parts}:Rates")
-    registry.parts["shared"] = Entry(f"{parts}:SharedRates")
-    registry.parts["solve"] = Entry("metapp.learning.rules.solve:Solve")
-    registry.parts["betas"] = Entry(f"{parts}:Betas")
-    registry.parts["loss"] = Entry(f"{parts}:LossParameters")
-    registry.parts["pace"] = Entry(f"{parts}:Paces")
-    registry.parts["eps"] = Entry(f"{parts}:Eps")
-    registry.parts["curvature"] = Entry(f"{parts}:Curvature")
-    registry.parts["network"] = Entry("metapp.learning.rules.network:Network")
-    registry.parts["average"] = Entry(f"{parts}:Average")
-    registry.parts["basis"] = Entry(f"{parts}:Basis")
+
+def register(registry: Registry) -> None:
+    """Add the core's applications and all that belongs to them, rules, tables and commands."""
+    for app, entry in APPLICATIONS.items():
+        registry.applications[app] = entry
+        for protocol in entry.protocols or ("",):
+            smaller = SMALLER if app in SMALLER_APPLICATIONS and protocol in ("", "reference") else ()
+            for name in ("quick", "full", "paper", *smaller):
+                place = ".".join(filter(None, ("RECIPES", protocol, name)))
+                registry.recipes[app, protocol, name] = RecipeEntry(f"metapp.apps.{app}.recipes:{place}")
+        registry.synthetic[app] = Entry(f"data_tools.synthetic.{app}", SYNTHETIC[app])
+        if app in OBJECTS:
+            registry.objects[app] = Entry(f"data_tools.readers.{OBJECTS[app]}")
+    for name, (module, app, inputs) in FORMATS.items():
+        registry.formats[name] = Format(f"data_tools.readers.{module}", app=app, inputs=inputs)
+        registry.commands[f"data {name}"] = Entry(f"data_tools.converters:{name.capitalize()}")
+    registry.formats["svbrdf"] = Format(  # of fits: photos, strips and maps
+        "data_tools.readers.svbrdf_inputs",
+        app="svbrdf_nonstationary",
+        inputs="flash photos, strips, a material's maps",
+        kinds=(("photo", ""),),
+    )
+    registry.recipes["brdf", "", "anisotropic"] = RecipeEntry(
+        "metapp.apps.brdf.recipes:RECIPES.anisotropic",
+        help="reflectance that depends on phi_h",
+        kind="phi_h",
+        paradigms=("meta", "overfit"),
+    )
+    registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF")
+    registry.networks["brdf", "featured"] = Entry("metapp.apps.brdf.featured:FEATURED")
+    registry.networks["brdf", "anisotropic"] = Entry("metapp.apps.brdf.featured:ANISOTROPIC")
+    registry.exports["brdf", "merl"] = Export("data_tools.readers.merl:export")
+    weights = ("w1", "w2", "w3", "b1", "b2", "b3")
+    registry.exports["brdf", "nbrdf"] = Export("data_tools.readers.nbrdf:export", holds=weights)
+
+    for name, part in PARTS.items():
+        registry.parts[name] = Entry(f"metapp.learning.rules.{part}")
     # names for compositions
     registry.compositions["adam"] = "rates+betas"
     registry.compositions["tied"] = "shared+pace"
@@ -147,14 +145,8 @@ def register(registry: Registry) -> None:
     # ridge regression in the last layer, on learned features
     registry.rules["ridge"] = "solve+loss"
 
-    tables = "metapp.evaluation.tables"
-    registry.tables["results"] = Entry(f"{tables}.results:results")
-    registry.tables["quickft"] = Entry(f"{tables}.results:quickft")
-    registry.tables["image"] = Entry(f"{tables}.image:image")
-    registry.tables["ablation"] = Entry(f"{tables}.ablation:ablation")
-    registry.tables["storage"] = Entry(f"{tables}.storage:storage")
-    registry.tables["samples"] = Entry(f"{tables}.storage:samples")
-    registry.tables["convergence"] = Entry(f"{tables}.convergence:convergence")
+    for name, table in TABLES.items():
+        registry.tables[name] = Entry(f"metapp.evaluation.tables.{table}")
     registry.measures["SSIM"] = Entry(
         "metapp.appearance.picture_measures:SSIM",
         "Wang et al. 2004, at most 1, more is better",
@@ -169,5 +161,3 @@ def register(registry: Registry) -> None:
     registry.commands["data cornell"] = Entry("metapp.cli.synth:cornell")
     registry.commands["data join"] = Entry("metapp.cli.data:join")
     registry.commands["data check"] = Entry("metapp.cli.data:check")
-    for converter in ("merl", "nbrdf", "images", "flash", "maps", "strips", "laval"):
-        registry.commands[f"data {converter}"] = Entry(f"data_tools.converters:{converter.capitalize()}")

@@ -103,7 +103,7 @@ class Application(Entry):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe(Entry):
+class RecipeEntry(Entry):
     """A `metapp.learning.recipe.Recipe`; `help` says in words what inputs of its kind have.
 
     Attributes:
@@ -163,10 +163,10 @@ class Export(Entry):
     needs: tuple[str, str] | tuple[()] = ()
 
 
-class Table(UserDict[Any, Value]):
-    """Entries by name, or by several words such as the application and the name; a second one of a name is refused.
+class Entries(UserDict[Any, Value]):
+    """Entries by name, or by several words such as the application and the name; each name is given once.
 
-    >>> commands = Table(Entry)
+    >>> commands = Entries(Entry)
     >>> commands["count"] = Entry("mine:count")
     >>> commands["count"] = Entry("mine:count_all")
     Traceback (most recent call last):
@@ -188,7 +188,7 @@ class Table(UserDict[Any, Value]):
         self.data[key] = value
 
     def of(self, *first: str) -> dict[str, Value]:
-        """Those whose keys are these words and one more, by that."""
+        """Entries whose keys are these words and one more, by the last one."""
         return {_words(key)[-1]: value for key, value in self.items() if _words(key)[:-1] == first}
 
 
@@ -201,41 +201,39 @@ def _line(*words: str) -> str:
 
 
 class Registry:
-    """The tables, and who filled them; keys are names unless a comment says more.
+    """Tables of entries, and who filled them; keys are names unless a comment says more.
 
     Attributes:
         owners: packages by table and name.
         extensions: packages by name of the extension.
-        left_out: extensions that METAPP_WITHOUT names, with the entries that they would have registered.
         problems: why extensions cannot be used, by "NAME of PACKAGE".
     """
 
     def __init__(self) -> None:
-        self.applications = Table(Application)
-        self.recipes = Table(Recipe, 3)  # by application, protocol ("" where there is but one) and name
-        self.networks = Table(Entry, 2)  # by application and name: a fit's parameters tell the right one
-        self.parts = Table(Entry)  # of learned rules: subclasses of Part, in the order in which they act on a step
-        self.rules = Table(str)  # names of parts, rules and compositions, joined by +
-        self.compositions = Table(str)  # the same, of which rules alone are composed
-        self.formats = Table(Format)
-        self.objects = Table(Entry)  # by application: `task(object, name, **arguments of readers, and observe)`
-        self.synthetic = Table(Entry)  # by application: a module, as `metapp.runs.inputs.embedded` says
-        self.merges = Table(Entry, 2)  # by application and option: `merge(paths, value, **arguments of the reader)`
-        self.outputs = Table(Entry, 2)  # by application and option: `output(app, task, theta, value) -> Rendered`
-        self.exports = Table(Export, 2)  # by application and name
-        self.file_exports = Table(Entry)  # `write(path, kind, folder, quiet) -> paths` of files that `help` names
-        self.pages = Table(Entry)  # of the viewer, by application: `view(app, theta, task) -> View`
-        self.plugins = Table(Entry)  # of Mitsuba: a function that registers it; `help` is of integrators like `path`
-        self.measures = Table(Entry)  # of pictures: a `metapp.appearance.picture_measures.Measure`
-        self.baselines = Table(Entry, 2)  # by application and method: `baselines(app)`, several that have this one
-        self.tables = Table(Entry)  # of `metapp evaluate`: `results(subject) -> metapp.evaluation.table.Table`
-        self.commands = Table(Entry)  # a function that typer reads, a group of typer; "data FORMAT": a Converter
-        self.examples = Table(Entry)  # by application: words after `metapp`, {} the folder of inputs; what they make
-        self.methods = Table(Entry)  # of fits in the Python API: functions of a Fit
-        self.hooks = Table(Entry)  # "steps": as `metapp.learning.adjoint.torch_steps`; "scene": `check(scene) -> scene`
+        self.applications = Entries(Application)
+        self.recipes = Entries(RecipeEntry, 3)  # by application, protocol ("" where there is but one) and name
+        self.networks = Entries(Entry, 2)  # by application and name: a fit's parameters tell the right one
+        self.parts = Entries(Entry)  # of learned rules: subclasses of Part, in the order in which they act on a step
+        self.rules = Entries(str)  # names of parts, rules and compositions, joined by +
+        self.compositions = Entries(str)  # the same, of which rules alone are composed
+        self.formats = Entries(Format)
+        self.objects = Entries(Entry)  # by application: `task(object, name, **arguments of readers, and observe)`
+        self.synthetic = Entries(Entry)  # by application: a module, as `metapp.runs.inputs.embedded` says
+        self.merges = Entries(Entry, 2)  # by application and option: `merge(paths, value, **arguments of readers)`
+        self.outputs = Entries(Entry, 2)  # by application and option: `output(app, task, theta, value) -> Rendered`
+        self.exports = Entries(Export, 2)  # by application and name
+        self.file_exports = Entries(Entry)  # `write(path, kind, folder, quiet) -> paths` of files that `help` names
+        self.pages = Entries(Entry)  # of the viewer, by application: `view(app, theta, task) -> View`
+        self.plugins = Entries(Entry)  # of Mitsuba: a function that registers it; `help` is of integrators
+        self.measures = Entries(Entry)  # of pictures: a `metapp.appearance.picture_measures.Measure`
+        self.baselines = Entries(Entry, 2)  # by application and method: `baselines(app)`, several have this one
+        self.tables = Entries(Entry)  # of `metapp evaluate`: `results(subject) -> metapp.evaluation.table.Table`
+        self.commands = Entries(Entry)  # a function that typer reads, a group of typer; "data FORMAT": a Converter
+        self.examples = Entries(Entry)  # by application: words after `metapp`, {} the folder of inputs; results
+        self.methods = Entries(Entry)  # of fits in the Python API: functions of a Fit
+        self.hooks = Entries(Entry)  # "steps": as `metapp.learning.adjoint.torch_steps`; "scene": `check(scene)`
         self.owners: dict[str, str] = {}
         self.extensions: dict[str, str] = {}
-        self.left_out: dict[str, Registry] = {}
         self.problems: dict[str, str] = {}
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -252,7 +250,7 @@ class Registry:
         new: dict[str, str] = {}
         for table, key, entry in other.entries():
             names = [other.name(table, key)]
-            if isinstance(entry, Recipe) and entry.kind:
+            if isinstance(entry, RecipeEntry) and entry.kind:
                 names.append(f"recipes of {key[0]} for inputs of kind {_line(entry.kind, key[1])}")
             for name in names:
                 if owner := self.owners.get(name, new.get(name)):
@@ -265,7 +263,7 @@ class Registry:
     def entries(self) -> Iterator[tuple[str, Any, Any]]:
         """The table, the key and the entry of all."""
         for name, table in vars(self).items():
-            if isinstance(table, Table):
+            if isinstance(table, Entries):
                 yield from ((name, key, entry) for key, entry in table.items())
 
     @staticmethod
@@ -289,7 +287,7 @@ class Registry:
                 raise TypeError(f"commands {key}: {entry.reference} is no function")
 
     def loaded(self, table: str, *first: str) -> dict[str, Any]:
-        """The objects of a table, or of those whose keys begin with these words; ImportError as of `load`.
+        """The objects of a table, or of keys that begin with these words; ImportError as of `load`.
 
         Entries that another package has, or that cannot be loaded, are left out with a warning.
         """
@@ -311,11 +309,6 @@ def registry() -> Registry:
     'sgd'
     """
     return _built(os.environ.get(WITHOUT, ""))
-
-
-def left_out_with(table: str, name: str) -> str:
-    """The extension that METAPP_WITHOUT leaves out and whose table has this name; "" for none."""
-    return next((each for each, part in registry().left_out.items() if name in getattr(part, table)), "")
 
 
 def app_names() -> list[str]:
@@ -366,7 +359,7 @@ def recipe_names(app: str) -> list[str]:
     return list(dict.fromkeys(name for other, _, name in registry().recipes if other == app))
 
 
-def recipe_entries(app: str, protocol: str = "") -> dict[str, Recipe]:
+def recipe_entries(app: str, protocol: str = "") -> dict[str, RecipeEntry]:
     """The recipes of an application under a protocol, its default one if none is named."""
     return registry().recipes.of(app, protocol_of(app, protocol))
 
@@ -405,25 +398,20 @@ def _built(without: str) -> Registry:
     importlib.import_module(CORE).register(core := Registry())
     result.add(core, SHIPPED)
     points = [(_package(point.dist), point) for point in importlib.metadata.entry_points(group=GROUP)]
+    points = [(package, point) for package, point in points if point.name not in names]
     for package, point in sorted(points, key=lambda each: (each[0] != SHIPPED, each[0], each[1].value)):
-        part = Registry()
         try:
-            (point.load() if point.attr else point.load().register)(part)
+            (point.load() if point.attr else point.load().register)(part := Registry())
             if package != SHIPPED:
                 part.check()
-            if point.name not in names:
-                result.add(part, package)
-                result.extensions[point.name] = package
+            result.add(part, package)
+            result.extensions[point.name] = package
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever a stranger's module does, the rest of metapp works
             if package == SHIPPED:
                 raise
-            part = Registry()
-            if point.name not in names:
-                result.problems[f"{point.name} of {package}"] = reason_of(error)
-        if point.name in names:
-            result.left_out[point.name] = part
+            result.problems[f"{point.name} of {package}"] = reason_of(error)
     return result
 
 

@@ -10,15 +10,7 @@ import typer
 
 from metapp.cli.help import Command, Group
 from metapp.options import Converter
-from metapp.registry import (
-    SHIPPED,
-    WITHOUT,
-    app_names,
-    did_you_mean,
-    left_out_with,
-    reason_of,
-    registry,
-)
+from metapp.registry import SHIPPED, app_names, did_you_mean, reason_of, registry
 from metapp.runs.options import check_name
 from metapp.runs.reporter import say
 
@@ -64,13 +56,9 @@ class Commands(Group):
             return None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is named; a usage error names the extension that has it, or a command alike."""
+        """Find the command that is named; a usage error names a command alike."""
         name = args[0] if args else ""
         if name and not name.startswith("-") and f"{self.under}{name}" not in registry().commands:
-            if extension := left_out_with("commands", f"{self.under}{name}"):
-                raise typer.BadParameter(
-                    f"'{name}' is a command of the extension {extension}, which {WITHOUT} leaves out; unset it."
-                )
             hint = did_you_mean(name, self.list_commands(ctx))
             if name in app_names():
                 hint = f" {name} is an application: metapp meta {name}."

@@ -10,7 +10,7 @@ import typer
 
 from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
 from metapp.options import Option
-from metapp.registry import WITHOUT, app_names, did_you_mean, left_out_with, protocols_of, recipe_entries, registry
+from metapp.registry import app_names, did_you_mean, protocols_of, recipe_entries, registry
 from metapp.runs.options import MOST_SEEDS, check_name, check_protocol, fit_options
 from metapp.runs.reporter import say
 
@@ -65,10 +65,6 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
     Example: metapp evaluate brdf --which quickft
     """
     which = options.which or "results"
-    if extension := left_out_with("tables", which):
-        raise typer.BadParameter(
-            f"--which {which}: a table of the extension {extension}, which {WITHOUT} leaves out; unset it."
-        )
     if which not in WHICH:
         raise typer.BadParameter(f"--which '{which}': expected one of {', '.join(WHICH)}.{did_you_mean(which, WHICH)}")
     for folder in filter(None, (options.figures, options.report)):

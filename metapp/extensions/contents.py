@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.registry import Entry, Export, Format, Recipe, Registry
+from metapp.registry import Entry, Export, Format, RecipeEntry, Registry
 
 _MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
 _HERE = "metapp.extensions"
@@ -76,7 +76,7 @@ def few(registry: Registry) -> None:
         kinds=(("phi_h", "is_anisotropic"), ("few", "has_few")),
     )
     registry.networks["brdf", "few"] = Entry(f"{here}.network:NETWORK")
-    registry.recipes["brdf", "", "few"] = Recipe(
+    registry.recipes["brdf", "", "few"] = RecipeEntry(
         f"{here}.app:FEW",
         help="1,000 samples or fewer",
         kind="few",
@@ -149,7 +149,7 @@ def onnx_files(registry: Registry) -> None:
 def pretrained(registry: Registry) -> None:
     """General of flash photos over frozen features of VGG-16, and real materials to train it on."""
     here = f"{_HERE}.pretrained"
-    registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = Recipe(
+    registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = RecipeEntry(
         f"{here}.app:PRETRAINED",
         help="one flash photo",
         kind="photo",
@@ -196,7 +196,7 @@ def several(registry: Registry) -> None:
         inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
         kinds=(("places", ""),),
     )
-    registry.recipes["svbrdf_nonstationary", "photo", "several"] = Recipe(
+    registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
         f"{here}.recipe:SEVERAL", help="several photos", kind="places", checkpoints=f"{here}.checkpoints"
     )
 

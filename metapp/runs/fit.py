@@ -18,7 +18,7 @@ from torch import Tensor
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.registry import WITHOUT, left_out_with, registry
+from metapp.registry import registry
 from metapp.runs.options import check_export
 from metapp.runs.outputs.files import export_fit, rendered
 from metapp.runs.outputs.pictures import beside, image_of
@@ -106,9 +106,6 @@ class Fit:
         """A method that an extension adds."""
         if name in registry().methods:
             return functools.partial(registry().methods[name].load(), self)
-        if extension := left_out_with("methods", name):
-            left_out = f"a method of the extension {extension}, which {WITHOUT} leaves out; unset it."
-            raise AttributeError(f"fit.{name}: {left_out}")
         raise AttributeError(f"'Fit' object has no attribute '{name}'")
 
     def __dir__(self) -> list[str]:

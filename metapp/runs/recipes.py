@@ -15,7 +15,7 @@ from pathlib import Path
 from metapp.apps import recipe_of
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.registry import Format, Recipe, application_of, inputs_of, load, recipe_entries
+from metapp.registry import Format, RecipeEntry, application_of, inputs_of, load, recipe_entries
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
 
@@ -50,7 +50,7 @@ def chosen_recipe(options: FitOptions, tasks: Sequence[Task] = ()) -> str:
     return name
 
 
-def _by_kind(options: FitOptions) -> dict[str, tuple[str, Recipe]]:
+def _by_kind(options: FitOptions) -> dict[str, tuple[str, RecipeEntry]]:
     """The names and entries of recipes by kind of input, of those with checkpoints for the paradigm."""
     return {
         entry.kind: (name, entry)
@@ -61,7 +61,7 @@ def _by_kind(options: FitOptions) -> dict[str, tuple[str, Recipe]]:
     }
 
 
-def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, Recipe]]) -> str:
+def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, RecipeEntry]]) -> str:
     """The kind of all inputs, "" for none; BadOption if they are of several and a recipe is for one of them."""
     # of what is neither a file nor a folder, whatever reads it says so
     paths = [path for path in options.paths if path.is_file() or path.is_dir()]

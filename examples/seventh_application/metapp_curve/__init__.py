@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from metapp.options import Converter
-from metapp.registry import Application, Entry, Export, Format, Recipe, Registry
+from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class Curve(Converter):
 def register(registry: Registry) -> None:
     """Add the application and all that it has."""
     registry.applications["curve"] = Application("metapp_curve.app:Curve", help="Curves: a network of one variable.")
-    registry.recipes["curve", "", "quick"] = Recipe("metapp_curve.recipes:RECIPES.quick")
-    registry.recipes["curve", "", "paper"] = Recipe("metapp_curve.recipes:RECIPES.paper")
+    registry.recipes["curve", "", "quick"] = RecipeEntry("metapp_curve.recipes:RECIPES.quick")
+    registry.recipes["curve", "", "paper"] = RecipeEntry("metapp_curve.recipes:RECIPES.paper")
     registry.formats["curve"] = Format("metapp_curve.files", app="curve", inputs=".curve files of 32 numbers")
     registry.commands["data curve"] = Entry("metapp_curve:Curve")
     registry.exports["curve", "csv"] = Export("metapp_curve.files:export")

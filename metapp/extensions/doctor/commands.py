@@ -68,7 +68,8 @@ def _extensions() -> list[str]:
     extensions = registry().extensions.items()
     names = [name if package == SHIPPED else f"{name} of {package}" for name, package in extensions]
     names += [f"{name} (left out: {reason})" for name, reason in registry().problems.items()]
-    return names + [f"{name} (left out by {WITHOUT})" for name in registry().left_out]
+    without = os.environ.get(WITHOUT, "")
+    return names + [f"left out by {WITHOUT}: {without}"] * bool(without)
 
 
 def _compiler() -> str:

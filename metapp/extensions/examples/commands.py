@@ -10,7 +10,7 @@ import typer
 
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, app_words, check_folder
-from metapp.registry import did_you_mean, left_out_with, registry
+from metapp.registry import did_you_mean, registry
 from metapp.runs.reporter import say
 
 READ_VGG = ("svbrdf_stationary", "texture")  # applications whose fits do
@@ -20,14 +20,9 @@ FOLDER = Path("example-inputs")  # of the input files that commands name
 def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
     """The first commands of an application on input files in a folder, and the result of each."""
     place = shlex.quote(str(folder))
-    examples = [example for example in registry().examples[app].load() if not _left_out(example[0])]
+    commands, examples = registry().commands, registry().examples[app].load()
+    examples = [each for each in examples if {" ".join(each[0].split()[:n]) for n in (1, 2)} & commands.keys()]
     return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
-
-
-def _left_out(line: str) -> bool:
-    """True if a command is of an extension that is left out."""
-    word, more = line.split()[:2]
-    return bool(left_out_with("commands", word) or left_out_with("commands", f"{word} {more}"))
 
 
 def command(

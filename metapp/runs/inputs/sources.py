@@ -165,11 +165,6 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
         others = sorted({form.app for form in every if form.load().recognises(path)})
         fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
         more = f"; it is one of {', '.join(others)}" if others else fit
-        for name, part in registry().left_out.items():
-            if any(
-                form.app == app.name and form.inputs and form.load().recognises(path) for form in part.formats.values()
-            ):
-                more = f"; the extension {name} reads it, which {WITHOUT} leaves out; unset it"
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
     for name, reader in readers.items():
         places, skipped = reader.find(path)

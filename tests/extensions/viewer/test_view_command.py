@@ -196,7 +196,7 @@ def test_without_it_fits_work_and_its_method_is_refused(
     monkeypatch.setenv(WITHOUT, "viewer")
     assert fitted("meta") == run
     fit = api.fit("brdf", networks / "m0", recipe="quick")
-    with pytest.raises(AttributeError, match=r"fit\.view: a method of the extension viewer"):
+    with pytest.raises(AttributeError, match="no attribute 'view'"):
         fit.view()
     assert "view" not in dir(fit)
     assert fit._repr_html_()
