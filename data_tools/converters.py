@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from metapp.networks.options import field_of_view
-from metapp.options import Converter, Option
+from metapp.options import Converter, Option, split_option
 
 Samples = Annotated[
     int,
@@ -92,10 +92,13 @@ class Flash(Converter):
       metapp data flash wood.jpg tiles.jpg --split test --out flash
     """
 
-    split_help: ClassVar = (
-        "Where the tasks belong. auto: as names or folders say (train, test), if they say both; else of the sorted "
-        "materials every fifth is for tests."
-    )
+    split: Annotated[
+        str,
+        split_option(
+            "as names or folders say (train, test), if they say both; else of the sorted materials every fifth is for "
+            "tests."
+        ),
+    ] = "auto"
     size: Size = 256
     fov: Annotated[
         float,
@@ -129,10 +132,12 @@ class Maps(Converter):
       metapp data maps materials/rock --normals directx --split test --out rock
     """
 
-    split_help: ClassVar = (
-        "Where the tasks belong. auto: of the sorted names, every fifth is a test task; variants with the same normal "
-        "map stay together."
-    )
+    split: Annotated[
+        str,
+        split_option(
+            "of the sorted names, every fifth is a test task; variants with the same normal map stay together."
+        ),
+    ] = "auto"
     size: Size = 256
     normals: Normals = "auto"
 
@@ -158,10 +163,10 @@ class Strips(Converter):
       metapp data strips strips --predicted maps --split test --out svbrdf
     """
 
-    split_help: ClassVar = (
-        "Where the tasks belong. auto: no base material on both sides, a fifth or more for tests; blends of both sides "
-        "are left out."
-    )
+    split: Annotated[
+        str,
+        split_option("no base material on both sides, a fifth or more for tests; blends of both sides are left out."),
+    ] = "auto"
     size: Size = 256
     gamma: Annotated[float, Option("Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)] = 1.0
     white: Annotated[

@@ -79,14 +79,14 @@ PARTS = {  # of rules, in the order in which they act on a step
     "average": "parts:Average",
     "basis": "parts:Basis",
 }
-TABLES = {
-    "results": "results:results",
-    "quickft": "results:quickft",
-    "image": "image:image",
-    "ablation": "ablation:ablation",
-    "storage": "storage:storage",
-    "samples": "storage:samples",
-    "convergence": "convergence:convergence",
+TABLES = {  # function, heading in a report
+    "results": ("results:results", "Error and time"),
+    "quickft": ("results:quickft", "Against as many steps of fine-tuning"),
+    "image": ("image:image", "In image space"),
+    "ablation": ("ablation:ablation", "Ablation: initialisation and rule"),
+    "storage": ("storage:storage", "Storage"),
+    "samples": ("storage:samples", "Samples seen"),
+    "convergence": ("convergence:convergence", "Convergence"),
 }
 
 
@@ -145,8 +145,8 @@ def register(registry: Registry) -> None:
     # ridge regression in the last layer, on learned features
     registry.rules["ridge"] = "solve+loss"
 
-    for name, table in TABLES.items():
-        registry.tables[name] = Entry(f"metapp.evaluation.tables.{table}")
+    for name, (table, heading) in TABLES.items():
+        registry.tables[name] = Entry(f"metapp.evaluation.tables.{table}", heading)
     registry.measures["SSIM"] = Entry(
         "metapp.appearance.picture_measures:SSIM",
         "Wang et al. 2004, at most 1, more is better",

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from metapp.registry import application_of, did_you_mean, load
 
@@ -175,18 +175,21 @@ def _as_json(value: object) -> object:
     return str(value.absolute()) if isinstance(value, Path) else value
 
 
+def split_option(auto: str) -> Option:
+    """The option --split of commands that write data sets; `auto` says how names and files tell the split of a task."""
+    splits = ("train", "test", "auto")
+    return Option(f"Where the tasks belong. auto: {auto}", "|".join(splits), choices=splits)
+
+
 @dataclass(frozen=True)
 class Converter:
     """The command `metapp data NAME` that converts files of the format NAME: its options are fields, its help the text.
 
-    Attributes:
-        split_help: of --split, if files or names tell more than the general rule.
+    A subclass whose files or names tell more of the split has `split` anew.
     """
 
-    split_help: ClassVar[str] = (
-        "Where the tasks belong. auto: of the sorted names, every fifth is a test task (80 give 64 + 16)."
-    )
+    split: Annotated[str, split_option("of the sorted names, every fifth is a test task (80 give 64 + 16).")] = "auto"
 
     def arguments(self) -> dict[str, object]:
         """The options as keywords of the format's `read_task`."""
-        return dict(vars(self))
+        return {name: value for name, value in vars(self).items() if name != "split"}

@@ -61,14 +61,15 @@ DEAD = {
     "": "AttributeError: module '{name}' has no attribute 'register'",
     "register = 7": "TypeError: 'int' object is not callable",
 }
+REASONS = {f"{GOOD}    {line}\n": reason for line, reason in BROKEN.items()} | DEAD
 
 
-def install(folder: Path, text: str, name: str = "stranger") -> None:
-    """Write a package of one module whose entry point names it."""
+def install(folder: Path, text: str, name: str = "stranger", point: str = "") -> None:
+    """Write a package of one module, and its entry point, which names that by default."""
     info = folder / f"{name}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{module.GROUP}]\n{name} = {name}_module\n")
+    (info / "entry_points.txt").write_text(f"[{module.GROUP}]\n{name} = {point or f'{name}_module'}\n")
     (folder / f"{name}_module.py").write_text(text)
     (folder / "antigravity_exit.py").write_text("raise SystemExit(7)\n")
 
@@ -80,8 +81,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
     fresh = functools.cache(module._built.__wrapped__)
     monkeypatch.setattr(module, "_built", fresh)
 
-    def add(text: str, name: str = "stranger") -> Registry:
-        install(tmp_path, text, name)
+    def add(text: str | None = None, name: str = "stranger") -> Registry:
+        if text is not None:
+            install(tmp_path, text, name)
         fresh.cache_clear()
         return registry()
 
@@ -92,30 +94,26 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
             del sys.modules[name]
 
 
-def test_a_package_of_others_adds_its_entries(installed: Callable[..., Registry]) -> None:
-    there = installed(GOOD)
+@pytest.mark.parametrize("point", ["stranger_module", "stranger_module:register"])
+def test_a_package_of_others_adds_its_entries(installed: Callable[..., Registry], point: str, tmp_path: Path) -> None:
+    """Its entry point names a module or a function."""
+    install(tmp_path, GOOD, point=point)
+    there = installed()
+    assert there is registry()
     assert there.problems == {}
     assert there.extensions["stranger"] == there.owners["tables strange"] == "stranger"
     assert there.tables["strange"].load()(12, 18) == 6
     assert list(there.tables)[-1] == "strange"  # what ships comes first
 
 
-@pytest.mark.parametrize(("line", "reason"), BROKEN.items(), ids=BROKEN)
-def test_a_broken_extension_is_left_out_as_a_whole(line: str, reason: str, installed: Callable[..., Registry]) -> None:
+@pytest.mark.parametrize(("text", "reason"), REASONS.items(), ids=REASONS)
+def test_a_broken_extension_is_left_out_as_a_whole(text: str, reason: str, installed: Callable[..., Registry]) -> None:
     before = registry()
-    there = installed(f"{GOOD}    {line}\n")
-    assert reason in there.problems.pop("stranger of stranger")
+    there = installed(text)
+    assert reason.format(name="stranger_module") in there.problems.pop("stranger of stranger")
     assert there.problems == {}
     assert list(there.entries()) == list(before.entries())
     assert "stranger" not in there.extensions
-
-
-@pytest.mark.parametrize(("text", "reason"), DEAD.items(), ids=DEAD)
-def test_a_module_that_does_not_register_is_left_out(
-    text: str, reason: str, installed: Callable[..., Registry]
-) -> None:
-    problems = installed(text).problems
-    assert problems["stranger of stranger"].startswith(reason.format(name="stranger_module"))
 
 
 def test_of_two_packages_with_one_name_the_second_is_left_out(installed: Callable[..., Registry]) -> None:
@@ -142,9 +140,9 @@ def test_left_out_by_the_environment_nothing_of_it_is_there(
     assert "view" not in there.commands
 
 
-def test_metapp_works_beside_broken_packages_and_says_why_they_are_left_out(tmp_path: Path) -> None:
-    """In a process of its own, whose commands are made beside them."""
-    for i, text in enumerate([*(f"{GOOD}    {line}\n" for line in BROKEN), *DEAD]):
+def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
+    """In a process of its own, which says why they are left out."""
+    for i, text in enumerate(REASONS):
         install(tmp_path, text, f"broken{i}")
     command = '    registry.commands["good"] = Entry("good_module:run")\n\n\ndef run(x: int | str): ...\n'
     install(tmp_path, GOOD + command, "good")
@@ -158,7 +156,7 @@ def test_metapp_works_beside_broken_packages_and_says_why_they_are_left_out(tmp_
 
     assert "overfit" in metapp("--help").stdout
     done = metapp("doctor", "--json")
-    count = len(BROKEN) + len(DEAD)
+    count = len(REASONS)
     assert done.stderr.count("; it is left out.\n") == len(done.stderr.splitlines()) == count
     name = f"broken{list(BROKEN).index('raise SystemExit(7)')}"
     assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in done.stderr
@@ -176,19 +174,6 @@ def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: C
         UserWarning, match="extension of stranger: math:nothing cannot be loaded: .*; strange is left out"
     ):
         assert list(there.loaded("networks", "brdf")) == list(there.networks.of("brdf"))[:-1]
-
-
-def test_the_registry_is_built_once() -> None:
-    assert registry() is registry()
-
-
-def test_an_entry_point_may_name_a_function(installed: Callable[..., Registry], tmp_path: Path) -> None:
-    install(tmp_path, GOOD, "stranger")
-    (tmp_path / "stranger-1.0.dist-info" / "entry_points.txt").write_text(
-        f"[{module.GROUP}]\nstranger = stranger_module:register\n"
-    )
-    module._built.cache_clear()
-    assert registry().tables["strange"].load()(12, 18) == 6
 
 
 def test_all_that_ships_can_be_loaded() -> None:

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterator
 from typing import IO, TYPE_CHECKING
 
 from metapp.options import BadOption
-from metapp.registry import did_you_mean
 from metapp.runs.reporter import Bar, Reporter, reporting
 from metapp.storage import Document
 from metapp.storage.files import as_text
@@ -192,9 +191,6 @@ def run(command: Callable[[], object]) -> int:
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
         if hasattr(error, "message"):
             error.message = one_line(str(error.message))
-        if choice := re.search(r"'([^']*)' is not one of ('.*')\.$", message := error.format_message()):
-            hint = did_you_mean(choice[1], choice[2].strip("'").split("', '"))
-            error = usage_error(f"{message}{hint}", error.ctx)
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
     except BadOption as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import Exit, out, print_json
-from metapp.cli.options import Json, Out, Overwrite, Quiet, Split, takes
+from metapp.cli.options import Json, Out, Overwrite, Quiet, takes
 from metapp.options import Converter
 from metapp.runs.inputs.convert import Converted, convert, converted
 from metapp.runs.reporter import progress, say
@@ -27,19 +27,14 @@ def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
             list[Path], typer.Argument(metavar="PATHS...", help="Files, and folders that are searched at any depth.")
         ],
         folder: Out,
-        split: Split = Split.AUTO,
         overwrite: Overwrite = False,
         quiet: Quiet = False,
         as_json: Json = False,
     ) -> None:
-        own = options.arguments()
-        done = convert(name, paths, folder, split.value, own, overwrite=overwrite, quiet=quiet)
+        done = convert(name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet)
         report(done, quiet, as_json)
 
     command.__doc__ = converter.__doc__
-    command.__annotations__["split"] = Annotated[
-        Split, typer.Option("--split", metavar="train|test|auto", help=converter.split_help)
-    ]
     return takes(converter)(command)
 
 

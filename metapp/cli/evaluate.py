@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metapp.cli.console import escaped, out, print_json
 from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
 from metapp.options import Option
 from metapp.registry import app_names, did_you_mean, protocols_of, recipe_entries, registry
@@ -15,11 +17,14 @@ from metapp.runs.options import MOST_SEEDS, check_name, check_protocol, fit_opti
 from metapp.runs.reporter import say
 
 if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
     from metapp.evaluation.subject import Subject
     from metapp.evaluation.table import Table
 
 NAMES, ALL = tuple(registry().tables), "all"
 WHICH = (*NAMES, ALL)
+FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 SHARED = ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")  # options of fits
 Apps = Annotated[
@@ -72,9 +77,6 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
             check_new(file, overwrite)
     if not (options.quiet or options.no_run):
         say("evaluate: looking for records")
-    from metapp.cli.console import out
-    from metapp.cli.show import rich_table, show
-
     form = "json" if json else options.format
     shown = NAMES if which == ALL else [which]
     made: dict[str, list[Table]] = {name: [] for name in (NAMES if options.report and not options.which else shown)}
@@ -94,15 +96,50 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
         say_missing(subjects)
     for subject in subjects:
         subject.measuring = False  # figures show what has been measured
-    if options.figures:
-        from metapp.evaluation.figures import write_figures
+    if options.figures or options.report:
+        from metapp.evaluation.figures import write_figures, write_report
 
-        for file in write_figures(subjects, options.figures):
+        for file in write_figures(subjects, options.figures) if options.figures else ():
             say(f"figures: {file}")
-    if options.report:
-        from metapp.evaluation.figures import write_report
+        if options.report:
+            say(f"report: {write_report(subjects, options.report, made)}")
 
-        say(f"report: {write_report(subjects, options.report, made)}")
+
+def show(tables: Mapping[str, Sequence[Table]], form: str, which: str) -> None:
+    """Print tables of several applications, by name, in a format other than rich; `which` was asked for."""
+    from metapp.evaluation.table import csv_of, flat, text_of
+
+    if form in ("json", "csv"):
+        pairs = [(name, row) for name, some in tables.items() for table in some for row in table.rows]
+        rows = [flat(row) | ({"table": name} if len(tables) > 1 else {}) for name, row in pairs]
+        if form == "json":
+            print_json({"which": which, "rows": rows})
+        else:
+            out().print(csv_of(rows), soft_wrap=True)
+        return
+    for some in filter(None, tables.values()):
+        out().print(text_of(some, form), soft_wrap=True)
+
+
+def rich_table(table: Table) -> RichTable:
+    """The table of one application for a terminal: as many columns, from the left, as it has room for."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    grid = RichTable(title=table.whole_title, caption=Text("\n".join(table.notes)), caption_justify="left")
+    room, columns = out().width - 1, list[list[str]]()
+    for column in table.columns:
+        lines = [part for part in column.title.rpartition(" ")[::2] if part]  # two: most columns are of short numbers
+        cells = [escaped(column.text(row)) for row in table.rows]
+        room -= max(map(len, [*lines, *cells])) + 3
+        if room < 0 and len(columns) >= FEWEST_COLUMNS:
+            break
+        right = bool(column.form)
+        grid.add_column("\n".join(lines), justify="right" if right else "left", no_wrap=right)
+        columns.append(cells)
+    for row in zip(*columns, strict=True):
+        grid.add_row(*map(Text, row))
+    return grid
 
 
 def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:

@@ -13,21 +13,16 @@ from metapp.registry import app_names, exports_of, registry
 from metapp.runs.reporter import say
 
 
-def _exports() -> str:
-    """The values of KIND; applications that have the same ones once."""
-    apps: dict[str, list[str]] = {}
-    for app in app_names():
-        if exports_of(app):
-            apps.setdefault(", ".join(exports_of(app)), []).append(app)
-    return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
-
-
 def _kinds() -> str:
-    """The values of KIND, also of files that are no run."""
+    """The values of KIND by application, those that have the same ones together, then by files that are no run."""
+    names: dict[str, list[str]] = {}
+    for app in app_names():
+        names.setdefault(", ".join(exports_of(app)), []).append(app)
     files: dict[str, list[str]] = {}
     for kind, entry in registry().file_exports.items():
         files.setdefault(entry.help, []).append(kind)
-    return "; ".join([_exports(), *(f"{words}: {', '.join(kinds)}" for words, kinds in files.items())])
+    lines = [f"{', '.join(apps)}: {kinds}" for kinds, apps in names.items() if kinds]
+    return "; ".join([*lines, *(f"{words}: {', '.join(kinds)}" for words, kinds in files.items())])
 
 
 def command(

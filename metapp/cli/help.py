@@ -5,19 +5,14 @@ typer's own help has columns of types and ranges, which leave half of a terminal
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
 from metapp.options import PANELS
 
-if TYPE_CHECKING:
-    from rich.text import Text
-
 LABEL = 19  # columns of an option, so that texts of all panels begin at the same one
 COMMANDS, OPTIONS = "Commands", "Options"  # panels; the second is of options that name none
-NAME = "bold cyan"
 
 
 class Command(TyperCommand):
@@ -29,22 +24,19 @@ class Command(TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Print usage, the text and the panels of options."""
-        _print(self, ctx, {})
+        _print(self, ctx, [])
 
 
 class Group(TyperGroup):
     """A group of commands with this help."""
 
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Words after the group's name in the line of usage."""
-        return ["COMMAND", "[ARGS]..."]
-
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print usage, the text, options and commands."""
-        _print(self, ctx, {name: self.get_command(ctx, name) for name in self.list_commands(ctx)})
+        """Print usage, the text, commands and options."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        _print(self, ctx, [(name, (each.help or "").partition("\n")[0]) for name, each in commands if each])
 
 
-def _print(command: Any, ctx: Any, commands: Mapping[str, Any]) -> None:
+def _print(command: Any, ctx: Any, commands: list[tuple[str, str]]) -> None:
     from rich.console import Console
     from rich.padding import Padding
     from rich.panel import Panel
@@ -52,24 +44,25 @@ def _print(command: Any, ctx: Any, commands: Mapping[str, Any]) -> None:
     from rich.text import Text
 
     console = Console(highlight=False)
-    words = " ".join(command.collect_usage_pieces(ctx)).replace("[", "\\[")
-    console.print(f"\n [yellow]Usage:[/] [bold]{ctx.command_path}[/] {words}")
+    usage = " ".join(command.collect_usage_pieces(ctx))
+    console.print(Text.assemble("\n ", ("Usage:", "yellow"), " ", (ctx.command_path, "bold"), f" {usage}"))
     console.print(Padding(Text((command.help or "").replace("\b\n", "")), (1, 1, 0, 1)))
-    panels: dict[str, list[tuple[Text, str]]] = {}
-    for name, each in commands.items():
-        if each:
-            panels.setdefault(COMMANDS, []).append((Text(name, NAME), (each.help or "").partition("\n")[0]))
-    order = [*PANELS, OPTIONS]
-    shown = [param for param in command.get_params(ctx) if not getattr(param, "hidden", False) and param.name != "help"]
-    shown.sort(key=lambda param: (order.index(param.rich_help_panel or OPTIONS), not isinstance(param, TyperArgument)))
-    for param in shown:
-        panels.setdefault(param.rich_help_panel or OPTIONS, []).append((_label(param), _text(param)))
+    panels: dict[str, list[tuple[str, str, str]]] = {name: [] for name in (COMMANDS, *PANELS, OPTIONS)}
+    panels[COMMANDS] = [(name, "", text) for name, text in commands]
+    for param in sorted(command.get_params(ctx), key=lambda param: not isinstance(param, TyperArgument)):
+        if isinstance(param, TyperArgument):
+            panels[param.rich_help_panel or OPTIONS].append((_place(param), "", param.help or ""))
+        elif not param.hidden and param.name != "help":
+            names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
+            place = "" if param.is_flag else f" {_place(param)}"
+            panels[param.rich_help_panel or OPTIONS].append((names, place, f"{param.help or ''}{_default(param)}"))
     for title, rows in panels.items():
         grid = Table.grid(padding=(0, 2))
         grid.add_column(min_width=LABEL, no_wrap=True)
-        for label, text in rows:
-            grid.add_row(label, Text(text))
-        console.print(Panel(grid, title=title, title_align="left", border_style="dim"))
+        for names, place, text in rows:
+            grid.add_row(Text.assemble((names, "bold cyan"), (place, "yellow")), Text(text))
+        if rows:
+            console.print(Panel(grid, title=title, title_align="left", border_style="dim"))
     if command.epilog:
         console.print(Padding(Text(command.epilog), (1, 1, 0, 1)))
 
@@ -78,29 +71,12 @@ def _place(param: Any) -> str:
     return str(param.metavar or param.name.upper())
 
 
-def _label(param: Any) -> Text:
-    """An option with its placeholder, or an argument."""
-    from rich.text import Text
-
-    if isinstance(param, TyperArgument):
-        return Text(_place(param), NAME)
-    names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
-    return Text.assemble((names, NAME), *([] if param.is_flag else [(f" {_place(param)}", "yellow")]))
-
-
-def _text(param: Any) -> str:
-    """The help of an option with its default, or that it must be given."""
-    text = param.help or ""
-    if param.required and not isinstance(param, TyperArgument):
-        return f"{text} Required."
+def _default(param: Any) -> str:
+    """A sentence about the default of an option, or that it must be given."""
     default = getattr(param.default, "value", param.default)
+    if param.required:
+        return " Required."
     if isinstance(param.show_default, str):
-        return f"{text} Default: {param.show_default}."
-    if (
-        param.show_default
-        and default not in (None, "", (), [])
-        and not isinstance(default, bool)
-        and not callable(default)
-    ):
-        return f"{text} Default: {default}."
-    return text
+        return f" Default: {param.show_default}."
+    is_shown = param.show_default and not isinstance(default, bool) and not callable(default)
+    return f" Default: {default}." if is_shown and default not in (None, "", (), []) else ""

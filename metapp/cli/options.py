@@ -5,7 +5,6 @@ Nothing large is imported, since shells wait for words.
 
 from __future__ import annotations
 
-import enum
 import inspect
 import os
 import re
@@ -71,14 +70,6 @@ def check_folder(path: Path | None) -> Path | None:
         if part.exists() and not part.is_dir():
             raise typer.BadParameter(f"{part}: a file, expected a folder to write to; choose another one.")
     return path
-
-
-class Split(enum.StrEnum):
-    """The split that tasks belong to."""
-
-    TRAIN = "train"
-    TEST = "test"
-    AUTO = "auto"
 
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]

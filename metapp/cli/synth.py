@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.data import report
-from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, Split, app_words, check_folder, check_new, takes
+from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, app_words, check_folder, check_new, takes
 from metapp.options import Converter, Option
 from metapp.registry import did_you_mean, registry
 from metapp.runs.inputs.convert import Converted, converted
@@ -151,15 +151,20 @@ synth.__doc__ = "\n\n".join(
 )
 
 
+@dataclass(frozen=True)
+class CornellOptions(Converter):
+    """Options of Cornell boxes."""
+
+    count: Annotated[int, Option("Scenes.", low=1, high=100_000)] = 10
+    samples: Annotated[int, Option("Samples per scene for fits to see; the paper has 288,000.", low=1)] = 32_768
+    held: Annotated[int, Option("Samples per scene for tests alone.", "M", low=1)] = 8_192
+
+
+@takes(CornellOptions)
 def cornell(
+    options: CornellOptions,
     folder: Out,
-    count: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Scenes.")] = 10,
     seed: Seed = 0,
-    split: Annotated[Split, typer.Option("--split", metavar="train|test|auto", help=Converter.split_help)] = Split.AUTO,
-    samples: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
-    ] = 32_768,
-    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -177,13 +182,13 @@ def cornell(
     from data_tools.synthetic import transport
     from metapp.storage.shards import write_shard
 
-    tasks = transport.cornell_tasks(count, seed, samples=samples, held=held)
-    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
+    tasks = transport.cornell_tasks(options.count, seed, samples=options.samples, held=options.held)
+    notes = {"made_by": "metapp data cornell", "seed": seed, "count": options.count, "split": options.split}
 
     def boxes() -> Iterator[tuple[Task, str, str]]:
-        with progress("Cornell boxes", count, quiet=quiet) as bar:
+        with progress("Cornell boxes", options.count, quiet=quiet) as bar:
             for task in tasks:
-                yield task, split.value, ""
+                yield task, options.split, ""
                 bar.advance(task.name)
 
     units, beside = transport.UNITS, transport.BESIDE

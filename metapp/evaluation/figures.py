@@ -118,8 +118,10 @@ def write_report(subjects: Sequence[Subject], folder: Path, tables: Mapping[str,
     parts = ["# Tables and figures"]
     for name, of_subjects in tables.items():
         filled = [table for table in of_subjects if table.rows]
-        heading = of_subjects[0].heading if of_subjects else name
-        parts += [f"## {heading}", text_of(filled, "markdown") if filled else "Not measured yet."]
+        parts += [
+            f"## {registry().tables[name].help or name}",
+            text_of(filled, "markdown") if filled else "Not measured yet.",
+        ]
     for file, caption in write_figures(subjects, folder).items():
         parts += [f"## {file.stem}", f"![{caption}]({file.name})", caption]
     write_bytes(folder / "index.md", ("\n\n".join(parts) + "\n").encode())

@@ -19,6 +19,7 @@ from metapp.runs.outputs.pictures import COMPARED, column_of, write_compared
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
+from metapp.storage.checkpoints import digest
 from metapp.storage.fits import FIT, Fits, Record
 
 LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
@@ -156,15 +157,20 @@ class Subject:
         self.asked[title] = tasks, records
         return records
 
-    def kept(self, kind: str, settings: Record, entries: Collection[str]) -> Fits:
+    def kept(self, kind: str, settings: Record, entries: Collection[str], rows: Collection[str] = ()) -> Fits | None:
         """The folder of records that are no fits: <out>/<app>/<kind>, with options that are not at their default.
 
         Args:
             kind: of records.
             settings: everything that their figures depend on.
             entries: of records, beside the name.
+            rows: of the results, whose fits the records are made of; None if one of these has no checkpoint.
         """
-        return Fits(self.run.path(self.label, kind), settings, entries)
+        runs = [self.runs[name] for name in rows]
+        if not all(run.checkpoint for run in runs):
+            return None
+        fits = {"fits": [digest(run.settings(self.label)) for run in runs]} if runs else {}
+        return Fits(self.run.path(self.label, kind), settings | fits, entries)
 
     def draw(self, kind: str, fits: Mapping[str, list[Record]]) -> Path | None:
         """Draw fits of several methods side by side, of the tasks that all have; None if there are none."""

@@ -40,7 +40,6 @@ class Table(NamedTuple):
 
     Attributes:
         subject: title of the application.
-        heading: above the table in a report.
         title: the figures that it shows.
         columns: from left to right, after the application's; a terminal shows as many as it has room for.
         rows: one a method; none if the application has nothing to show.
@@ -49,7 +48,6 @@ class Table(NamedTuple):
     """
 
     subject: str
-    heading: str
     title: str
     columns: tuple[Column, ...]
     rows: list[Row]

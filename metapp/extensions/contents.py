@@ -36,7 +36,7 @@ def baselines(registry: Registry) -> None:
         for name in names:
             registry.baselines[app, name] = Entry(f"{_HERE}.baselines.{app}:baselines")
     registry.commands["baseline"] = Entry(f"{_HERE}.baselines.commands:baseline")
-    registry.tables["baselines"] = Entry(f"{_HERE}.baselines.table:baselines")
+    registry.tables["baselines"] = Entry(f"{_HERE}.baselines.table:baselines", "Methods without a network")
 
 
 def capture(registry: Registry) -> None:

@@ -111,7 +111,7 @@ def test_bad_inputs_are_one_line_and_write_nothing(metapp: Callable, gold: Path,
 
 
 BAD_USAGE = """
-merl in --out out --split valid    | 'valid' is not one of 'train', 'test', 'auto'
+merl in --out out --split valid    | --split 'valid': expected one of train, test, auto
 nbrdf in --out file/below          | a file, expected a folder to write to
 merl in                            | Missing option '--out'
 nbrdf in --out out --samples 1     | --samples 1: expected 2
@@ -120,7 +120,7 @@ synth glass                        | 'glass' has no embedded data set, expected 
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
 synth brdf --as merl               | expected a folder for the merl files
 synth brdf --as merl --out merl    | merl/test: is there already
-cornell --out out --count 0        | '--count':
+cornell --out out --count 0        | --count 0: expected 1
 images in --out out --size x        | valid integer
 strips in --out out --gamma 0       | --gamma 0.0: expected 0.1 to 10
 maps in --out out --normals left    | --normals 'left': expected one of opengl

@@ -123,7 +123,7 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
         fit("overfit", network, "--steps", "2")
 
 
-def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
+def test_records_state_threads_and_fits_that_end_worse(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def record(*words: str) -> tuple[Result, dict[str, Any]]:

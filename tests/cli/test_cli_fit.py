@@ -76,7 +76,7 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
     assert [record["name"] for record in read_fits(folder)] == ["m4", "m9"]
 
 
-def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: Callable) -> None:
+def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     result = fit("overfit", "--steps", "40")
     assert result.code == 0
     assert "m4" in result.out
@@ -357,7 +357,7 @@ def test_a_composition_is_trained_and_used(fit: Callable) -> None:
 
 
 @pytest.mark.long
-def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_quietly() -> None:
+def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
     """Each takes as long to import as most fits; bindings of pictures must not be told of as garbage at the end."""
     lines = (
         "import gc, sys",

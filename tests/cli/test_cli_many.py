@@ -115,7 +115,7 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
     assert not any("batch" in record for record in records)
 
 
-def test_tasks_of_batches_that_are_too_large_for_the_memory_are_fitted_one_by_one(
+def test_batches_beyond_the_memory_are_fitted_one_by_one(
     fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original = fitting.fit_side_by_side

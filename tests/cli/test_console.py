@@ -52,9 +52,7 @@ def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
     assert ended.value.code == 0
 
 
-def test_help_lists_commands_in_the_order_of_their_use_and_those_of_other_packages_last(
-    metapp: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = [re.findall(r"^│ ([a-z][a-z-]*)", metapp(*words, "--help").out, re.MULTILINE) for words in ([], ["data"])]
     names = [*listed[0], *listed[1]]
     assert names == [*ORDER]

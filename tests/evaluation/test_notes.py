@@ -1,12 +1,13 @@
-"""Comparisons of methods in rows and notes of tables."""
+"""Sentences about rows, the paper's figures, and steps that bring Meta near Overfit."""
 
 from typing import Any
 
 import pytest
 
-from metapp.evaluation.rows import carried, paired_note, verdict
+from metapp.evaluation.rows import carried, paired_note, paper, verdict
 from metapp.evaluation.statistics import Paired
 from metapp.evaluation.table import flat
+from metapp.evaluation.tables.convergence import FURTHER, near, steps_needed
 from metapp.evaluation.tables.results import change
 
 
@@ -49,3 +50,32 @@ def test_there_is_no_gap_to_close_where_overfit_is_no_better() -> None:
     assert carried(rows, "error", "seconds") == (0.75, 15.0)
     rows[1] |= {"error": 2.5}
     assert carried(rows, "error", "seconds") == (None, 15.0)
+
+
+def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
+    known = paper()
+    assert set(known["sources"]) == set(known) - {"source", "sources", "titles"}
+    for kind in ("error", "seconds"):
+        assert set(known[kind]) == set(known["titles"])
+    gaps = {}
+    for app in known["titles"]:
+        names = ("general", "overfit", "meta")
+        rows = [{"paradigm": name, **{key: known[key][app][name] for key in ("error", "seconds")}} for name in names]
+        gaps[app], _ = carried(rows, "error", "seconds")
+    # as the design brief prints them
+    expected = (0.80, 0.93, 0.60, 0.78, 0.97, 0.77)
+    assert [round(gap, 2) for gap in gaps.values()] == list(expected)
+    assert known["storage"]["factor"] == known["storage"]["meta_networks"] / known["storage"]["exemplars"]
+    for each in known["samples"].values():
+        assert 1 - each["seen"] / each["all"] == pytest.approx(each["saved"], abs=1e-3)
+
+
+def test_further_steps_are_counted_until_one_is_near() -> None:
+    for overfit, further, expected in (
+        (1.0, [(0, 1.005)], 0),
+        (1.0, [(0, 2.0), (8, 1.2), (16, 1.009)], 16),
+        (1.0, [(0, 2.0), (FURTHER[-1], 1.02)], None),
+    ):
+        assert steps_needed({"curves": {"overfit": [[0, 9.0], [40, overfit]]}, "further": further}) == expected
+    # lower is better, also below 0
+    assert [near(error, -4.0) for error in (-3.97, -3.95, -4.5)] == [True, False, True]

@@ -11,7 +11,7 @@ from metapp.evaluation.rows import paired_note, row_of, warned
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Table, columns
-from metapp.evaluation.tables.results import COMPARED, result_rows
+from metapp.evaluation.tables.results import AGAINST, result_rows
 from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
@@ -57,7 +57,7 @@ def ablation(subject: Subject) -> Table:
     for name, row in zip(names, both, strict=True):
         for start, by, records in combined(subject, name):
             entries = {"start": start, "rule": by, "steps": row["steps"]}
-            rows.append(row_of(subject, f"{start}+{by}", records, entries, COMPARED))
+            rows.append(row_of(subject, f"{start}+{by}", records, entries, AGAINST))
         rows.append(row | {"start": f"meta ({row['rule']})"})
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in rows]
     notes = [
@@ -73,7 +73,7 @@ def ablation(subject: Subject) -> Table:
         *paired_note(rows),
     ]
     title = f"mean error{subject.app.factor} of initialisations and rules"
-    return Table(subject.title, "Ablation: initialisation and rule", title, COLUMNS, rows, notes)
+    return Table(subject.title, title, COLUMNS, rows, notes)
 
 
 def learned(subject: Subject) -> list[str]:

@@ -16,7 +16,6 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fitting import rng_of
-from metapp.storage.checkpoints import digest
 from metapp.storage.fits import Record
 
 TRACED = 5  # tasks
@@ -57,7 +56,7 @@ def convergence(subject: Subject) -> Table:
     notes.append(f"traces of {len(_traced(subject))} of {len(subject.tasks)} tasks, evenly spaced")
     rows = [*(after("meta", part) for part in PARTS), last, after("overfit", 1.0)]
     title = f"error{subject.app.factor} along Meta's steps"
-    return Table(subject.title, "Convergence", title, COLUMNS, rows, notes)
+    return Table(subject.title, title, COLUMNS, rows, notes)
 
 
 def steps_needed(record: Record) -> int | None:
@@ -83,16 +82,14 @@ def _traced(subject: Subject) -> list[Task]:
 
 def trace_records(subject: Subject) -> list[Record]:
     """Traces of a few tasks: errors of each paradigm along its steps, and of further steps of Meta."""
-    kept, fits = None, [subject.runs[name] for name in CURVES]
-    if all(fit.checkpoint for fit in fits):
-        keys = [digest(fit.settings(subject.label)) for fit in fits]
-        settings: Record = {"app": subject.app.name, **subject.app.protocol_entry(), "fits": keys, "further": FURTHER}
-        kept = subject.kept("trace", settings, ("curves", "further"))
+    settings = {"app": subject.app.name, **subject.app.protocol_entry(), "further": FURTHER}
+    kept = subject.kept("trace", settings, ("curves", "further"), CURVES)
+    steps = sum(subject.runs[name].steps for name in CURVES) + sum(FURTHER)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         return ((_trace(subject, task), None) for task in tasks)
 
-    return subject.measured("trace", kept, measure, _traced(subject), sum(fit.steps for fit in fits) + sum(FURTHER))
+    return subject.measured("trace", kept, measure, _traced(subject), steps)
 
 
 def step_at(part: float, steps: int) -> int:

@@ -13,7 +13,6 @@ from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.storage.checkpoints import digest
 from metapp.storage.fits import Record, read_params
 
 COLUMNS = columns(
@@ -31,26 +30,23 @@ def image(subject: Subject) -> Table:
     """A row for each measure of each picture; those that are made without a fit come first."""
     rows = _rows(subject, picture_records(subject)) if subject.app.image_measure else []
     notes = notes_of(subject, rows)
-    return Table(subject.title, "In image space", "measures in image space", COLUMNS, rows, notes)
+    return Table(subject.title, "measures in image space", COLUMNS, rows, notes)
 
 
 def picture_records(subject: Subject) -> list[Record]:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    app, fits = subject.app, {name: subject.runs[name] for name in PARADIGMS}
-    by_paradigm = {name: {record["name"]: record for record in subject.records(name)} for name in fits}
-    kept = None
-    if all(fit.checkpoint for fit in fits.values()):
-        keys = {name: digest(fit.settings(subject.label)) for name, fit in fits.items()}
-        settings = {"app": app.name, "measure": [app.image_measure, picture_measures(app.name)[0]], "fits": keys}
-        kept = subject.kept("image", settings, ("measures",))
+    app = subject.app
+    by_paradigm = {name: {record["name"]: record for record in subject.records(name)} for name in PARADIGMS}
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
-            of_task = {name: by_paradigm[name][task.name] for name in fits}
+            of_task = {name: records[task.name] for name, records in by_paradigm.items()}
             fitted = {name: Fitted(read_params(one["folder"]), one["seconds"]) for name, one in of_task.items()}
             yield {"name": task.name, "error": None, "measures": image_errors(app, fitted, task)}, None
 
-    return subject.measured("pictures", kept, measure, min(map(subject.tasks_of, fits), key=len))
+    settings = {"app": app.name, "measure": [app.image_measure, picture_measures(app.name)[0]]}
+    kept = subject.kept("image", settings, ("measures",), PARADIGMS)
+    return subject.measured("pictures", kept, measure, min(map(subject.tasks_of, PARADIGMS), key=len))
 
 
 def _rows(subject: Subject, records: list[Record]) -> list[Row]:

@@ -25,7 +25,7 @@ from metapp.learning.app import App
 from metapp.paradigms import PARADIGMS
 from metapp.runs.reporter import number
 
-COMPARED = ("quickft", "general")
+AGAINST = ("quickft", "general")  # rows that rows are compared with
 EQUAL = ("general", "quickft", "meta")  # rows of the table of equal steps
 COLUMNS = columns(
     *("paradigm", "error", "seconds", "paper error", "paper seconds"),
@@ -47,7 +47,7 @@ def results(subject: Subject) -> Table:
     meta = next(row for row in rows if row["paradigm"] == "meta")
     notes = [
         closing(subject.app, rows),
-        *(line for other in COMPARED for line in verdict(meta, other)),
+        *(line for other in AGAINST for line in verdict(meta, other)),
         *warned(rows),
         f"meta: {meta['rule']}; {subject.app.caption()}",
         *measures_note(subject, rows),
@@ -58,7 +58,7 @@ def results(subject: Subject) -> Table:
     ]
     title = f"mean error{subject.app.factor}, median seconds of inference"
     fits = {name: subject.records(name) for name in PARADIGMS}
-    return Table(subject.title, "Error and time", title, COLUMNS, rows, notes, fits)
+    return Table(subject.title, title, COLUMNS, rows, notes, fits)
 
 
 def result_rows(subject: Subject, names: Collection[str]) -> list[Row]:
@@ -70,7 +70,7 @@ def result_rows(subject: Subject, names: Collection[str]) -> list[Row]:
         run = subject.runs[name]
         rule = run.paradigm.rule_name if run.paradigm.name == "meta" else None
         entries = {"rule": rule, "steps": run.steps, "few": subject.is_of_few(name), **of_paper(subject.app, name)}
-        rows.append(row_of(subject, name, subject.records(name), entries, COMPARED))
+        rows.append(row_of(subject, name, subject.records(name), entries, AGAINST))
     return rows
 
 
@@ -113,4 +113,4 @@ def quickft(subject: Subject) -> Table:
     notes += [subject.app.caption(), "quickft's Adam is searched on validation tasks"]
     notes += [*paired_note(rows), *threads_note(rows)]
     title = f"mean error{subject.app.factor} after as many steps"
-    return Table(subject.title, "Against as many steps of fine-tuning", title, EQUAL_COLUMNS, rows, notes)
+    return Table(subject.title, title, EQUAL_COLUMNS, rows, notes)

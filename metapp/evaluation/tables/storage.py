@@ -64,7 +64,7 @@ def storage(subject: Subject) -> Table:
         f"paper: {figures['meta_networks']} networks for any m, factor {figures['meta_networks']}/m = "
         f"{figures['factor']:g}",
     ]
-    return Table(subject.title, "Storage", "bytes for m exemplars", COLUMNS, rows, notes)
+    return Table(subject.title, "bytes for m exemplars", COLUMNS, rows, notes)
 
 
 def samples(subject: Subject) -> Table:
@@ -82,7 +82,7 @@ def samples(subject: Subject) -> Table:
         saved = f"{1 - min(meta['seen'], figures['all']) / figures['all']:.1%}"
         notes.append(f"paper: meta sees {figures['seen']:,} of {figures['all']:,}; ours, of so many: saved {saved}")
     title = "samples and bytes of a task that a fit sees"
-    return Table(subject.title, "Samples seen", title, SAMPLE_COLUMNS, rows, notes)
+    return Table(subject.title, title, SAMPLE_COLUMNS, rows, notes)
 
 
 def _sample_row(subject: Subject, name: str) -> Row:

@@ -61,7 +61,7 @@ def baselines(subject: Subject) -> Table:
     meta = subject.records("meta")
     title = f"mean error{subject.app.factor} and what is kept, of paradigms and of methods without a network"
     fits = {"meta": meta} | pictures if meta and pictures else {}
-    return Table(subject.title, "Methods without a network", title, COLUMNS, rows, notes, fits)
+    return Table(subject.title, title, COLUMNS, rows, notes, fits)
 
 
 def _able(subject: Subject) -> list[Baseline]:

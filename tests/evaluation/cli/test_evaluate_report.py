@@ -32,16 +32,14 @@ def test_the_report_has_all_tables_and_links_to_all_figures(evaluate: Callable, 
 
 
 def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, tmp_path: Path) -> None:
+    """Of nothing it has the paper's figures."""
+    assert evaluate("--no-run", "--which", "quickft", "--report", tmp_path / "none", "--quiet").code == 0
+    text = (tmp_path / "none" / "index.md").read_text()
+    assert "| brdf | meta | - | - | - | 0.720 |" in text
+    assert "brdf-curves" not in text
     assert evaluate("--which", "quickft", "--report", tmp_path / "report", "--quiet", "--json").code == 0
     text = (tmp_path / "report" / "index.md").read_text()
     assert headings(text)[0] == "Against as many steps of fine-tuning"
     assert not {"Methods without a network", "Error and time"} & set(headings(text))
     folders = {folder.name.split("-")[0] for folder in (tmp_path / "runs" / "brdf").iterdir()}
     assert folders == {"general", "meta", "quickft"}
-
-
-def test_a_report_of_nothing_has_the_papers_figures(evaluate: Callable, tmp_path: Path) -> None:
-    assert evaluate("--no-run", "--which", "quickft", "--report", tmp_path / "report", "--quiet").code == 0
-    text = (tmp_path / "report" / "index.md").read_text()
-    assert "| brdf | meta | - | - | - | 0.720 |" in text
-    assert "brdf-curves" not in text

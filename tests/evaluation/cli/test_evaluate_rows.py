@@ -27,8 +27,8 @@ from tests.evaluation.cli.subjects import rows, subject_of
 from tests.evaluation.test_notes import row
 
 
-def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:
-    """But of rules with a network of their own."""
+def test_the_ablation_has_four_corners(subject: Subject) -> None:
+    """Two of them are rows of the results; rules with a network of their own have none."""
     planned = Subject(Run.of(fit_options("brdf", "general", recipe="quick", quiet=True)), measuring=False)
     assert "meta:ridge" in planned.runs
     assert learned(planned) == [name for name in planned.runs if name.startswith("meta") and name != "meta:ridge"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.show import rich_table
+from metapp.cli.evaluate import rich_table
 from metapp.evaluation.subject import Subject
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows
@@ -79,7 +79,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 ) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.cli.show.out", lambda: Console(width=width))
+    monkeypatch.setattr("metapp.cli.evaluate.out", lambda: Console(width=width))
     for name in registry().tables:
         table = subject.table(name)
         if not table.rows:
