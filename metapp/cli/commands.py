@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from metapp.cli.help import Command, Group
-from metapp.options import Converter
+from metapp.options import BadOption, Converter
 from metapp.registry import SHIPPED, app_names, did_you_mean, reason_of, registry
 from metapp.runs.options import check_name
 from metapp.runs.reporter import say
@@ -24,53 +24,70 @@ ORDER = (  # of commands in help: first what a user does first, commands of othe
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 
-class Commands(Group):
-    """Commands of the registry.
+def group(
+    summary: str,
+    names: Callable[[], list[str]],
+    command: Callable[[str], Any],
+    refuse_unknown: Callable[[str], None],
+    **more: Any,
+) -> typer.Typer:
+    """A group of commands, each of which is imported and made when it is asked for.
 
-    Attributes:
-        under: the words before their names, such as "data ".
+    Args:
+        summary: help of the group.
+        names: of commands, in the order of help.
+        command: name -> the command; None if there is none.
+        refuse_unknown: raises BadOption if a command has no such name.
+        more: arguments of typer.
     """
 
-    under = ""
+    class Lazy(Group):
+        def list_commands(self, ctx: Any) -> list[str]:
+            return names()
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names of all commands, in the order of ORDER."""
-        names = [words.removeprefix(self.under) for words in registry().commands if words.startswith(self.under)]
-        return sorted(
-            (name for name in names if " " not in name),
-            key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER),
-        )
+        def get_command(self, ctx: Any, name: str) -> Any:
+            return command(name)
 
-    def get_command(self, ctx: Any, name: str) -> Any:
-        """The command of a name; None if there is none, or typer cannot make it of another package's function."""
-        entry = registry().commands.get(f"{self.under}{name}")
-        if entry is None:
-            return None
-        try:
-            return _made(entry.load(), name, bare_is_help=bool(self.under))
-        except Exception as error:
-            owner = registry().owners.get(f"commands {self.under}{name}", SHIPPED)
-            if owner == SHIPPED:
-                raise
-            registry().problems[f"{self.under}{name} of {owner}"] = reason_of(error)
-            return None
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            if args and not args[0].startswith("-") and not ctx.resilient_parsing:
+                refuse_unknown(args[0])
+            return super().resolve_command(ctx, args)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is named; a usage error names a command alike."""
-        name = args[0] if args else ""
-        if name and not name.startswith("-") and f"{self.under}{name}" not in registry().commands:
-            hint = did_you_mean(name, self.list_commands(ctx))
+    return typer.Typer(cls=Lazy, no_args_is_help=True, help=summary, **more)
+
+
+def _registry_group(summary: str, under: str = "", **more: Any) -> typer.Typer:
+    """A group of the commands of the registry, those whose names begin with `under`."""
+
+    def names() -> list[str]:
+        words = [name.removeprefix(under) for name in registry().commands if name.startswith(under)]
+        return sorted((name for name in words if " " not in name), key=_place)
+
+    def refuse_unknown(name: str) -> None:
+        if f"{under}{name}" not in registry().commands:
+            hint = did_you_mean(name, names())
             if name in app_names():
                 hint = f" {name} is an application: metapp meta {name}."
-            usage_error = typer.BadParameter.__mro__[1]  # which typer does not export
-            raise usage_error(f"No such command '{name}'.{hint}", ctx)
-        return super().resolve_command(ctx, args)
+            raise BadOption(f"No such command '{name}'.{hint}")
+
+    def command(name: str) -> Any:
+        """None also if typer cannot make a command of another package's function."""
+        if f"{under}{name}" not in registry().commands:
+            return None
+        try:
+            return _made(registry().commands[f"{under}{name}"].load(), name, bare_is_help=bool(under))
+        except Exception as error:
+            owner = registry().owners.get(f"commands {under}{name}", SHIPPED)
+            if owner == SHIPPED:
+                raise
+            registry().problems[f"{under}{name} of {owner}"] = reason_of(error)
+            return None
+
+    return group(summary, names, command, refuse_unknown, **more)
 
 
-class DataCommands(Commands):
-    """Commands of `metapp data`."""
-
-    under = "data "
+def _place(name: str) -> int:
+    return ORDER.index(name) if name in ORDER else len(ORDER)
 
 
 def _made(command: Any, name: str, *, bare_is_help: bool) -> Any:
@@ -97,40 +114,27 @@ def _typed(function: Callable[..., object], name: str, **more: Any) -> Any:
 
 
 def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> typer.Typer:
-    """A command with a subcommand for each application, made when it is asked for.
+    """A command with a subcommand for each application.
 
     Args:
         function: name of an application -> function whose parameters typer reads.
         summary: help of the group.
     """
 
-    class Apps(Group):
-        def list_commands(self, ctx: Any) -> list[str]:
-            return app_names()
+    def command(name: str) -> Any:
+        tables = registry()
+        if name not in tables.applications:
+            return None
+        epilog = f"Commands to try: metapp examples {name}" if name in tables.examples else None
+        return _typed(function(name), name, help=tables.applications[name].help, epilog=epilog)
 
-        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-            if args and not args[0].startswith("-"):
-                check_name(args[0])  # which lists the applications
-            return super().resolve_command(ctx, args)
-
-        def get_command(self, ctx: Any, name: str) -> Any:
-            tables = registry()
-            if name not in tables.applications:
-                return None
-            epilog = f"Commands to try: metapp examples {name}" if name in tables.examples else None
-            return _typed(function(name), name, help=tables.applications[name].help, epilog=epilog)
-
-    return typer.Typer(cls=Apps, no_args_is_help=True, help=summary)
+    return group(summary, app_names, command, check_name)
 
 
-data = typer.Typer(
-    cls=DataCommands, no_args_is_help=True, help="Make data sets from files or by drawing them, and check them."
-)
-app = typer.Typer(
-    cls=Commands,
-    no_args_is_help=True,
+data = _registry_group("Make data sets from files or by drawing them, and check them.", "data ")
+app = _registry_group(
+    "Fit small neural networks to visual appearance: BRDFs, textures, svBRDFs, illumination, light transport.",
     context_settings=CONTEXT,
-    help="Fit small neural networks to visual appearance: BRDFs, textures, svBRDFs, illumination, light transport.",
 )
 
 

@@ -30,6 +30,10 @@ class Command(TyperCommand):
 class Group(TyperGroup):
     """A group of commands with this help."""
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Words after the group's name in the line of usage."""
+        return ["COMMAND", "[ARGS]..."]
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Print usage, the text, commands and options."""
         commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
