@@ -66,7 +66,7 @@ CARDS: dict[str, list[list[list[Part]]]] = {
         [[("garden/garden.exr*3", None)], [("garden/garden.exr*0.3", None)]],
     ],
     "compare": [[[("compare.png", (0, 30, 991, 525))]]],
-    "report": [[[("report.jpg", (14, 0, 714, 350))]]],
+    "report": [[[("report.jpg", None)]]],
     "baseline": [[[("bricks.png", None)]], [[("runs/texture/baseline*/*bricks*/texture.png", None)]]],
     "guided": [[[("guiding-scenes.jpg", (0, 14, 258, 272))]], [[("guiding-scenes.jpg", (261, 14, 519, 272))]]],
 }

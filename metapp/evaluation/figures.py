@@ -71,6 +71,8 @@ def curves(subject: Subject) -> Captioned | None:
     if not records or records[0]["curves"]["meta"][0][1] is None:
         return None
     figure, axis = _panel(subject, 3.2, "gradient steps")
+    axis.set_xscale("symlog", linthresh=1)
+    axis.xaxis.set_minor_locator(NullLocator())
     ends = []
     for name in CURVES:
         along = zip(*(record["curves"][name] for record in records), strict=True)
@@ -80,8 +82,6 @@ def curves(subject: Subject) -> Captioned | None:
         ends.append(f"{TITLES[name]} {y[-1]:.3f}")
     if axis.dataLim.y0 > 0:
         axis.set_yscale("log")
-    axis.set_xscale("symlog", linthresh=1)
-    axis.xaxis.set_minor_locator(NullLocator())
     figure.legend(loc="outside lower center", ncols=len(CURVES), columnspacing=1.0, handletextpad=0.4)
     tasks = f"mean over {len(records)} tasks"
     return figure, f"{subject.title}: error along the steps, {tasks}. In the end: {', '.join(ends)}."

@@ -37,9 +37,10 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
 def fit(metapp: Callable, ten_materials: Path) -> Callable:
     """`metapp PARADIGM brdf` on ten small materials, eight of them for training, runs in a folder of this test."""
 
-    def call(paradigm: str, *arguments: str | Path, data: str | Path = ten_materials):
-        named = () if "--recipe" in arguments else ("--recipe", "quick")
-        return metapp(paradigm, "brdf", *arguments, *named, "--data", data)
+    def call(paradigm: str, *arguments: str | Path) -> Result:
+        defaults = {"--recipe": "quick", "--data": ten_materials}
+        more = [word for pair in defaults.items() if pair[0] not in arguments for word in pair]
+        return metapp(paradigm, "brdf", *arguments, *more)
 
     return call
 
@@ -282,45 +283,35 @@ def refuse(result: Result, *parts: str) -> None:
     assert all(part in result.error for part in parts), result.err
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "parts"),
-    [
-        ("none.binary", None, ["none.binary: no such file"]),
-        ("text.binary", b"not a material", ["text.binary: 14 bytes, expected 34,992,012"]),
-        (
-            "photo.png",
-            b"\x89PNG",
-            ["photo.png: not an input of brdf", "MERL", "one of ", "svbrdf_stationary, texture."],
-        ),
-        ("folder/notes.txt", b"", ["folder: not an input of brdf"]),
-    ],
-)
-def test_refuses_bad_input_files(fit: Callable, name: str, content: bytes | None, parts: list[str]) -> None:
+REFUSED = """
+overfit none.binary                      | none.binary: no such file
+overfit text.binary                      | text.binary: 14 bytes, expected 34,992,012
+overfit photo.png                        | photo.png: not an input of brdf ; MERL ; one of ; svbrdf_stationary, texture.
+overfit folder                           | folder: not an input of brdf
+overfit --data none                      | none
+overfit --data train                     | 0 test tasks
+general --train --train-steps 3 --data test | 0 tasks
+general --checkpoint none.safetensors    | no such checkpoint
+general --checkpoint broken.safetensors  | not a checkpoint
+general --checkpoint foreign.safetensors | not a checkpoint
+meta --checkpoint general.safetensors    | a checkpoint of brdf general, expected brdf meta-curvature
+meta --recipe paper --rule meta-encoder  | no checkpoint ; --train
+meta --rule adam+average                 | brdf adam+average, recipe quick: no checkpoint ; --train
+"""
+
+
+def test_refuses_bad_files(fit: Callable, metapp: Callable, networks: Path) -> None:
     Path("folder").mkdir()
-    if content is not None:
+    for name, content in {"text.binary": b"not a material", "photo.png": b"\x89PNG", "folder/notes.txt": b""}.items():
         Path(name).write_bytes(content)
-    refuse(fit("overfit", Path(name).parts[0]), *parts)
-
-
-def test_refuses_bad_checkpoints(fit: Callable) -> None:
-    refuse(fit("general", "--checkpoint", "none.safetensors"), "no such checkpoint")
     Path("broken.safetensors").write_bytes(b"broken")
     save_file({"x": torch.zeros(2)}, "foreign.safetensors")
-    for name in ("broken", "foreign"):
-        refuse(fit("general", "--checkpoint", f"{name}.safetensors"), "not a checkpoint")
-    fit("general", *STEPS)
-    (general,) = Path("runs").rglob("general.safetensors")
-    refuse(fit("meta", "--checkpoint", general), "a checkpoint of brdf general, expected brdf meta-curvature")
-    refuse(fit("meta", "--recipe", "paper", "--rule", "meta-encoder"), "no checkpoint", "--train")
-    refuse(fit("meta", "--rule", "adam+average"), "brdf adam+average, recipe quick: no checkpoint", "--train")
-
-
-def test_refuses_bad_data(fit: Callable, metapp: Callable, networks: Path) -> None:
-    refuse(fit("overfit", data="none"), "none")
     for split in ("train", "test"):
         metapp("data", "nbrdf", networks / "m1", "--out", split, "--split", split, "--samples", "512")
-    refuse(fit("overfit", data="train"), "0 test tasks")
-    refuse(fit("general", *STEPS, data="test"), "0 tasks")
+    fit("general", *STEPS)
+    next(Path("runs").rglob("general.safetensors")).rename("general.safetensors")
+    for words, parts in (line.split(" | ") for line in REFUSED.strip().splitlines()):
+        refuse(fit(*words.split()), *map(str.strip, parts.split(" ; ")))
 
 
 def test_parameters_that_are_not_finite_are_an_error(
