@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from metapp.evaluation.subject import Subject
     from metapp.evaluation.table import Table
 
-NAMES, ALL = tuple(registry().tables), "all"
-WHICH = (*NAMES, ALL)
+ALL = "all"
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 SHARED = ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")  # options of fits
@@ -37,7 +36,9 @@ Apps = Annotated[
 class Evaluation:
     """The options of `metapp evaluate`."""
 
-    which: Annotated[str, Option(f"Which table: {', '.join(WHICH)}; default: results, in a report all.", "NAME")] = ""
+    which: Annotated[
+        str, Option(f"Which table: {', '.join([*registry().tables, ALL])}; default: results, in a report all.", "NAME")
+    ] = ""
     format: Annotated[str, Option(f"One of {', '.join(FORMATS)}.", choices=FORMATS)] = "rich"
     no_run: Annotated[bool, Option("Print what there is; measure nothing, say how much is missing.")] = False
     table: Annotated[bool, Option("No effect: tables are always printed.")] = False
@@ -69,17 +70,18 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
 
     Example: metapp evaluate brdf --which quickft
     """
-    which = options.which or "results"
-    if which not in WHICH:
-        raise typer.BadParameter(f"--which '{which}': expected one of {', '.join(WHICH)}.{did_you_mean(which, WHICH)}")
+    names, which = [*registry().tables], options.which or "results"
+    if which not in (*names, ALL):
+        expected = f"expected one of {', '.join([*names, ALL])}.{did_you_mean(which, [*names, ALL])}"
+        raise typer.BadParameter(f"--which '{which}': {expected}")
     for folder in filter(None, (options.figures, options.report)):
         for file in (*folder.glob("*-*.p[nd][gf]"), *folder.glob("index.md")):
             check_new(file, overwrite)
     if not (options.quiet or options.no_run):
         say("evaluate: looking for records")
     form = "json" if json else options.format
-    shown = NAMES if which == ALL else [which]
-    made: dict[str, list[Table]] = {name: [] for name in (NAMES if options.report and not options.which else shown)}
+    shown = names if which == ALL else [which]
+    made: dict[str, list[Table]] = {name: [] for name in (names if options.report and not options.which else shown)}
     subjects = subjects_of(options, apps or [])
     for name, tables in made.items():
         for subject in subjects:

@@ -146,9 +146,9 @@ def table_of(
 
     remarks = []
     if count := guarded(records):
-        from metapp.evaluation.rows import warned  # here: it imports more than a table of fits needs
+        from metapp.evaluation.rows import fit_remarks  # here: it imports more than a table of fits needs
 
-        remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
+        remarks = fit_remarks([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
     listed = records
     if most is not None and len(records) > most:
         listed = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]

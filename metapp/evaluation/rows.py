@@ -82,6 +82,17 @@ def errors_of(records: Sequence[Record]) -> Errors:
 # Sentences
 
 
+def notes_of(subject: Subject, rows: Sequence[Row], other: str = "quickft") -> list[str]:
+    """Notes on rows that are compared with another: fits that went wrong, the error, comparisons, threads."""
+    return [
+        *fit_remarks(rows),
+        subject.app.caption(),
+        *_measures_note(subject, rows),
+        *paired_note(rows, other),
+        *_threads_note(rows),
+    ]
+
+
 def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     """A note on the columns that compare."""
     kinds = {pair.kind: pair.level for row in rows if (pair := row[f"vs_{other}"])}
@@ -111,7 +122,7 @@ def verdict(row: Row, other: str = "quickft") -> list[str]:
     return [f"{row['paradigm']}: {compared_text(pair, other)}; {says[is_significant(pair)]}"]
 
 
-def warned(rows: Sequence[Row]) -> list[str]:
+def fit_remarks(rows: Sequence[Row]) -> list[str]:
     """Counts of fits that end above their initialisation's loss or look doubtful, and of those that were guarded."""
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
@@ -126,7 +137,7 @@ def warned(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
+def _measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
     means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row[f"mean_{key}"] is not None]
@@ -135,13 +146,16 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     return [f"{title}: {', '.join(means)}" for title, means in means_by_title.items() if means]
 
 
-def threads_note(rows: Sequence[Row]) -> list[str]:
+def _threads_note(rows: Sequence[Row]) -> list[str]:
     """The threads that seconds are of, if records say so."""
-    counts = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
-    if len(counts) > 1:
-        text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])
+    by_count: dict[str, list[str]] = {}
+    for row in rows:
+        if row["threads"]:
+            by_count.setdefault(row["threads"], []).append(row["paradigm"])
+    if len(by_count) > 1:
+        text = "; ".join(f"{', '.join(names)} {count}" for count, names in by_count.items())
         return [f"threads: {text}; seconds of different threads do not compare"]
-    return [f"threads: {count}" for count in counts]
+    return [f"threads: {count}" for count in by_count]
 
 
 def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:

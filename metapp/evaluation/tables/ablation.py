@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from metapp.evaluation.rows import paired_note, row_of, warned
+from metapp.evaluation.rows import notes_of, row_of
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Table, columns
@@ -62,15 +62,13 @@ def ablation(subject: Subject) -> Table:
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in rows]
     notes = [
         "adam: QuickFT's, searched on validation tasks for General's initialisation",
-        subject.app.caption(),
         *(
             f"{subject.runs[name].paradigm.rule_name} begins at General's own prediction: rows that differ in the "
             "initialisation alone are of the same fits"
             for name in names
             if same_initialisation(subject, name)
         ),
-        *warned(rows),
-        *paired_note(rows),
+        *notes_of(subject, rows),
     ]
     title = f"mean error{subject.app.factor} of initialisations and rules"
     return Table(subject.title, title, COLUMNS, rows, notes)

@@ -29,7 +29,7 @@ COLUMNS = columns(
 def image(subject: Subject) -> Table:
     """A row for each measure of each picture; those that are made without a fit come first."""
     rows = _rows(subject, picture_records(subject)) if subject.app.image_measure else []
-    notes = notes_of(subject, rows)
+    notes = image_notes(subject, rows)
     return Table(subject.title, "measures in image space", COLUMNS, rows, notes)
 
 
@@ -79,7 +79,7 @@ def _row(subject: Subject, name: str, records: list[Record], key: str) -> Row:
     }
 
 
-def notes_of(subject: Subject, rows: list[Row]) -> list[str]:
+def image_notes(subject: Subject, rows: list[Row]) -> list[str]:
     """Sentences on the measures, the references and the paper."""
     sources = paper()["sources"]
     of_references = [

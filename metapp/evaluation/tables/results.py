@@ -6,18 +6,7 @@ import statistics
 from collections.abc import Collection
 
 from metapp.apps import is_first_protocol
-from metapp.evaluation.rows import (
-    carried,
-    errors_of,
-    few_note,
-    measures_note,
-    of_paper,
-    paired_note,
-    row_of,
-    threads_note,
-    verdict,
-    warned,
-)
+from metapp.evaluation.rows import carried, errors_of, few_note, notes_of, of_paper, row_of, verdict
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Row, Table, columns
@@ -30,9 +19,6 @@ EQUAL = ("general", "quickft", "meta")  # rows of the table of equal steps
 COLUMNS = columns(
     *("paradigm", "error", "seconds", "paper error", "paper seconds"),
     *("vs quickft", "interval", "steps", "median", "worst"),
-)
-EQUAL_COLUMNS = columns(
-    *("paradigm", "error", "vs quickft", "paper error", "interval", "steps", "seconds", "median", "worst")
 )
 
 
@@ -48,11 +34,8 @@ def results(subject: Subject) -> Table:
     notes = [
         closing(subject.app, rows),
         *(line for other in AGAINST for line in verdict(meta, other)),
-        *warned(rows),
-        f"meta: {meta['rule']}; {subject.app.caption()}",
-        *measures_note(subject, rows),
-        *paired_note(rows),
-        *threads_note(rows),
+        f"meta: {meta['rule']}",
+        *notes_of(subject, rows),
         *few_note(subject, rows),
         *(["the paper's figures are of its own data and machine"] if is_first_protocol(subject.app) else []),
     ]
@@ -107,10 +90,9 @@ def quickft(subject: Subject) -> Table:
     """General, QuickFT and Meta, each with whether chance could be why its error is not QuickFT's."""
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in result_rows(subject, EQUAL)]
     _, of_quickft, meta = rows
-    notes = [*verdict(meta), *verdict(meta, "general"), *warned(rows)]
+    notes = [*verdict(meta), *verdict(meta, "general"), *notes_of(subject, rows)]
     if None not in (meta["paper_error"], of_quickft["paper_error"]):
         notes.append(f"paper: meta {meta['paper_error']:.3f}, quickft {of_quickft['paper_error']:.3f}")
-    notes += [subject.app.caption(), "quickft's Adam is searched on validation tasks"]
-    notes += [*paired_note(rows), *threads_note(rows)]
+    notes.append("quickft's Adam is searched on validation tasks")
     title = f"mean error{subject.app.factor} after as many steps"
-    return Table(subject.title, title, EQUAL_COLUMNS, rows, notes)
+    return Table(subject.title, title, COLUMNS, rows, notes)

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
-from metapp.evaluation.rows import compared_text, few_note, measures_note, of_paper, paired_note, row_of, threads_note
+from metapp.evaluation.rows import compared_text, few_note, notes_of, of_paper, row_of
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
@@ -51,10 +51,7 @@ def baselines(subject: Subject) -> Table:
         *_missing(subject, rows, able),
         *_described(able),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
-        subject.app.caption(),
-        *measures_note(subject, rows),
-        *paired_note(rows, "meta"),
-        *threads_note(rows),
+        *notes_of(subject, rows, "meta"),
         *few_note(subject),
     ]
     pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}

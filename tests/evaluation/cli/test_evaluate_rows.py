@@ -14,7 +14,7 @@ from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.ablation import InitialisationAlone, RuleAlone, combined, learned, same_initialisation
 from metapp.evaluation.tables.convergence import CURVES, PARTS, trace_records
-from metapp.evaluation.tables.image import notes_of
+from metapp.evaluation.tables.image import image_notes
 from metapp.evaluation.tables.storage import samples, size, stored
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
@@ -141,5 +141,5 @@ def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:
         row(name, 0.3) | {"measure": "MAPE, equal time", "measured": count, "paper_share": None}
         for name, count in (("reference", 1), ("general", 8), ("overfit", 0), ("meta", 3))
     ]
-    notes = [note for note in notes_of(subject, found) if "others have none" in note]
+    notes = [note for note in image_notes(subject, found) if "others have none" in note]
     assert notes == ["meta, MAPE, equal time: mean of 3 of 8 tasks, the others have none"]
