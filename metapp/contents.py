@@ -50,7 +50,7 @@ SYNTHETIC = {
     "transport": "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)",
 }
 OBJECTS = {
-    "brdf": "brdf_objects:from_object",
+    "brdf": "brdf_objects:task_of_object",
     "texture": "photos:task_of_object",
     "svbrdf_stationary": "flash:task_of_object",
     "svbrdf_nonstationary": "svbrdf_inputs:task_of_object",

@@ -23,7 +23,7 @@ SAMPLED = ("wi", "wo", "reflectance")  # arrays of samples
 Function = Callable[[np.ndarray, np.ndarray], object]
 
 
-def from_object(source: object, name: str, **_: object) -> Task:
+def task_of_object(source: object, name: str, **_: object) -> Task:
     """Make the task of a BRDF in memory, with phi_h if it is anisotropic.
 
     Args:

@@ -183,7 +183,7 @@ def scene_files(registry: Registry) -> None:
     registry.formats["mitsuba"] = Format(
         f"{here}.reading", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
     )
-    registry.objects["transport"] = Entry(f"{here}.reading:from_object")
+    registry.objects["transport"] = Entry(f"{here}.reading:task_of_object")
     registry.hooks["scene"] = Entry(f"{here}.reading:stored")
 
 

@@ -43,7 +43,7 @@ def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) 
         app: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.
         source: an INPUT of `metapp meta APP INPUT`, holding one task; or, in memory,
             of brdf f(wi, wo) -> reflectance, arrays (wi, wo, reflectance) or a BSDF of Mitsuba, as of
-            `data_tools.readers.brdf_objects.from_object`;
+            `data_tools.readers.brdf_objects.task_of_object`;
             of texture a picture;
             of svbrdf_stationary a picture, the flash photo; or maps, of which a flash photo is rendered;
             of svbrdf_nonstationary maps; with observe="photo" also a picture, the flash photo;

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.brdf_objects import from_object
+from data_tools.readers.brdf_objects import task_of_object
 from data_tools.readers.brdf_task import brdf_task, is_anisotropic
 from data_tools.readers.measured_pairs import task_of_pairs
 from data_tools.synthetic.brdf import synthetic_materials
@@ -107,11 +107,11 @@ def test_objects_say_by_themselves_whether_phi_h_counts() -> None:
     def function(wi: np.ndarray, wo: np.ndarray) -> Tensor:
         return brushed_directions(*(torch.from_numpy(each).double() for each in (wi, wo)))
 
-    task = from_object(function, "f")
+    task = task_of_object(function, "f")
     assert task.data["phi_h"].shape == (65_536,)
     four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
     torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-3, atol=1e-5)
-    assert "phi_h" not in from_object(lambda wi, wo: 0.1 + 0 * wi, "lambert").data
+    assert "phi_h" not in task_of_object(lambda wi, wo: 0.1 + 0 * wi, "lambert").data
 
 
 @pytest.mark.parametrize("count", [500, 4000])

@@ -149,7 +149,7 @@ def array(source: object, name: str, **_: object) -> object:
 
 
 def function(source: object, name: str, **_: object) -> object:
-    return brdf_objects.from_object(source, name)
+    return brdf_objects.task_of_object(source, name)
 
 
 DENSE = torch.rand(4, 3)

@@ -22,7 +22,7 @@ from metapp.rendering.scenes.rules import MOST_NESTED, CheckedDict, Json, SceneD
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.shards import MANIFEST
 
-__all__ = ["BESIDE", "UNITS", "find", "from_object", "read_scene", "read_task", "recognises"]
+__all__ = ["BESIDE", "UNITS", "find", "read_scene", "read_task", "recognises", "task_of_object"]
 
 SUFFIXES = (".xml", ".json")
 
@@ -74,7 +74,7 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Itera
     return _traced(path.stem, scene, str(path), samples=samples, held=held)
 
 
-def from_object(source: object, name: str, *, roots: Iterable[Path] = (), **_: object) -> Task:
+def task_of_object(source: object, name: str, *, roots: Iterable[Path] = (), **_: object) -> Task:
     """Make the task of a scene in memory; files that it names lie in the current folder.
 
     Args:
@@ -127,11 +127,11 @@ def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> Sc
     """The content of a scene in memory, as `read_scene` has that of a file.
 
     Args:
-        source, name: as of `from_object`.
+        source, name: as of `task_of_object`.
         roots: folders that its files may come from, beside the current one.
 
     Raises:
-        ValueError: as `from_object`.
+        ValueError: as `task_of_object`.
     """
     try:
         if isinstance(source, str):

@@ -239,9 +239,9 @@ def sources_of_objects(app: App, objects: Sequence[object], arguments: Mapping[s
     entry = registry().objects.get(app.name)
     if entry is None:
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app.name} reads files and folders.")
-    from_object = entry.load()
+    task_of_object = entry.load()
     how = {"observe": app.protocol, **arguments}
-    tasks = [from_object(source, name, **how) for source, name in zip(objects, _names(objects), strict=True)]
+    tasks = [task_of_object(source, name, **how) for source, name in zip(objects, _names(objects), strict=True)]
     return [Source(str(number), task._replace, True) for number, task in enumerate(tasks)]
 
 
