@@ -35,7 +35,7 @@ def ball(size: int = 64, seed: int = 0) -> np.ndarray:
 
 def test_a_map_of_the_right_size_is_read_as_it_is(tmp_path: Path) -> None:
     values = radiance()
-    for name in ("a.exr", "a.tif", "A.EXR"):
+    for name in ("a.exr", "a.tif", "A.EXR", "a.pfm"):
         assert torch.equal(read_map(write(tmp_path / name, values)), planes(values)), name
     upside_down = read_map(write(tmp_path / "turned.exr", values, Orientation=3))
     assert torch.equal(upside_down, planes(values[::-1, ::-1]))

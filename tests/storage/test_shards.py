@@ -108,9 +108,17 @@ def test_names_become_safe_file_names(tmp_path: Path) -> None:
     ],
 )
 def test_refused_tasks_leave_nothing(tmp_path: Path, task: Task, split: str, message: str) -> None:
-    tasks = [(make_task("gold"), "train", ""), (task, split, "")]
-    with pytest.raises(ValueError, match=message):
-        write_shard(tmp_path / "new" / "data", "brdf", UNITS, tasks)
+    ended = []
+
+    def tasks() -> Iterator[tuple[Task, str, str]]:
+        try:
+            yield from ((make_task("gold"), "train", ""), (task, split, ""))
+        finally:
+            ended.append(True)
+
+    with pytest.raises(ValueError, match=message) as caught:
+        write_shard(tmp_path / "new" / "data", "brdf", UNITS, tasks())
+    assert ended, caught  # before the error is shown
     assert list(tmp_path.iterdir()) == []
 
 
