@@ -28,6 +28,10 @@ SHARDS = "shards"
 class SynthOptions:
     """Options of embedded sets; None and False stand for the set's own value."""
 
+    count: Annotated[
+        int | None,
+        Option("Tasks in total, of both splits in its proportion; default: the default set's.", low=1, high=1_000_000),
+    ] = None
     size: Annotated[
         int | None,
         Option(
@@ -67,16 +71,6 @@ def synth(
             help="Folder to write to; made if missing.",
         ),
     ] = None,
-    count: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=1_000_000,
-            metavar="N",
-            show_default="the default set's",
-            help="Tasks in total, of both splits in its proportion.",
-        ),
-    ] = None,
     seed: Seed = 0,
     form: Annotated[
         str,
@@ -91,7 +85,7 @@ def synth(
     as_json: Json = False,
 ) -> None:
     """Draw an embedded data set: synthetic tasks, the same on every machine."""
-    own = {key: value for key, value in vars(options).items() if value}
+    count, own = options.count, {key: value for key, value in vars(options).items() if value and key != "count"}
     apps = embedded_apps()
     if name not in apps:
         raise typer.BadParameter(

@@ -115,7 +115,7 @@ merl in --out out --split valid    | --split 'valid': expected one of train, tes
 nbrdf in --out file/below          | a file, expected a folder to write to
 merl in                            | Missing option '--out'
 nbrdf in --out out --samples 1     | --samples 1: expected 2
-synth brdf --count 0               | '--count':
+synth brdf --count 0               | --count 0: expected 1
 synth glass                        | 'glass' has no embedded data set, expected one of brdf
 synth brdf --as exr                | 'exr': expected shards, merl for brdf
 synth brdf --as merl               | expected a folder for the merl files
