@@ -1,6 +1,6 @@
 """Relight the maps that a fit of an svBRDF left: relight_maps.py MAPS PICTURE.png
 
-MAPS is the folder of the fit of `metapp meta svbrdf_nonstationary sign.jpg --observe photo`: diffuse.png,
+MAPS is the folder of the fit of `metapp meta svbrdf_nonstationary sign.jpg`: diffuse.png,
 specular.png, roughness.png, normal.png. The picture shows them under a light that moves from left to right.
 """
 

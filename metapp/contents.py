@@ -25,13 +25,13 @@ APPLICATIONS = {
         help="Maps of a flat material from one or several flash photographs.",
         options="metapp.networks.options:FlashOptions",
         kinds=("places", "photo"),
-        protocols=EITHER,
+        protocols={"reference": "maps", "photo": "photo"},
     ),
     "illumination": Application(
         "metapp.apps.illumination.app:Illumination",
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
         options="metapp.apps.illumination.options:IlluminationOptions",
-        protocols=EITHER,
+        protocols={"reference": "map", "photo": "photos"},
     ),
     "transport": Application(
         "metapp.apps.transport.app:Transport",

@@ -17,7 +17,7 @@ import os
 import warnings
 from collections import UserDict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 GROUP, CORE = "metapp.extensions", "metapp.contents"
@@ -91,13 +91,14 @@ class Application(Entry):
     """An application: a subclass of `metapp.learning.app.App`.
 
     Attributes:
-        protocols: the values of --observe, the default first; () if there is no choice.
+        protocols: the values of --observe, the default first, each with the tensor that fits see; {} if there is no
+            choice.
         options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
         kinds: tensors that only some of its tasks hold; the first that a task holds is its kind, and a recipe may be
             for one kind.
     """
 
-    protocols: tuple[str, ...] = ()
+    protocols: Mapping[str, str] = field(default_factory=dict)
     options: str = "metapp.options:AppOptions"
     kinds: tuple[str, ...] = ()
 
@@ -128,6 +129,7 @@ class Format(Entry):
     - `find(path)`: the sources, and a message for each skipped file of a folder; ValueError for a bad path;
     - `read_task(source, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names;
     - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files;
+    - `protocol_of(source)`, optional: the value of --observe for a fit of this source; without it the default one;
     - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;
     - `entries(sources, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.Entry`, of all
       sources that are not left out.
@@ -327,7 +329,7 @@ def application_of(name: str) -> Application:
         ValueError: there is none of that name; the message lists those that exist.
 
     >>> application_of("illumination").protocols
-    ('reference', 'photo')
+    {'reference': 'map', 'photo': 'photos'}
     """
     applications = registry().applications
     if name not in applications:
@@ -338,7 +340,7 @@ def application_of(name: str) -> Application:
 
 def protocols_of(app: str) -> tuple[str, ...]:
     """The protocols of an application, the values of --observe, the default first; () if there is no choice."""
-    return application_of(app).protocols
+    return tuple(application_of(app).protocols)
 
 
 def protocol_of(app: str, protocol: str = "") -> str:

@@ -6,7 +6,7 @@ a third as bright as the one before), and the runs of
 
     metapp meta texture bricks.png
     metapp meta svbrdf_stationary rust.png leather.png --export blender
-    metapp meta svbrdf_nonstationary sign.png --observe photo
+    metapp meta svbrdf_nonstationary sign.png
     metapp meta transport --data boxes --render 256       (metapp data cornell --count 2 --split test --out boxes)
     metapp baseline texture bricks.png --method quilting
     metapp data ball ball0.jpg ball1.jpg ball2.jpg --shutter 1/20,1/60,1/180 --out garden

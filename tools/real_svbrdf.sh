@@ -12,4 +12,4 @@ done
 for each in strips maps; do
   "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$each" --out "$runs" --table --whole
 done
-"$metapp" meta svbrdf_nonstationary "$data/flash_nonstationary" --observe photo --out "$runs"
+"$metapp" meta svbrdf_nonstationary "$data/flash_nonstationary" --out "$runs"

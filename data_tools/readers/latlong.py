@@ -56,7 +56,7 @@ def task_of_object(
             the middle looks to +z; or the photograph of a ball, a picture as of `pixels_of`.
         name: of the task.
         rows, fov_rad: as of the reader.
-        observe: "photo" takes floating-point values of another shape for a photograph.
+        observe: "reference" refuses floating-point values of another shape, which else are a photograph.
 
     Raises:
         ValueError: neither; as the reader.
@@ -68,10 +68,10 @@ def task_of_object(
             check_size(width, height, name)
             with np.errstate(over="ignore"):  # what is infinite is refused
                 return map_task(name, _light_of(values.astype(np.float32), LINEAR, name, rows), _draws(name), rows)
-        if is_float and observe != "photo":
+        if is_float and observe == "reference":
             raise ValueError(
-                f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; the photo of a ball is "
-                "for fits with --observe photo."
+                f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; leave --observe "
+                "reference out if it is the photo of a ball."
             )
     forms = inputs_of("illumination").values()
     readers = [files for files in (form.load() for form in forms) if hasattr(files, "task_of_pixels")]
@@ -140,8 +140,7 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
     pixels = read_pixels(path := Path(path))
     if pixels.values.dtype.kind != "f":
         raise ValueError(
-            f"{path}: an LDR image ({pixels.values.dtype}), {_EXPECTED}; a photograph of a sphere is for fits with "
-            "--observe photo."
+            f"{path}: an LDR image ({pixels.values.dtype}), {_EXPECTED}; a photograph of a sphere is an input of fits."
         )
     _check_shape(path, *pixels.values.shape[:2])
     if not is_linear(pixels.space):

@@ -38,6 +38,12 @@ def find(path: Path) -> Found:
     return list(dict.fromkeys(source for file in files if (source := stands_for.get(file, file)))), skipped
 
 
+def protocol_of(source: Path) -> str:
+    """The protocol of a fit of a source: "reference" if it holds maps, "photo" if it is a photograph alone."""
+    material = material_maps.material_of(source)
+    return "reference" if (material and _is_material(material)) or strips.is_strip(source) else "photo"
+
+
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:
     """A strip, the material that a map belongs to, or else a photograph as a task named by the file.
 

@@ -34,14 +34,12 @@ class Example(NamedTuple):
     """The example inputs of an application.
 
     Attributes:
-        files: their names; fits take the first without other options than `observe`.
+        files: their names; fits take the first without options.
         write: writes them at these paths.
-        observe: the option --observe for the first; "" for the default.
     """
 
     files: tuple[str, ...]
     write: Callable[..., None]
-    observe: str = ""
 
 
 def write_example(app: str, folder: Path) -> list[Path]:
@@ -156,7 +154,7 @@ EXAMPLES: Mapping[str, Example] = {
     "brdf": Example(("paint.csv",), _write_brdf),
     "texture": Example(("bricks.png",), _write_texture),
     "svbrdf_stationary": Example(("leather.png",), _write_svbrdf_stationary),
-    "svbrdf_nonstationary": Example(("mosaic.png",), _write_svbrdf_nonstationary, observe="photo"),
+    "svbrdf_nonstationary": Example(("mosaic.png",), _write_svbrdf_nonstationary),
     "illumination": Example(("courtyard.exr", "ball.png"), _write_illumination),
     "transport": Example(("box.xml",), _write_transport),
 }

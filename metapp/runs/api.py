@@ -14,13 +14,14 @@ from torch import Tensor
 
 from metapp.learning.task import Task
 from metapp.options import BadOption
+from metapp.registry import protocols_of
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import in_memory, sources_to_fit, told_apart
 from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.outputs.recorded import read_run, tasks_as
-from metapp.runs.recipes import chosen_recipe
+from metapp.runs.recipes import chosen_protocol, chosen_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
@@ -46,9 +47,9 @@ def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) 
             `data_tools.readers.brdf_objects.task_of_object`;
             of texture a picture;
             of svbrdf_stationary a picture, the flash photo; or maps, of which a flash photo is rendered;
-            of svbrdf_nonstationary maps; with observe="photo" also a picture, the flash photo;
-            of illumination linear radiance [H, 2 H, 3], floating point, the middle looks to +z; with observe="photo"
-            also a picture, the photo of a ball;
+            of svbrdf_nonstationary maps, or a picture, the flash photo;
+            of illumination linear radiance [H, 2 H, 3], floating point, the middle looks to +z, or a picture, the
+            photo of a ball;
             of transport a scene as Mitsuba's `load_dict` takes it, or the text of an XML scene; files that it names
             are looked for in the current folder and in those of scene_root.
         paradigm: general, overfit, finetune, quickft or meta.
@@ -132,8 +133,14 @@ def _fitted(options: FitOptions) -> list[Fit]:
     run = Run.of(options)
     with threads(single=run.app.single_threaded):
         sources, label = sources_to_fit(run)
-        if options.objects and not options.recipe:
-            run = Run.of(replace(options, recipe=chosen_recipe(options, [source.task() for source in sources])))
+        if options.objects:
+            tasks = [source.task() for source in sources]
+            if protocols_of(options.app) and not options.observe:
+                options = replace(options, observe=chosen_protocol(options, tasks))
+            chosen = Run.of(replace(options, recipe=options.recipe or chosen_recipe(options, tasks)))
+            if chosen.app.read_size != run.app.read_size:
+                sources, label = sources_to_fit(chosen)
+            run = chosen
         run = with_checkpoint(run)
         fits, places, settings = [], [], run.settings(label)
         for source, fit in fit_sources(run, sources):

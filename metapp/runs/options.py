@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, options_of, parse
-from metapp.registry import app_names, did_you_mean, exports_of, protocol_of, protocols_of, recipe_entries
+from metapp.registry import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
 from metapp.storage.files import file_name
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
@@ -34,7 +34,7 @@ class FitOptions:
     inputs: Sequence[object] = ()
     own: AppOptions = field(default_factory=AppOptions)
     data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.")] = None
-    observe: Annotated[str, Option("What fits see: reference, or photo for INPUT photos.")] = ""
+    observe: Annotated[str, Option("What fits see, reference or photo; default: what INPUT holds.")] = ""
     recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", panel=FIT)] = ""
     rule: Annotated[
         str,
@@ -128,6 +128,19 @@ def check_protocol(protocol: str, app: str) -> None:
         raise BadOption(f"--observe '{protocol}': {app} {expected}.{did_you_mean(protocol, protocols)}")
 
 
+def check_under_protocol(options: FitOptions) -> None:
+    """A usage error about a recipe or an option that there is not under the protocol of a fit."""
+    recipes = recipe_entries(options.app, options.observe)
+    if options.recipe and options.recipe not in recipes:
+        raise BadOption(
+            f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
+        )
+    for name in options.own.given():
+        option = declared(type(options.own))[name]
+        if options.observe and option.protocol not in ("", options.observe):
+            raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
+
+
 def check_new_files(paths: Iterable[Path]) -> None:
     """A usage error if a file that is to be written is there already: it may be a measurement."""
     for path in paths:
@@ -168,20 +181,12 @@ def _check(options: FitOptions) -> None:
     """
     app = options.app
     check_protocol(options.observe, app)
-    recipes = recipe_entries(app, options.observe)
-    if options.recipe and options.recipe not in recipes:
-        raise BadOption(
-            f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
-        )
     for form in options.exports:
         check_export(form, app)
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
-    protocol = protocol_of(app, options.observe)
     for name in options.own.given():
         option = declared(type(options.own))[name]
-        if option.protocol and option.protocol != protocol:
-            raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
         if option.panel == INPUT and not options.inputs:
             raise BadOption(f"{option.flag}: about INPUT alone; name what to fit.")
         if option.panel == FIT and options.train:

@@ -1,4 +1,4 @@
-"""Recipes: the one of a fit that names none, and the checkpoints that ship for each.
+"""Recipes: the one of a fit that names none, and the checkpoints that ship for each; and the protocol, likewise.
 
 A fit that names no recipe has the one for inputs of their kind, else the usual one.
 
@@ -8,14 +8,14 @@ set holds. A recipe is for one kind, and no two of an application and protocol a
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 
 from metapp.apps import recipe_of
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.registry import Format, RecipeEntry, application_of, inputs_of, load, recipe_entries
+from metapp.registry import Format, RecipeEntry, application_of, inputs_of, load, protocols_of, recipe_entries
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
 
@@ -37,7 +37,8 @@ def chosen_recipe(options: FitOptions, tasks: Sequence[Task] = ()) -> str:
     app, by_kind = options.app, _by_kind(options)
     kinds = {_kind_of_task(app, task) for task in tasks} if by_kind else set()
     if by_kind and not tasks:
-        kinds = {_kind_of_inputs(options, by_kind) if options.paths else _kind_of_set(options)}
+        of_set = _kind_of_tensors(app, _tensors_of_set(options))
+        kinds = {_kind_of_inputs(options, by_kind) if options.paths else of_set}
     name, recipe = by_kind.get(kinds.pop(), ("", None)) if len(kinds) == 1 else ("", None)
     if recipe is None:
         return usual_recipe(app)
@@ -48,6 +49,51 @@ def chosen_recipe(options: FitOptions, tasks: Sequence[Task] = ()) -> str:
         what = "input" if options.paths else f"task of {options.data}"
         say(f"{app}: recipe {name}, since every {what} has {recipe.help}")
     return name
+
+
+def chosen_protocol(options: FitOptions, tasks: Sequence[Task] = ()) -> str:
+    """The protocol by which all inputs of a fit, or its data set, can be fitted; it is said, with the reason.
+
+    Args:
+        options: of the fit.
+        tasks: that objects in memory were read as, if any.
+
+    Raises:
+        ValueError: a folder without an input, a data set that cannot be read.
+    """
+    app, protocols = options.app, protocols_of(options.app)
+    sets = [_tensors_of_set(options)] if options.data and not options.inputs else []
+    held = sets or [[*task.data] for task in tasks]
+    told = [_protocol_of_tensors(app, tensors) for tensors in held if tensors] or list(_protocols_of_inputs(options))
+    if not told:
+        return protocols[0]
+    chosen = max(told, key=protocols.index)
+    some, what = told.count(chosen), f"task of {options.data}" if sets else "input"
+    has = "has one" if chosen == protocols[0] else f"is a {chosen} alone"
+    why = f"every {what} {has}" if some == len(told) else f"{some} of {len(told)} inputs hold a {chosen} alone"
+    if not options.quiet:
+        say(f"{app}: fits see: {chosen}, since {why}")
+    return chosen
+
+
+def _protocols_of_inputs(options: FitOptions) -> Iterator[str]:
+    """The protocol of each source in the inputs that are paths."""
+    forms = [form.load() for form in inputs_of(options.app).values()]
+    for path in _existing(options):
+        for reader in (form for form in forms if form.recognises(path)):
+            for source in reader.find(path)[0]:
+                yield getattr(reader, "protocol_of", lambda source: protocols_of(options.app)[0])(source)
+
+
+def _protocol_of_tensors(app: str, tensors: Collection[str]) -> str:
+    """The first protocol whose tensor is among these, else the first of all."""
+    protocols = application_of(app).protocols
+    return next((name for name, tensor in protocols.items() if tensor in tensors), next(iter(protocols)))
+
+
+def _existing(options: FitOptions) -> list[Path]:
+    """The inputs that are files or folders: of another path, whatever reads it says so."""
+    return [path for path in options.paths if path.is_file() or path.is_dir()]
 
 
 def _by_kind(options: FitOptions) -> dict[str, tuple[str, RecipeEntry]]:
@@ -63,11 +109,12 @@ def _by_kind(options: FitOptions) -> dict[str, tuple[str, RecipeEntry]]:
 
 def _kind_of_inputs(options: FitOptions, by_kind: dict[str, tuple[str, RecipeEntry]]) -> str:
     """The kind of all inputs, "" for none; BadOption if they are of several and a recipe is for one of them."""
-    # of what is neither a file nor a folder, whatever reads it says so
-    paths = [path for path in options.paths if path.is_file() or path.is_dir()]
     forms = [(form, form.load()) for form in inputs_of(options.app).values()]
     kinds = [
-        (_kind_of_path(form, path), reader, path) for form, reader in forms for path in paths if reader.recognises(path)
+        (_kind_of_path(form, path), reader, path)
+        for form, reader in forms
+        for path in _existing(options)
+        if reader.recognises(path)
     ]
     chosen = next((each for kind in by_kind for each in kinds if each[0] == kind), None)
     if chosen is None:
@@ -88,13 +135,13 @@ def _kind_of_path(form: Format, path: Path) -> str:
     return next(told, "")
 
 
-def _kind_of_set(options: FitOptions) -> str:
-    # of a folder that is not there, whatever reads it says so
+def _tensors_of_set(options: FitOptions) -> Collection[str]:
+    """The tensors of the data set that options name; of a folder that is not there, whatever reads it says so."""
     if options.data is None or not options.data.exists():
-        return ""
+        return ()
     from metapp.storage.shards import read_manifest  # here: most fits are of files
 
-    return _kind_of_tensors(options.app, read_manifest(options.data).units)
+    return read_manifest(options.data).units
 
 
 def _kind_of_task(app: str, task: Task) -> str:

@@ -16,10 +16,10 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import PARADIGMS, Paradigm
-from metapp.registry import did_you_mean, rule_words
+from metapp.registry import did_you_mean, protocols_of, rule_words
 from metapp.rules import rule_of
-from metapp.runs.options import FitOptions, fit_options, name_parts, own_of_record
-from metapp.runs.recipes import chosen_recipe, usual_recipe
+from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
+from metapp.runs.recipes import chosen_protocol, chosen_recipe, usual_recipe
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest
@@ -62,6 +62,9 @@ class Run:
             names = ", ".join(PARADIGMS)
             hint = did_you_mean(options.paradigm, PARADIGMS)
             raise ValueError(f"paradigm '{options.paradigm}': expected one of {names}.{hint}")
+        if protocols_of(options.app) and not (options.observe or options.objects):
+            options = replace(options, observe=chosen_protocol(options))
+        check_under_protocol(options)
         name = options.recipe or chosen_recipe(options)
         usual = recipe_of(options.app, name, options.observe)
         recipe = _adapted(options, name, usual)

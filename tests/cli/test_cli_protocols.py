@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
@@ -22,11 +22,14 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
+from metapp.cli.console import Terminal
 from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.tables.results import closing
 from metapp.networks.field import LocalField
 from metapp.registry import exports_of
+from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.reporter import reporting
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.fits import PARAMS, RECORD, read_fits
@@ -81,11 +84,11 @@ APPS = {
     "illumination": Inputs(
         lambda folder: write_planes(folder / "reference.exr", lamp(), "float"), ball,
         {"map.exr", "map.png", "relit.png"},
-        "photo: a photo, expected an HDR map, .exr or .hdr; of a mirror ball give --observe photo, of a surface",
+        "photo: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a ball",
     ),
     SVBRDF: Inputs(
         strip, flash, MADE,
-        "photo: a flash photo, expected a material's maps where fits see them; give a strip or its maps",
+        "photo: a flash photo, expected a material's maps; give these or a strip, or leave --observe reference out",
     ),
 }  # fmt: skip
 
@@ -158,15 +161,35 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     assert document["error"] == pytest.approx(errors["reference"])
 
 
-def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
+def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, capsys: Any) -> None:
+    """The first that all of them hold; a path that is not there is refused by whatever reads it."""
+
+    def chosen(*inputs: Path, **more: Any) -> tuple[str, str]:
+        with reporting(Terminal()):
+            run = Run.of(fit_options(app, "general", inputs, recipe="quick", **more))
+        return run.app.protocol, capsys.readouterr().err.strip()
+
+    assert chosen(photo) == ("photo", f"{app}: fits see: photo, since every input is a photo alone")
+    assert chosen(reference) == ("reference", f"{app}: fits see: reference, since every input has one")
+    mixed = ("photo", f"{app}: fits see: photo, since 1 of 2 inputs hold a photo alone")
+    assert chosen(reference, photo) == chosen(photo.parent) == mixed
+    assert chosen(Path("none")) == ("reference", "")
+    assert chosen(photo, observe="reference") == ("reference", "")
+
+
+def test_a_photo_is_refused_where_fits_see_references(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
     """Alone, and among references, which are fitted."""
-    result = metapp("overfit", app, photo)
+    result = metapp("overfit", app, photo, "--observe", "reference")
     assert APPS[app].refusal in result.error
     assert len(result.err.strip().splitlines()) <= 2
     assert not list(Path("runs").rglob(RECORD))
-    both = metapp("overfit", app, reference, photo, "--quiet")
+    both = metapp("overfit", app, reference, photo, "--quiet", "--observe", "reference")
     assert both.code == 1
     assert APPS[app].refusal in both.err
+
+
+def test_data_sets_choose_the_protocol(on_data: Callable) -> None:
+    assert "fits see: reference, since every task of set has one" in on_data("overfit", "--steps", "1").err
 
 
 # Materials alone
@@ -187,8 +210,20 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     assert not Path("runs").exists()
 
 
+def test_maps_have_the_size_asked_for(metapp: Callable, shot: Path) -> None:
+    """Finer and coarser than the photo; first the rows."""
+    for size, side in (("512x512", 512), ("32", 32)):
+        result = metapp("overfit", SVBRDF, shot, "--steps", "1", "--size", size, "--export", "png16")
+        assert f"; files of {side} rows, {side} columns" in result.err
+        specs = [oiio.ImageBuf(str(path)).spec() for path in Path("runs").rglob("*/photo/**/*.png")]
+        assert len(specs) > 7
+        assert {(spec.width, spec.height) for spec in specs} == {(side, side)}
+    misuse = metapp("overfit", SVBRDF, shot, "--size", "32x64").misuse
+    assert "--size 32x64: svbrdf_nonstationary expects square maps of 32 to 4096 px" in misuse
+
+
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
-    common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
+    common = ("overfit", SVBRDF, shot, "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
     runs = [read_run(Path(fit["out"])).records for fit in fits.values()]
@@ -232,7 +267,7 @@ def test_protocols_share_general_and_nothing_else(on_data: Callable, monkeypatch
     before = load_checkpoint(general)[0].encoder
     assert on_data("general", *STEPS).code == 0
     assert all(torch.equal(value, before[key]) for key, value in load_checkpoint(general)[0].encoder.items())
-    refused = on_data("meta", "--rule", rule, "--checkpoint", folder / f"{rule}-photo.safetensors").refusal
+    refused = on_data("meta", "--rule", rule, "--checkpoint", folder / f"{rule}-photo.safetensors").error
     assert "for --observe photo, expected one for reference" in refused
     assert "tuned Adam" in on_data("quickft", "--observe", "photo", "--checkpoint", folder).err
     other = on_data("quickft", "--checkpoint", folder).err

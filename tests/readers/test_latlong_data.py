@@ -212,7 +212,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nan": (with_values(float("nan"), 3), "a.exr: 3 values are NaN or infinite"),
     "negative": (with_values(-1, 200), "radiance down to -1 at a mean of 2"),
     "black": (lambda folder: write(folder / "a.exr", 0 * radiance()), "a.exr: black all over"),
-    "ldr": (picture("a.jpg", 64, 64), "--observe photo"),
+    "ldr": (picture("a.jpg", 64, 64), "is an input of fits"),
     "no blue": (layout("R", "G"), "channels R, G, expected R, G, B or a gray one"),
     "encoded": (stated(oiio_ColorSpace="sRGB"), "colours in 'srgb_rec709_scene', expected a linear space"),
     "no primaries": (stated(chromaticities=(0.0,) * 8), "chromaticities 0, 0, 0, 0, 0, 0, expected three primaries"),

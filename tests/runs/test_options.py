@@ -40,7 +40,7 @@ SHOWN = {
     "brdf": {"export", "conserve"},
     "texture": {"export", "size", "detail"},
     "svbrdf_stationary": {"export", "size", "detail", "fov"},
-    "svbrdf_nonstationary": {"observe", "export", "fov", "stops"},
+    "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops"},
     "illumination": {"observe", "size", "fov", "shutter"},
     "transport": {"render", "scene-root"},
 }

@@ -85,8 +85,8 @@ class Illumination(CodedApp):
             return photo | {key: value[0] for key, value in described.items()}
         if self.protocol == "reference":
             raise ValueError(
-                f"{task.name}: a photo, expected an HDR map, .exr or .hdr; of a mirror ball give --observe photo, of a "
-                "surface take texture or an svBRDF."
+                f"{task.name}: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a "
+                "ball; of a surface take texture or an svBRDF."
             )
         return photo
 

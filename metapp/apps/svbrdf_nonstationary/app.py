@@ -129,8 +129,8 @@ class SvbrdfNonstationary(CodedApp):
             return photo | {"fine": kept} | {key: value[0] for key, value in described.items()}
         if self.protocol == "reference":
             raise ValueError(
-                f"{task.name}: a flash photo, expected a material's maps where fits see them; give a strip or its "
-                "maps, or fit photos alone with --observe photo."
+                f"{task.name}: a flash photo, expected a material's maps; give these or a strip, or leave --observe "
+                "reference out."
             )
         return photo
 

@@ -19,22 +19,22 @@ ILLUMINATION = (
         "meta illumination {}/courtyard.exr --size 256x512",
         "a map fitted in a few learned steps, as EXR of 256 rows",
     ),
-    ("meta illumination {}/ball.png --observe photo", "an HDR map of one LDR photo of a mirror ball"),
+    ("meta illumination {}/ball.png", "an HDR map of one LDR photo of a mirror ball"),
     ("data ball {}/ball.png --out {}/ball", "the light that the ball mirrors, without a network"),
     ("baseline illumination {}/courtyard.exr --method sh", "the map as spherical harmonics, to compare"),
 )
 SVBRDF_NONSTATIONARY = (
     (
-        "general svbrdf_nonstationary {}/mosaic.png --observe photo",
+        "general svbrdf_nonstationary {}/mosaic.png",
         "maps of a flash photo, by one forward pass",
     ),
-    ("meta svbrdf_nonstationary {}/mosaic.png --observe photo", "maps fitted in a few learned steps"),
+    ("meta svbrdf_nonstationary {}/mosaic.png", "maps fitted in a few learned steps"),
     (
-        "meta svbrdf_nonstationary {}/mosaic.png --observe photo --export blender,gltf",
+        "meta svbrdf_nonstationary {}/mosaic.png --export blender,gltf",
         "maps for Blender, and a material in glTF",
     ),
-    ("quickft svbrdf_nonstationary {}/mosaic.png --observe photo", "maps fitted by a tuned Adam, to compare"),
-    ("baseline svbrdf_nonstationary {}/mosaic.png --observe photo --method flat", "maps of one value each"),
+    ("quickft svbrdf_nonstationary {}/mosaic.png", "maps fitted by a tuned Adam, to compare"),
+    ("baseline svbrdf_nonstationary {}/mosaic.png --method flat", "maps of one value each"),
 )
 SVBRDF_STATIONARY = (
     (

@@ -34,6 +34,11 @@ def find(path: Path) -> Found:
     return placed_in(path), []
 
 
+def protocol_of(folder: Path) -> str:
+    """The protocol of a fit: the folder holds photographs alone."""
+    return "photo"
+
+
 def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
     """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
 

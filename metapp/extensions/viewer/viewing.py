@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from data_tools.synthetic.examples import EXAMPLES, write_example
+from data_tools.synthetic.examples import write_example
 from metapp.extensions.viewer.page import Group, write_page
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Task
@@ -163,9 +163,7 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
     """
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS)[0]
-    run = execute(
-        Run.of(fit_options(app, inputs=[source], observe=EXAMPLES[app].observe, recipe=recipe, out=out, quiet=True))
-    )
+    run = execute(Run.of(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
     assert run is not None  # of several ranks only
     (fit,) = run.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}

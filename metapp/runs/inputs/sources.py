@@ -88,7 +88,7 @@ def sources_to_fit(run: Run) -> tuple[list[Source], str]:
     """
     app, options = run.app, run.options
     if options.objects:
-        return sources_of_objects(app, options.objects, _arguments(run)), MEMORY
+        return sources_of_objects(app.name, options.objects, _arguments(run)), MEMORY
     if not options.paths:
         tasks, label = tasks_of_data(app, options.data, options.quiet)
         return sources_of(tasks), label
@@ -183,7 +183,7 @@ def _arguments(run: Run) -> dict[str, object]:
 
     `size` is px a side, or `rows`; `least` px of photos.
     """
-    arguments = run.options.own.reading()
+    arguments = {"observe": run.options.observe} | run.options.own.reading()
     if reads := run.app.read_size:
         from data_tools.readers.photos import SIZE  # here: fits of BRDFs need no readers of pictures
 
@@ -225,23 +225,22 @@ def in_memory(sources: Sequence[object]) -> bool:
     return count > 0
 
 
-def sources_of_objects(app: App, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Source]:
+def sources_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Source]:
     """The sources of objects in memory, which are read at once.
 
     Args:
-        app: the application.
+        app: name of the application.
         objects: as its function for objects takes them.
         arguments: of readers, by name.
 
     Raises:
         ValueError: something else than the application takes; as readers of files, with the object's name.
     """
-    entry = registry().objects.get(app.name)
+    entry = registry().objects.get(app)
     if entry is None:
-        raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app.name} reads files and folders.")
-    task_of_object = entry.load()
-    how = {"observe": app.protocol, **arguments}
-    tasks = [task_of_object(source, name, **how) for source, name in zip(objects, _names(objects), strict=True)]
+        raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
+    task_of_object, names = entry.load(), _names(objects)
+    tasks = [task_of_object(source, name, **arguments) for source, name in zip(objects, names, strict=True)]
     return [Source(str(number), task._replace, True) for number, task in enumerate(tasks)]
 
 

@@ -70,7 +70,7 @@ def ball(
 
     The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
     (after Debevec & Malik 1997, the camera's curve a power of sRGB's), and the light in the ball is unwrapped. Writes
-    a data set for `metapp meta illumination --data DIR --observe photo`, the map DIR/NAME.exr, whose alpha says where
+    a data set for `metapp meta illumination --data DIR`, the map DIR/NAME.exr, whose alpha says where
     it is seen and does not clip, and pictures of the balls that were found in DIR/found/.
 
     Examples:

@@ -23,6 +23,11 @@ def find(path: Path) -> Found:
     return [file for file in files if not latlong.is_map(file)], skipped
 
 
+def protocol_of(source: Path) -> str:
+    """The protocol of a fit: a photograph holds no map."""
+    return "photo"
+
+
 def read_task(path: Path, rows: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
     """Turn an LDR photograph of a ball into a task named by the file's stem; as `task_of_pixels`."""
     return task_of_pixels(read_pixels(path), str(path), rows, fov_rad)._replace(name=path.stem)

@@ -95,8 +95,8 @@ def rectify(
     """Rectify photographs of a material in a marker sheet, and find the positions of camera and flash.
 
     Writes square pictures 00.png, 01.png, ... of the sheet's opening, that from nearest to straight above first,
-    camera_pos.txt, light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR --observe
-    photo`. Pictures in its folder found/ show the markers found. Photos whose markers are missing or do not fit are
+    camera_pos.txt, light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`.
+    Pictures in its folder found/ show the markers found. Photos whose markers are missing or do not fit are
     skipped, each with a line. Needs OpenCV, which metapp's extra `capture` installs.
 
     Examples:

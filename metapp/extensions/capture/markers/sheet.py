@@ -36,7 +36,7 @@ _STEPS = (
     "3. Take 3 to 10 photos, flash on, in a dark room, with the whole sheet in view and sharp:",
     "    one from straight above, the others from other places and distances, up to 40 degrees aside.",
     "4. metapp data rectify PHOTOS --out FOLDER",
-    "5. metapp meta svbrdf_nonstationary FOLDER --observe photo",
+    "5. metapp meta svbrdf_nonstationary FOLDER",
 )
 
 Floats = NDArray[np.float64]
