@@ -44,9 +44,7 @@ def command(
         Path | None,
         typer.Option("--out", callback=check_folder, help="Folder to write to; default: TASK/KIND, of files KIND."),
     ] = None,
-    size: Annotated[
-        str | None, typer.Option(metavar="HxW|N", help="Output size in pixels of maps and textures.")
-    ] = None,
+    size: Annotated[str | None, typer.Option(metavar="HxW|N", help="Rows x columns of maps and textures.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -40,7 +40,7 @@ def field_of_view(degrees: float) -> float:
 
 def size(limits: str) -> Option:
     """The option --size of files that fits make; `limits` say how large they may be."""
-    return Option(f"Output size in pixels: {limits}.", "HxW|N", panel=OUTPUT, parse=size_of)
+    return Option(f"Rows x columns of files: {limits}.", "HxW|N", panel=OUTPUT, parse=size_of)
 
 
 def fov(default: str) -> Option:
@@ -89,7 +89,9 @@ class FlashExemplarOptions(ExemplarOptions, CameraOptions):
 
 @dataclass(frozen=True)
 class FlashOptions(CameraOptions):
-    """Camera and exposure of flash photos."""
+    """Size of maps, camera and exposure of flash photos."""
+
+    size: Annotated[tuple[int, int] | None, size("square maps up to 4096; default: the photo's, up to 2048")] = None
 
     stops: Annotated[
         float,

@@ -209,7 +209,9 @@ def execute(run: Run) -> Execution | None:
         assert run.checkpoint is not None
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
-            say(f"{run.app.full_name} {run.paradigm.name}: {count}; {run.steps} steps, from {run.checkpoint.source}")
+            size = "; files of {:,} rows, {:,} columns".format(*run.app.size) if run.app.size else ""
+            steps = f"{run.steps} steps, from {run.checkpoint.source}"
+            say(f"{run.app.full_name} {run.paradigm.name}: {count}; {steps}{size}")
         execution = Execution(run, sources, label)
         execution.fit()
         return execution

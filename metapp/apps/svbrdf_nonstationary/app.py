@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, relu
+from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
@@ -46,7 +46,7 @@ RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged u
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 FINER, FINEST_SHOT_PX = 2, 256  # augmented materials are photographed so many times as fine as their maps, up to px
-FINEST_PX = 2048  # a side of a user's photograph, and of the maps that are written
+FINEST_PX, LARGEST_PX = 2048, 4096  # a side of a user's photograph, and of the maps that can be asked for
 SHOWN_PX = 256  # a side of the maps that are shown
 
 
@@ -261,10 +261,14 @@ class SvbrdfNonstationary(CodedApp):
         """Logs of the radiance of maps [T, ...] under JUDGED lights, [T, V, 3, H, W]."""
         return self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
 
+    def size_refusal(self, height: int, width: int) -> str:
+        fits = height == width and 32 <= height <= LARGEST_PX
+        return "" if fits else f"expects square maps of 32 to {LARGEST_PX} px, as photos are cut to a square"
+
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Four maps above their look under the flash and three other lights, beside those of the fit."""
-        photo = _photo_of(task, SHOWN_PX)
+        photo = _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
         fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
         target = {}
         if "maps" in task.data:
@@ -283,7 +287,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, as fine as the photograph up to FINEST_PX, and pictures under three other lights."""
+        """The maps, of the size asked for, else of the photograph's, and pictures under three other lights."""
         return map_pictures(self._whole(theta, task))
 
     def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
@@ -298,7 +302,8 @@ class SvbrdfNonstationary(CodedApp):
     def _whole(self, theta: Params, task: Task) -> Maps:
         """The maps [C, H, W] of the size of files."""
         one = {key: value[None] for key, value in theta.items()}
-        whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, FINEST_PX)))
+        side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
+        whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, side)))
         return Maps(*(part[0] for part in whole))
 
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
@@ -322,10 +327,11 @@ class SvbrdfNonstationary(CodedApp):
         return Visible(1, task.data["maps"].nbytes, 0)
 
 
-def _photo_of(task: Task, largest: int) -> Tensor:
-    """The photograph, linear [1, 3, S, S], as fine as it is, but no finer than `largest` px a side."""
-    side = min(largest, task.data["photo"].shape[-1])
-    return adaptive_avg_pool2d(linear(task.data["photo"])[None], side)
+def _photo_of(task: Task, side: int) -> Tensor:
+    """The photograph, linear [1, 3, side, side]: means over areas; a smaller one is interpolated."""
+    photo = linear(task.data["photo"])[None]
+    finer = side > photo.shape[-1]
+    return interpolate(photo, size=(side, side), mode="bilinear") if finer else adaptive_avg_pool2d(photo, side)
 
 
 def _sheet(maps: Maps) -> Tensor:
