@@ -13,7 +13,7 @@ from torch import Tensor
 from data_tools.draws import Rng, stream
 from data_tools.readers.arrays import pixels_of, planes_of
 from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
-from data_tools.readers.image_files import check_exists, check_size, opened, opens, read_pixels
+from data_tools.readers.image_files import NAMED, check_exists, check_size, opened, opens, read_pixels
 from data_tools.readers.listing import Found, files_of, find_files
 from data_tools.readers.photos import fault_of
 from metapp.appearance.latlong import mean_luminance, resample
@@ -113,7 +113,7 @@ def is_map(path: Path) -> bool:
 
 def recognises(path: Path) -> bool:
     """True for an HDR image, and for a folder with one below it."""
-    return any(map(is_map, files_of(path)))
+    return any(map(is_map, files_of(path, NAMED)))
 
 
 def find(path: Path) -> Found:

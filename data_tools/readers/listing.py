@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 
@@ -42,17 +43,17 @@ def find_by_suffix(path: Path, suffix: str, what: str) -> Found:
     """As `find_files`, by suffix (with its dot) alone; `what` is their noun in errors."""
 
     def check(file: Path) -> None:
-        if not file.is_file() or file.suffix != suffix:
+        if not file.is_file() or file.suffix.lower() != suffix:
             found = f"a file {file.suffix}" if file.is_file() else "no such file"
             raise ValueError(f"{file}: {found}, expected {what}; check the path.")
 
     nothing = f"no {suffix} file, expected {what}; name its folder."
-    return find_files(path, check, lambda file: "" if file.suffix == suffix else None, nothing)
+    return find_files(path, check, lambda file: "" if file.suffix.lower() == suffix else None, nothing)
 
 
 def has_suffix(path: str | Path, suffix: str) -> bool:
     """True for a file of a suffix, with its dot, and for a folder with one below it."""
-    return any(file.suffix == suffix for file in files_of(path))
+    return any(file.suffix.lower() == suffix for file in files_of(path, suffix))
 
 
 def any_passes(path: Path, suffix: str, test: Callable[[Path], bool]) -> bool:
@@ -64,16 +65,25 @@ def any_passes(path: Path, suffix: str, test: Callable[[Path], bool]) -> bool:
     return False
 
 
-def files_of(path: str | Path, suffix: str = "") -> list[Path]:
+def files_of(path: str | Path, endings: str | tuple[str, ...] = "") -> list[Path]:
     """A file itself; the `files_below` a folder; [] if there is nothing."""
     path = Path(path)
-    return files_below(path, suffix) if path.is_dir() else [path] if path.is_file() else []
+    return files_below(path, endings) if path.is_dir() else [path] if path.is_file() else []
 
 
-def files_below(folder: Path, suffix: str = "") -> list[Path]:
-    """The files of a folder and of those below it, sorted, hidden ones left out."""
-    return [
-        file
-        for file in sorted(folder.rglob(f"*{suffix}"))
-        if file.is_file() and not any(part.startswith(".") for part in file.relative_to(folder).parts)
-    ]
+def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]:
+    """The files of a folder and of those below it, sorted, hidden ones and linked folders left out.
+
+    Their names end in one of `endings`, in capitals or not.
+    """
+    found, folders = [], [str(folder)]
+    while folders:  # of any depth, which recursion has not
+        with os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.name.startswith("."):
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+                elif entry.name.lower().endswith(endings) and entry.is_file():
+                    found.append(entry.path)
+    return [Path(file) for file in sorted(found, key=lambda file: file.split(os.sep))]

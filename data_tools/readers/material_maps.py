@@ -98,7 +98,7 @@ def recognises(path: Path) -> bool:
     """True for one of the maps of a material, and for a folder with a material at any depth."""
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
-    return any(materials_in(folder)[0] for folder in {file.parent for file in files_below(path)})
+    return any(materials_in(folder)[0] for folder in {file.parent for file in files_below(path, SUFFIXES)})
 
 
 def find(path: Path) -> Found:

@@ -54,7 +54,7 @@ def find(path: Path) -> Found:
 
 def recognises(path: str | Path) -> bool:
     """True for a file named .binary or of a MERL file's size, and for a folder with one below it."""
-    return any(file.suffix == SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
+    return any(file.suffix.lower() == SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:

@@ -41,7 +41,8 @@ _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over 
 # places of camera and flash, and the side in cm, for several photos of one flat material
 CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT = "camera_pos.txt", "light_pos.txt", "image_size.txt"
 # texts that belong in folders of images; no fit reads the power of the light
-BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
+PLACES = (CAMERA_TEXT, LIGHT_TEXT)
+BESIDE = ("metadata.json", DESCRIPTION, *PLACES, SIZE_TEXT, "light_power.txt")
 
 
 def find(path: Path) -> Found:
@@ -51,10 +52,11 @@ def find(path: Path) -> Found:
 
 
 def fault_of(file: Path) -> str | None:
-    """The line why a file is no image, by its suffix, else by OpenImageIO; "" for an image, None for BESIDE."""
-    if file.suffix.lower() in SUFFIXES or opens(file):
+    """The line why a file of a folder is no image; "" for an image, by its suffix or if it opens, None for BESIDE."""
+    suffix = file.suffix.lower()
+    if suffix in SUFFIXES or (suffix in ("", *NAMED) and opens(file)):  # opening 50,000 others takes a minute
         return ""
-    if file.suffix.lower() in NAMED:
+    if suffix in NAMED:
         return to_export(file)
     return None if file.name in BESIDE else f"{file}: not an image that can be read, {EXPECTED}."
 
@@ -68,12 +70,12 @@ def is_photo(path: str | Path) -> bool:
 def recognises(path: str | Path) -> bool:
     """True if a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
-    return any(file.suffix.lower() in NAMED for file in files_below(path)) if path.is_dir() else is_photo(path)
+    return bool(files_below(path, NAMED)) if path.is_dir() else is_photo(path)
 
 
 def placed_in(folder: Path) -> list[Path]:
     """A folder and those below it that say where camera or flash were, sorted, hidden ones left out."""
-    return sorted({file.parent for file in files_below(folder) if file.name in (CAMERA_TEXT, LIGHT_TEXT)})
+    return sorted({file.parent for file in files_below(folder, PLACES) if file.name in PLACES})
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:

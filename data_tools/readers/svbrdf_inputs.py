@@ -19,7 +19,7 @@ def recognises(path: Path) -> bool:
     if not path.is_dir():
         return photos.recognises(path)
     placed = placed_in(path)
-    return any(file.suffix.lower() in NAMED and _is_elsewhere(file, placed) for file in files_below(path))
+    return any(_is_elsewhere(file, placed) for file in files_below(path, NAMED))
 
 
 def find(path: Path) -> Found:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_tools.readers.listing import Found
+from data_tools.readers.listing import Found, files_below
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
@@ -190,8 +190,7 @@ def _scene(scene: object) -> SceneDict:
 
 
 def _below(folder: Path) -> list[Path]:
-    files = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.name != MANIFEST)
-    return sorted(path for path in files if path.is_file())
+    return [path for path in files_below(folder, SUFFIXES) if path.name != MANIFEST]
 
 
 def _plain(key: str, value: object, depth: int = 0) -> Json:

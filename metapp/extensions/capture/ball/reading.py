@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from data_tools.readers import latlong, photos
-from data_tools.readers.image_files import Pixels, read_pixels
+from data_tools.readers.image_files import NAMED, Pixels, read_pixels
 from data_tools.readers.listing import Found, files_of
 from data_tools.readers.photos import is_photo, photo_of
 from metapp.appearance.latlong import sphere_normals
@@ -14,7 +14,7 @@ from metapp.learning.task import Task
 
 def recognises(path: Path) -> bool:
     """True if a path is an LDR image, or a folder with one below it."""
-    return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path))
+    return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path, NAMED))
 
 
 def find(path: Path) -> Found:
