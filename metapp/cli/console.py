@@ -18,7 +18,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from metapp.options import BadOption
 from metapp.runs.reporter import Bar, Reporter, reporting
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 LONGEST = 300  # characters of an error or a warning
 LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
+KNOWN = 0.1  # of a job, before which no estimate of the time left is shown
+STEADY = 3600.0  # seconds, whose mean speed makes the estimate
 REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
 INTERRUPTED = (
     "interrupted; the same command goes on with training where it was, with --resume with fits that are not finished; "
@@ -57,7 +59,7 @@ def plain_console(*, stderr: bool = False, width: int | None = None) -> Console:
 
 def out() -> Console:
     """Standard output, for tables; a pipe has no width of its own."""
-    return plain_console(width=None if sys.stdout.isatty() else 120)
+    return plain_console(width=None if sys.stdout.isatty() else 100)
 
 
 def print_json(document: Document) -> None:
@@ -136,16 +138,22 @@ class Terminal(Reporter):
             def render(self, task: progress.Task) -> text.Text:
                 return text.Text(f"{task.speed:.1f}/s" if task.speed else "")
 
+        class Remaining(progress.TimeRemainingColumn):
+            def render(self, task: progress.Task) -> text.Text:
+                known = task.total and task.completed >= KNOWN * task.total
+                return super().render(task) if known else text.Text("")
+
         columns: tuple[progress.ProgressColumn, ...] = (
             progress.TextColumn("{task.description}", markup=False),
             progress.BarColumn(bar_width=24),
             progress.MofNCompleteColumn(),
-            progress.TimeRemainingColumn(),
+            Remaining(),
             Speed(),
             progress.TextColumn("{task.fields[note]}", markup=False),
         )
         is_terminal = self._console.is_terminal
-        with progress.Progress(*columns, console=self._console, disable=not is_terminal, transient=True) as bars:
+        shown: Any = {"console": self._console, "disable": not is_terminal, "transient": True}
+        with progress.Progress(*columns, speed_estimate_period=STEADY, **shown) as bars:
             yield _Bar(bars, title, total, done, self if long and not is_terminal else None)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from metapp.evaluation.table import Table
 
 ALL = "all"
+NOTE_LINES = 10  # below all tables of a terminal
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 SHARED = ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")  # options of fits
@@ -82,18 +84,19 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
     form = "json" if json else options.format
     shown = names if which == ALL else [which]
     made: dict[str, list[Table]] = {name: [] for name in (names if options.report and not options.which else shown)}
-    subjects = subjects_of(options, apps or [])
+    subjects, notes = subjects_of(options, apps or []), list[str]()
     for name, tables in made.items():
         for subject in subjects:
             tables.append(subject.table(name))
-            if name not in shown:
-                continue
-            if not options.quiet and (picture := subject.draw(name, tables[-1].fits)):
-                say(f"picture: {picture}")
-            if form == "rich" and tables[-1].rows:
-                out().print(rich_table(tables[-1]))
+            if form == "rich" and name in shown and tables[-1].rows:
+                print_table(tables[-1], notes)
+    print_notes(notes)
     if form != "rich":
         show({name: made[name] for name in shown}, form, which)
+    for name in () if options.quiet else shown:
+        for subject in subjects:
+            if picture := subject.draw(name, subject.table(name).fits):
+                say(f"picture: {picture}")
     if options.no_run:
         say_missing(subjects)
     for subject in subjects:
@@ -123,12 +126,38 @@ def show(tables: Mapping[str, Sequence[Table]], form: str, which: str) -> None:
         out().print(text_of(some, form), soft_wrap=True)
 
 
+def print_table(table: Table, notes: list[str]) -> None:
+    """Print the table of one application below its title and findings.
+
+    Args:
+        table: with rows.
+        notes: of the tables before, to which new ones are appended; the title has the numbers of its own.
+    """
+    notes += [note for note in table.notes if note not in notes]
+    numbers = ", ".join(str(1 + notes.index(note)) for note in table.notes)
+    out().print(f"{table.whole_title} [{numbers}]", *table.findings, sep="\n")
+    out().print(rich_table(table))
+
+
+def print_notes(notes: Sequence[str]) -> None:
+    """Print numbered notes on tables, in at most NOTE_LINES lines."""
+    wrapped = [textwrap.wrap(f"[{i}] {note}", out().width) for i, note in enumerate(notes, 1)]
+    while (lines := [line for some in wrapped for line in some]) and len(lines) > NOTE_LINES - (
+        len(wrapped) < len(notes)
+    ):
+        del wrapped[-1]
+    if rest := len(notes) - len(wrapped):
+        lines.append(f"{rest} further notes: --format markdown")
+    if lines:
+        out().print("\n".join(lines))
+
+
 def rich_table(table: Table) -> RichTable:
     """The table of one application for a terminal: as many columns, from the left, as it has room for."""
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    grid = RichTable(title=table.whole_title, caption=Text("\n".join(table.notes)), caption_justify="left")
+    grid = RichTable()
     room, columns = out().width - 1, list[list[str]]()
     for column in table.columns:
         lines = [part for part in column.title.rpartition(" ")[::2] if part]  # two: most columns are of short numbers

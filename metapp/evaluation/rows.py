@@ -82,23 +82,16 @@ def errors_of(records: Sequence[Record]) -> Errors:
 # Sentences
 
 
-def notes_of(subject: Subject, rows: Sequence[Row], other: str = "quickft") -> list[str]:
-    """Notes on rows that are compared with another: fits that went wrong, the error, comparisons, threads."""
-    return [
-        *fit_remarks(rows),
-        subject.app.caption(),
-        *_measures_note(subject, rows),
-        *paired_note(rows, other),
-        *_threads_note(rows),
-    ]
+def notes_of(rows: Sequence[Row], other: str = "quickft") -> list[str]:
+    """Notes on rows that are compared with another: comparisons, threads, fits that went wrong."""
+    return [*paired_note(rows, other), *_threads_note(rows), *fit_remarks(rows)]
 
 
 def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     """A note on the columns that compare."""
     kinds = {pair.kind: pair.level for row in rows if (pair := row[f"vs_{other}"])}
     return [
-        f"vs {other}: {kind} of mean errors with a 95 % interval (paired bootstrap over tasks); below {level:g} means "
-        "a lower error; lower on: tasks whose error is lower"
+        f"vs {other}: {kind} of mean errors, 95 % interval by paired bootstrap; below {level:g}: a lower error"
         for kind, level in sorted(kinds.items())
     ]
 
@@ -137,7 +130,7 @@ def fit_remarks(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def _measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
+def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
     means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row[f"mean_{key}"] is not None]
@@ -158,16 +151,11 @@ def _threads_note(rows: Sequence[Row]) -> list[str]:
     return [f"threads: {count}" for count in by_count]
 
 
-def few_note(subject: Subject, rows: Sequence[Row] = ()) -> list[str]:
-    """A note on the rows that are of some of the tasks, with the errors of all rows on these."""
+def few_note(subject: Subject) -> list[str]:
+    """A note on the rows that are of some of the tasks."""
     names = [name for name in subject.runs if subject.is_of_few(name)]
-    if not names:
-        return []
-    known = [row for row in rows if row["shared_error"] is not None]
-    errors = ", ".join(f"{row['paradigm']} {row['shared_error']:.3f}" for row in known)
-    where = f", where mean errors are {errors}" if errors else ""
-    few = f"{len(subject.tasks_of(names[0]))} of the {len(subject.tasks)} tasks, evenly spaced"
-    return [f"{', '.join(f'{name}*' for name in names)}: of {few}{where}; --whole measures all tasks"]
+    count = len(subject.tasks_of(names[0])) if names else 0
+    return [f"*: on {count} evenly spaced tasks; --whole measures all"] if names else []
 
 
 def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:

@@ -43,8 +43,9 @@ class Table(NamedTuple):
         title: the figures that it shows.
         columns: from left to right, after the application's; a terminal shows as many as it has room for.
         rows: one a method; none if the application has nothing to show.
-        notes: sentences below it.
+        notes: sentences on its columns and rows, which tables may share.
         fits: records of fits that a picture shows side by side, by the method's name.
+        findings: sentences above it: the error's definition, and what it shows.
     """
 
     subject: str
@@ -53,6 +54,7 @@ class Table(NamedTuple):
     rows: list[Row]
     notes: list[str]
     fits: Mapping[str, list[Record]] = {}
+    findings: Sequence[str] = ()
 
     @property
     def whole_title(self) -> str:
@@ -138,7 +140,7 @@ def text_of(tables: Sequence[Table], form: str) -> str:
     shown = tables[0].columns
     header = ["app", *(column.title for column in shown)]
     body = [[key_of(row), *(column.text(row) for column in shown)] for table in tables for row in table.rows]
-    notes = [(key_of(table.rows[0]), table.notes) for table in tables if table.rows]
+    notes = [(key_of(table.rows[0]), [*table.findings, *table.notes]) for table in tables if table.rows]
     if form == "markdown":
         grid = [header, ["---"] * len(header), *body]
         below = [line for name, lines in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in lines))]

@@ -90,6 +90,17 @@ def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.M
     assert all(name in drawn.getvalue() for name in (NAMES[0], NAMES[1], NAMES[3]))
 
 
+def test_the_time_left_is_shown_once_a_tenth_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", drawn)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with Terminal().bar("job", 100, 0, False) as bar:
+        for step in range(30):
+            bar.at(step, 100)
+            bar.bars.refresh()
+            assert bool(re.search(r"\d:\d\d:\d\d", drawn.getvalue())) == (step >= 10)
+
+
 def test_completion_imports_nothing_large() -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
     lines += "    print({'torch', 'mitsuba', 'numpy', 'rich.console'} & sys.modules.keys())"

@@ -32,7 +32,7 @@ def test_a_verdict_says_who_wins(found: Paired | None, said: str) -> None:
     assert len(lines) == bool(found)
     assert all(line.endswith(said) for line in lines)
     notes = paired_note([compared])
-    assert notes == [] if found is None else f"below {found.kind == 'ratio':d} means a lower error" in notes[0]
+    assert notes == [] if found is None else f"below {found.kind == 'ratio':d}: a lower error" in notes[0]
     written = flat(compared)
     assert set(written) == {*compared, *(f"vs_quickft_{field}" for field in Paired._fields[1:])}
     assert [written[key] for key in ("vs_quickft", "vs_quickft_low")] == ([*found[:2]] if found else [None, None])

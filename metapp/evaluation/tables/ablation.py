@@ -68,10 +68,10 @@ def ablation(subject: Subject) -> Table:
             for name in names
             if same_initialisation(subject, name)
         ),
-        *notes_of(subject, rows),
+        *notes_of(rows),
     ]
     title = f"mean error{subject.app.factor} of initialisations and rules"
-    return Table(subject.title, title, COLUMNS, rows, notes)
+    return Table(subject.title, title, COLUMNS, rows, notes, findings=(subject.app.caption(),))
 
 
 def learned(subject: Subject) -> list[str]:

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Collection
 
 from metapp.apps import is_first_protocol
-from metapp.evaluation.rows import carried, errors_of, few_note, notes_of, of_paper, row_of, verdict
+from metapp.evaluation.rows import carried, errors_of, few_note, measures_note, notes_of, of_paper, row_of, verdict
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Row, Table, columns
@@ -30,18 +30,15 @@ def results(subject: Subject) -> Table:
         errors = errors_of(subject.records(row["paradigm"]))
         is_known = floor and floor.keys() <= errors.keys()
         row["shared_error"] = statistics.fmean(errors[task] for task in floor) if is_known else None
-    meta = next(row for row in rows if row["paradigm"] == "meta")
     notes = [
-        closing(subject.app, rows),
-        *(line for other in AGAINST for line in verdict(meta, other)),
-        f"meta: {meta['rule']}",
-        *notes_of(subject, rows),
-        *few_note(subject, rows),
+        *few_note(subject),
         *(["the paper's figures are of its own data and machine"] if is_first_protocol(subject.app) else []),
+        *notes_of(rows),
     ]
     title = f"mean error{subject.app.factor}, median seconds of inference"
     fits = {name: subject.records(name) for name in PARADIGMS}
-    return Table(subject.title, title, COLUMNS, rows, notes, fits)
+    findings = (subject.app.caption(), closing(subject.app, rows))
+    return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)
 
 
 def result_rows(subject: Subject, names: Collection[str]) -> list[Row]:
@@ -63,18 +60,19 @@ def closing(app: App, rows: list[Row]) -> str:
     Under a further protocol Overfit fits less than errors are measured on: Meta is compared with General and QuickFT.
     """
     gap, speed = carried(rows, "shared_error", "seconds")
+    by_name = {row["paradigm"]: row for row in rows}
+    meta = f"Meta ({by_name['meta']['rule']})"
     if not is_first_protocol(app):
-        by_name = {row["paradigm"]: row for row in rows}
         others = {"General": by_name["general"], "QuickFT": by_name["quickft"]}
         changes = [f"{text} {title}'s" for title, row in others.items() if (text := change(by_name["meta"], row))]
         text = f"Meta's error is {', '.join(changes)}; " if changes else ""
         floor = f"Overfit sees the {app.protocol} alone and is no floor"
-        return f"{text}{floor}, speed-up of Meta over it {number(speed, '.0f')}"
+        return f"{text}{floor}, speed-up of {meta} over it {number(speed, '.0f')}"
     paper_gap, paper_speed = carried(rows, "paper_error", "paper_seconds")
     mark = "*" * (gap is not None and any(row["few"] for row in rows))
     return (
         f"gap closed {number(gap, '.2f')}{mark} (paper {number(paper_gap, '.2f')}), "
-        f"speed-up of Meta over Overfit {number(speed, '.0f')} (paper {number(paper_speed, '.0f')})"
+        f"speed-up of {meta} over Overfit {number(speed, '.0f')} (paper {number(paper_speed, '.0f')})"
     )
 
 
@@ -90,9 +88,10 @@ def quickft(subject: Subject) -> Table:
     """General, QuickFT and Meta, each with whether chance could be why its error is not QuickFT's."""
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in result_rows(subject, EQUAL)]
     _, of_quickft, meta = rows
-    notes = [*verdict(meta), *verdict(meta, "general"), *notes_of(subject, rows)]
+    notes = [*notes_of(rows), *measures_note(subject, rows)]
     if None not in (meta["paper_error"], of_quickft["paper_error"]):
         notes.append(f"paper: meta {meta['paper_error']:.3f}, quickft {of_quickft['paper_error']:.3f}")
     notes.append("quickft's Adam is searched on validation tasks")
     title = f"mean error{subject.app.factor} after as many steps"
-    return Table(subject.title, title, COLUMNS, rows, notes)
+    findings = (subject.app.caption(), *(line for other in AGAINST for line in verdict(meta, other)))
+    return Table(subject.title, title, COLUMNS, rows, notes, findings=findings)

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
-from metapp.evaluation.rows import compared_text, few_note, notes_of, of_paper, row_of
+from metapp.evaluation.rows import compared_text, few_note, measures_note, notes_of, of_paper, row_of
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
@@ -47,18 +47,19 @@ def baselines(subject: Subject) -> Table:
         *(_row_of_baseline(subject, name, of_baseline) for name, of_baseline in records.items()),
     ]
     notes = [
-        *_compared([row for row in rows if row["baseline"]]),
         *_missing(subject, rows, able),
         *_described(able),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
-        *notes_of(subject, rows, "meta"),
+        *notes_of(rows, "meta"),
+        *measures_note(subject, rows),
         *few_note(subject),
     ]
     pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}
     meta = subject.records("meta")
     title = f"mean error{subject.app.factor} and what is kept, of paradigms and of methods without a network"
     fits = {"meta": meta} | pictures if meta and pictures else {}
-    return Table(subject.title, title, COLUMNS, rows, notes, fits)
+    findings = (subject.app.caption(), *_compared([row for row in rows if row["baseline"]]))
+    return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)
 
 
 def _able(subject: Subject) -> list[Baseline]:

@@ -1,11 +1,12 @@
 """Tables of `metapp evaluate`: all rows in every format, what they compare, and runs that were killed."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from metapp.cli.evaluate import rich_table
+from metapp.cli.evaluate import NOTE_LINES, rich_table
 from metapp.evaluation.subject import Subject
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows
@@ -55,7 +56,7 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: S
     quickft = rows(subject, "quickft")[2]
     assert quickft["vs_quickft"] == pair
     assert quickft["apart"] is None  # too few tasks
-    assert "too few to call a win" in " ".join(subject.table("quickft").notes)
+    assert "too few to call a win" in " ".join(subject.table("quickft").findings)
 
 
 def test_fits_that_carry_a_warning_are_counted(subject: Subject) -> None:
@@ -96,6 +97,32 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
             assert table.columns[0].text(row) in text, name
 
 
+def test_notes_are_numbered_below_all_tables(evaluate: Callable, done: Path) -> None:
+    common = ("--out", done / "runs", "--no-run")
+    lines = evaluate(*common, "--whole").out.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert lines[0].startswith("BRDF, 3 unseen tasks: mean error x100, median seconds of inference [1, 2, ")
+    below = lines[lines.index(next(line for line in lines if line.startswith("[1] "))) :]
+    assert [line.split()[0] for line in below] == [f"[{number}]" for number in re.findall(r"\d+", lines[0])[2:]]
+    assert below[1].startswith("[2] vs quickft: ratio of mean errors, 95 % interval")
+    many = evaluate(*common, "--which", "all").out.splitlines()
+    below = many[many.index(next(line for line in many if line.startswith("[1] "))) :]
+    assert len(below) <= NOTE_LINES
+    assert re.fullmatch(r"\d+ further notes: --format markdown", below[-1])
+
+
+def test_tables_are_printed_before_pictures_are_drawn(
+    evaluate: Callable, done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def draw(*_: object) -> None:
+        raise OSError("no pictures")
+
+    monkeypatch.setattr(Subject, "draw", draw)
+    result = evaluate("--out", done / "runs", "--no-run")
+    assert "error: no pictures" in result.err
+    assert "[1] " in result.out
+
+
 def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path) -> None:
     words = ("--recipe", "quick", "--out", tmp_path / "runs", "--quiet")
     result = metapp("quickft", "brdf", "--data", data, *words)
@@ -121,9 +148,8 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, m
         few["general"]["shared_error"] - few["overfit"]["shared_error"]
     )
     table = short.table("results")
-    notes = table.notes
-    assert notes[0].startswith(f"gap closed {gap:.2f}* (paper")
-    assert f"overfit {few['overfit']['error']:.3f}" in next(note for note in notes if note.startswith("overfit*: of 2"))
+    assert table.findings[1].startswith(f"gap closed {gap:.2f}* (paper 0.93), speed-up of Meta (meta-curvature) over")
+    assert "*: on 2 evenly spaced tasks; --whole measures all" in table.notes
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
     assert not any("*" in note for note in subject.table("results").notes)
     # what is measured for one table counts for the other
