@@ -1,1 +1,1 @@
-"""`metapp compare`: two runs side by side."""
+"""`metapp compare`: runs side by side."""

@@ -1,4 +1,4 @@
-"""`metapp compare`: two runs side by side."""
+"""`metapp compare`: runs side by side."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ if TYPE_CHECKING:
 def command(
     first: RunPath,
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another run of the same application.")],
-    inputs: Annotated[
+    others: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved; needed for the picture."),
+        typer.Argument(
+            metavar="[RUN|INPUT]...",
+            help="Further runs; original inputs, if they have moved: needed for the picture.",
+        ),
     ] = None,
     task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
     data: FittedData = None,
@@ -34,14 +37,16 @@ def command(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare two runs: errors and seconds of each task, the ratio of errors with its interval, and a picture.
+    """Compare runs with the first: errors of each task, the ratio of mean errors with its interval, and a picture.
 
     Example: metapp compare RUN OTHER_RUN
     """
     from metapp.extensions.compare.compare import compare, draw
+    from metapp.runs.outputs.recorded import holds_runs
 
     check_new(out_file, overwrite)
-    compared = compare(first, second, task, inputs or [], data)
+    runs = [first, second, *filter(holds_runs, others or [])]
+    compared = compare(runs, task, [path for path in others or [] if path not in runs], data)
     file = out_file or compared.sides[0].folder / "comparison.png"
     picture, compared = draw(compared, file, quiet=quiet)
     if not (quiet or json):
@@ -56,34 +61,38 @@ def command(
 
 
 def _table(compared: Comparison) -> Table:
-    """One line a task, and the means."""
+    """A column a run: errors of tasks, then their means, how these compare with the first run's, and seconds."""
     from rich.table import Table
 
     from metapp.evaluation.statistics import FEWEST
 
-    one, other = compared.sides
-    overall, app = compared.ratio, one.app
+    sides, app, pairs = compared.sides, compared.sides[0].app, [each.compared for each in compared.errors]
+    base, known = sides[0].label, [pair for pair in pairs if pair]
     said = [app.caption()]
-    if overall:
-        few = overall.groups < FEWEST
-        ahead = f"{one.label} has the lower error on {overall.ahead} of {overall.tasks}"
-        said = [f"error of {one.label} over {other.label}'s: {overall}; {ahead}", *said]
-        said[0] += f"; {overall.groups} different tasks are too few to call a win" if few else ""
-        if overall.kind == "difference":
-            said[0] = said[0].replace(" over ", " minus ")
-    for title, (means, pair) in compared.measures.items():
-        said.append(f"{title}: {means[0]:.3f} and {means[1]:.3f}" + (f", ratio {pair}" if pair else ""))
-    table = Table(title=f"{app.full_title}: {one.label} and {other.label}", caption="\n".join(said), show_footer=True)
-    table.add_column("task", "mean error, median time")
-    for side in compared.sides:
-        table.add_column(f"error, {side.label}", number(side.mean(), ".3f"), justify="right")
-    table.add_column("ratio", justify="right")
-    for side in compared.sides:
-        table.add_column(f"seconds, {side.label}", number(side.seconds(), ".4f"), justify="right")
-    for a, b in zip(one.records, other.records, strict=True):
-        errors = (a["error"], b["error"])
-        both = None not in errors and b["error"] > 0 and overall is not None and overall.kind == "ratio"
-        ratio = f"{a['error'] / b['error']:.3f}" if both else "-"
-        seconds = (number(each.get("seconds"), ".4f") for each in (a, b))
-        table.add_row(escaped(a["name"]), *(number(each, ".3f") for each in errors), ratio, *seconds)
+    if known and known[0].groups < FEWEST:
+        said.append(f"{known[0].groups} different tasks are too few to call a win")
+    for title, measured in compared.measures.items():
+        of_sides = (
+            f"{side.label} {number(each.mean, '.3f')}" + (f" (ratio {each.compared})" if each.compared else "")
+            for side, each in zip(sides, measured, strict=True)
+        )
+        said.append(f"{title}: {', '.join(of_sides)}")
+    table = Table(title=f"{app.full_title}, error{app.factor}", caption="\n".join(said), caption_justify="left")
+    table.add_column("task")
+    for side in sides:
+        table.add_column(side.label, justify="right")
+    for of_task in zip(*(side.records for side in sides), strict=True):
+        table.add_row(escaped(of_task[0]["name"]), *(number(each["error"], ".3f") for each in of_task))
+    table.add_section()
+    table.add_row("mean error", *(number(each.mean, ".3f") for each in compared.errors))
+    if known:
+        form = ".3f" if known[0].kind == "ratio" else "+.3f"
+        rows = {
+            {"ratio": "ratio to", "difference": "difference from"}[known[0].kind] + f" {base}'s": "{0.value:%s}",
+            "95 % interval": "{0.low:%s} .. {0.high:%s}",
+            f"lower than {base}'s on": "{0.ahead}/{0.tasks}",
+        }
+        for title, text in rows.items():
+            table.add_row(title, *(text.replace("%s", form).format(pair) if pair else "-" for pair in pairs))
+    table.add_row("median seconds", *(number(side.seconds(), ".4f") for side in sides))
     return table

@@ -1,8 +1,9 @@
-"""Two runs of an application side by side: errors and seconds task by task, their paired ratio, one picture."""
+"""Runs of an application side by side: errors and seconds task by task, compared with the first run, one picture."""
 
 from __future__ import annotations
 
 import statistics
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from metapp.storage.fits import PARAMS, summary
 
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
 # settings that tell runs apart, the clearest first
+NOTED = ("device", "versions", "features", "precision", "observe")
 LABEL_KEYS = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "checkpoint")
 
 
@@ -29,7 +31,7 @@ class Side(NamedTuple):
     """A run that is compared.
 
     Attributes:
-        label: a word that tells it from the other.
+        label: a word that tells it from the others.
         app: as it was at the first fit.
         folder: of the run.
         records: of the tasks in common, in the same order.
@@ -44,65 +46,65 @@ class Side(NamedTuple):
         """By the task's name, of those that have one; also further ones that records state."""
         return {record["name"]: record[measure] for record in self.records if record.get(measure) is not None}
 
-    def mean(self, measure: str = "error") -> float | None:
-        """Of the errors; None if there are none."""
-        return statistics.fmean(self.errors(measure).values()) if self.errors(measure) else None
-
     def seconds(self) -> float | None:
         """The median of a fit; None of answers that were made elsewhere."""
         return summary(self.records)["seconds"]
 
 
-Measured = tuple[tuple[float, float], Paired | None]  # the means of a further error of both runs, and their ratio
+class Measured(NamedTuple):
+    """The mean of an error of a run, None if it has none, and its comparison with the base, which has none itself."""
+
+    mean: float | None
+    compared: Paired | None
+
+    def document(self) -> Document:
+        """It as --json prints it."""
+        return {"mean": self.mean, "compared": self.compared and self.compared._asdict()}
 
 
 class Comparison(NamedTuple):
-    """Two runs on the tasks that they have in common.
+    """Runs on the tasks that they have in common.
 
     Attributes:
-        sides: the two.
+        sides: two or more; the first is the base.
         tasks: of the fits, in the order of the records; none if they cannot be read.
-        ratio: the mean error of the first over that of the second, or their difference; None if there is none.
-        measures: the same of further errors that both have, by their titles.
+        errors: of each side; compared by the ratio to the base's, or by the difference from it.
+        measures: further errors of each side that all have, by their titles.
         notes: important differences beside the runs' settings.
     """
 
-    sides: tuple[Side, Side]
+    sides: list[Side]
     tasks: list[Task]
-    ratio: Paired | None
-    measures: dict[str, Measured]
+    errors: list[Measured]
+    measures: dict[str, list[Measured]]
     notes: list[str]
 
     def document(self, picture: Path | None) -> Document:
         """The document that --json prints."""
-        one, other = self.sides
-        pairs = zip(one.records, other.records, strict=True)
         return {
-            "app": one.app.name,
+            "app": self.sides[0].app.name,
             "runs": [
-                {"label": side.label, "out": str(side.folder), "error": side.mean(), "seconds": side.seconds()}
-                for side in self.sides
+                {
+                    **{"label": side.label, "out": str(side.folder), "error": error.mean, "seconds": side.seconds()},
+                    "compared": error.document()["compared"],
+                    "measures": {title: some[i].document() for title, some in self.measures.items()},
+                }
+                for i, (side, error) in enumerate(zip(self.sides, self.errors, strict=True))
             ],
-            "compared": self.ratio and self.ratio._asdict(),
-            "measures": {
-                title: {"means": means, "compared": ratio and ratio._asdict()}
-                for title, (means, ratio) in self.measures.items()
-            },
             "tasks": [
-                {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a.get("seconds"), b.get("seconds")]}
-                for a, b in pairs
+                {"name": of[0]["name"], **{key: [one.get(key) for one in of] for key in ("error", "seconds")}}
+                for of in zip(*(side.records for side in self.sides), strict=True)
             ],
             "notes": self.notes,
             "picture": picture and str(picture),
         }
 
 
-def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path | None) -> Comparison:
-    """Put two runs side by side.
+def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | None) -> Comparison:
+    """Put runs side by side.
 
     Args:
-        first: folder of a run, or of one of its tasks.
-        second: of the other one.
+        paths: folders of two or more runs, or of one of their tasks; the first is the base.
         task: the one to compare; "" for all in common.
         inputs: the fitted files, if they are not in the places of records.
         data: the data set that was fitted, for the same.
@@ -110,38 +112,50 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     Raises:
         ValueError: no runs, of different applications, or without a task in common.
     """
-    runs = [read_run(path, task, by_paradigm=False) for path in (first, second)]
+    runs = [read_run(path, task, by_paradigm=False) for path in paths]
     settings = [run.records[-1]["settings"] for run in runs]
-    if settings[0]["app"] != settings[1]["app"]:
-        apps = " and ".join(each["app"] for each in settings)
-        raise ValueError(f"{second}: runs of {apps}, expected two of one application; take another run.")
     by_name = [{record["name"]: record for record in run.records} for run in runs]
-    names = [name for name in by_name[0] if name in by_name[1]]
-    if not names:
-        counts = f"{len(by_name[0])} and {len(by_name[1])} tasks, none in common"
-        raise ValueError(f"{second}: {counts}, expected some; compare runs of the same data.")
+    names = list(by_name[0])
+    for path, each, of in zip(paths[1:], settings[1:], by_name[1:], strict=True):
+        if each["app"] != settings[0]["app"]:
+            apps = f"{settings[0]['app']} and {each['app']}"
+            raise ValueError(f"{path}: runs of {apps}, expected runs of one application; take another run.")
+        before, names = len(names), [name for name in names if name in of]
+        if not names:
+            counts = f"{before} and {len(of)} tasks, none in common"
+            raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
     sides = [
         Side(label, Run.of_settings(each).app, run.folder, [of[name] for name in names])
-        for label, each, run, of in zip(_labels(*settings), settings, runs, by_name, strict=True)
+        for label, each, run, of in zip(_labels(settings), settings, runs, by_name, strict=True)
     ]
-    tasks_by_name = tasks_as(runs[0].records, sides[0].app, inputs, data)
+    app = sides[0].app
+    tasks_by_name = tasks_as(runs[0].records, app, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
-    one, other = sides
-    ratio_of_errors = paired(one.errors(), other.errors(), groups, logarithmic=one.app.logarithmic)
-    measures = {}
-    for key, title in one.app.measures.items():
-        if (first_mean := one.mean(key)) is not None and (second_mean := other.mean(key)) is not None:
-            ratio = paired(one.errors(key), other.errors(key), groups, logarithmic=False)
-            measures[title] = (first_mean, second_mean), ratio
-    return Comparison((one, other), tasks, ratio_of_errors, measures, _notes(settings, by_name, names))
+    errors = _measured([side.errors() for side in sides], groups, logarithmic=app.logarithmic)
+    of_measures = {title: [side.errors(key) for side in sides] for key, title in app.measures.items()}
+    measures = {title: _measured(some, groups) for title, some in of_measures.items() if all(some)}
+    return Comparison(sides, tasks, errors, measures, _notes(settings, by_name, names))
+
+
+def _measured(
+    errors: Sequence[Mapping[str, float]], groups: Mapping[str, str], *, logarithmic: bool = False
+) -> list[Measured]:
+    """Means of runs' errors of tasks, and each compared with the first."""
+    return [
+        Measured(
+            statistics.fmean(own.values()) if own else None,
+            paired(own, errors[0], groups, logarithmic=logarithmic) if i else None,
+        )
+        for i, own in enumerate(errors)
+    ]
 
 
 def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
-    """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of both runs below it.
+    """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of all runs below it.
 
     Returns:
-        The file; None if tasks cannot be read, or one run is of a method that keeps no picture. And the
+        The file; None if tasks cannot be read, or a run is of a method that keeps no picture. And the
         comparison, of spheres with the colour differences of the pictures.
     """
     kept = (Path(record["folder"], PARAMS) for side in compared.sides for record in side.records)
@@ -161,48 +175,46 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     return write_compared(app, columns, file), compared
 
 
-def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str, Measured]:
-    """Of both fits' spheres from the reference's, by their titles: median and 95th percentile of a sphere's pixels."""
-    found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}), ({}, {})]
+def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str, list[Measured]]:
+    """Of the fits' spheres from the reference's, by their titles: median and 95th percentile of a sphere's pixels."""
+    shares = ("median", "95 %")
+    found: list[list[dict[str, float]]] = [[{} for _ in compared.sides] for _ in shares]
     for column in columns:
         reference, *fits = column.pictures.values()
         touched = np.min([reference, *fits], 0).min(-1) < 1  # the background is white
         for side, fit in enumerate(fits):
             values = np.quantile(colour_difference(fit[touched], reference[touched]), (0.5, 0.95))
-            for measure, value in zip(found[side], values.tolist(), strict=True):
-                measure[column.name] = value
+            for measure, value in zip(found, values.tolist(), strict=True):
+                measure[side][column.name] = value
     groups = {task.name: task.group or task.name for task in compared.tasks}
     return {
-        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": (
-            (statistics.fmean(one.values()), statistics.fmean(other.values())),
-            paired(one, other, groups, logarithmic=False),
-        )
-        for share, one, other in zip(("median", "95 %"), *found, strict=True)
+        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": _measured(measure, groups)
+        for share, measure in zip(shares, found, strict=True)
     }
 
 
-def _labels(first: Document, second: Document) -> tuple[str, str]:
-    """Labels that tell two runs apart, a word each; A and B if nothing in LABEL_KEYS does."""
-    first, second = ({"paradigm": each.get("method"), **each} for each in (first, second))
+def _labels(settings: Sequence[Document]) -> list[str]:
+    """Labels that tell runs apart, of as few settings as that takes; A, B and so on if nothing in LABEL_KEYS does."""
+    words: list[tuple[str, ...]] = [() for _ in settings]
     for key in LABEL_KEYS:
-        if first.get(key) != second.get(key):
-            kind = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
-            one, other = (f"{kind}{each.get(key)}" for each in (first, second))
-            return one, other
-    return "A", "B"
+        kind = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
+        values = [f"{kind}{each.get(key, each.get('method') if key == 'paradigm' else None)}" for each in settings]
+        more = [(*some, value) for some, value in zip(words, values, strict=True)]
+        words = more if len({*more}) > len({*words}) else words
+    if len({*words}) < len(words):
+        words = [(chr(ord("A") + i), *some) for i, some in enumerate(words)]
+    return ["-".join(some) for some in words]
 
 
 def _notes(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
     """Notes on differences beside the labels."""
-    one, other = settings
-    left_out = sum(map(len, by_name)) - 2 * len(names)
+    left_out = sum(map(len, by_name)) - len(by_name) * len(names)
     differ = sum(len({of[name].get("content") for of in by_name}) > 1 for name in names)
+    values = {
+        key: [one.get(key) for one in settings] for key in sorted({*NOTED} & {key for one in settings for key in one})
+    }
     return [
-        *([f"{left_out} tasks of one run alone are left out"] if left_out else []),
-        *([f"{differ} tasks in common have other content in the two runs, and the same name"] if differ else []),
-        *(
-            f"{key}: {one.get(key)} and {other.get(key)}"
-            for key in sorted({*one, *other})
-            if key in ("device", "versions", "features", "precision", "observe") and one.get(key) != other.get(key)
-        ),
+        *([f"{left_out} tasks that not all runs have are left out"] if left_out else []),
+        *([f"{differ} tasks in common have other content in other runs, and the same name"] if differ else []),
+        *(f"{key}: {', '.join(map(str, of))}" for key, of in values.items() if any(value != of[0] for value in of)),
     ]

@@ -1,5 +1,6 @@
-"""`metapp compare`: two runs side by side."""
+"""`metapp compare`: runs side by side."""
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -14,29 +15,33 @@ pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 3
 
 
-def test_errors_ratio_and_colours_of_spheres_are_shown(metapp: Callable, fitted: Callable) -> None:
-    """Colours in CIE 2000 units from the reference; the same run twice is as far off twice."""
-    meta, quickft = fitted("meta"), fitted("quickft")
-    told = metapp("compare", meta, quickft, "--json").done
-    assert [run["label"] for run in told["runs"]] == ["meta", "quickft"]
-    for side, run in enumerate((meta, quickft)):
+def test_runs_are_compared_with_the_first(metapp: Callable, fitted: Callable) -> None:
+    """Colours in CIE 2000 units from the reference; the same run again is as far off again."""
+    runs = fitted("meta"), fitted("quickft"), fitted("general")
+    told = metapp("compare", *runs, "--json").done
+    assert [run["label"] for run in told["runs"]] == ["meta", "quickft", "general"]
+    base, *others = told["runs"]
+    for side, run in enumerate(runs):
         errors = [record["error"] for record in read_fits(run)]
         assert [task["error"][side] for task in told["tasks"]] == errors
         assert told["runs"][side]["error"] == pytest.approx(np.mean(errors))
-    ratio = told["runs"][0]["error"] / told["runs"][1]["error"]
-    assert told["compared"]["value"] == pytest.approx(ratio)
-    assert told["compared"]["low"] <= ratio <= told["compared"]["high"]
-    swapped = metapp("compare", quickft, meta, "--json").document["compared"]
-    assert swapped["value"] == pytest.approx(1 / ratio)
-    assert swapped["ahead"] + told["compared"]["ahead"] == 3
-    (median, high) = (
-        told["measures"][f"CIE 2000 colour difference of 3 spheres drawn, {s} of pixels"] for s in ("median", "95 %")
-    )
-    assert all(0 < low < top < 100 for low, top in zip(median["means"], high["means"], strict=True))
-    itself = metapp("compare", meta, meta, "--json").document
-    assert (itself["compared"]["value"], itself["compared"]["ahead"]) == (1.0, 0)
-    assert [side["label"] for side in itself["runs"]] == ["A", "B"]
-    assert {one == other for one, other in (each["means"] for each in itself["measures"].values())} == {True}
+        assert [len(task["seconds"]) for task in told["tasks"]] == [3, 3, 3]
+    assert base["compared"] is None
+    for other in others:
+        ratio = other["error"] / base["error"]
+        assert other["compared"]["value"] == pytest.approx(ratio)
+        assert other["compared"]["low"] <= ratio <= other["compared"]["high"]
+    swapped = metapp("compare", *runs[1::-1], "--json").document["runs"][1]["compared"]
+    assert swapped["value"] == pytest.approx(base["error"] / others[0]["error"])
+    assert swapped["ahead"] + others[0]["compared"]["ahead"] == 3
+    titles = [f"CIE 2000 colour difference of 3 spheres drawn, {share} of pixels" for share in ("median", "95 %")]
+    for run in told["runs"]:
+        median, high = (run["measures"][title]["mean"] for title in titles)
+        assert 0 < median < high < 100
+    again = metapp("compare", runs[0], runs[1], runs[0], "--json").document["runs"]
+    assert [run["label"] for run in again] == ["A-meta", "B-quickft", "C-meta"]
+    assert (again[2]["compared"]["value"], again[2]["compared"]["ahead"]) == (1.0, 0)
+    assert again[0]["measures"][titles[0]]["mean"] == again[2]["measures"][titles[0]]["mean"]
 
 
 @pytest.mark.long
@@ -45,7 +50,9 @@ def test_the_picture_has_reference_and_both_fits(metapp: Callable, fitted: Calla
     for other in ("general", "quickft"):
         result = metapp("compare", meta, fitted(other), "--out", f"{other}.png", "--task", "m1")
         assert result.code == 0
-        assert f"meta over {other}'s" in result.out
+        assert re.search(rf"task +┃ +meta ┃ +{other} ┃", result.out)
+        for words in ("mean error", "ratio to meta's", "95 % interval", "lower than meta's on", "median seconds"):
+            assert f"│ {words} " in result.out
         pixels.append(oiio.ImageBuf(f"{other}.png").get_pixels())
     assert pixels[0].shape[0] > 3 * 150
     assert not np.array_equal(*(each[-190:-50, :200] for each in pixels))  # the last row is the other paradigm's
@@ -55,11 +62,11 @@ def test_tasks_of_one_run_alone_are_left_out(metapp: Callable, fitted: Callable,
     result = metapp("compare", fitted("meta"), fitted("meta", "--seed", "3", inputs=networks / "m1"), "--json")
     assert [task["name"] for task in result.document["tasks"]] == ["m1"]
     assert [side["label"] for side in result.document["runs"]] == ["seed-0", "seed-3"]
-    assert "2 tasks of one run alone are left out" in result.err
+    assert "2 tasks that not all runs have are left out" in result.err
     assert "other content" not in result.err
     changed = Path(shutil.copytree(networks / "m0", "m1"))
     result = metapp("compare", fitted("meta"), fitted("meta", "--seed", "4", inputs=changed))
-    assert "1 tasks in common have other content in the two runs, and the same name" in result.err
+    assert "1 tasks in common have other content in other runs, and the same name" in result.err
 
 
 def test_without_what_was_fitted_there_is_a_table_and_no_picture(
@@ -81,7 +88,7 @@ def test_what_cannot_be_compared_is_one_line(metapp: Callable, fitted: Callable,
     record["settings"]["app"] = "texture"
     write_fit(Path("other"), record)
     for words, said in (
-        ((run, "other"), "runs of brdf and texture, expected two of one application; take another run."),
+        ((run, "other"), "runs of brdf and texture, expected runs of one application; take another run."),
         ((run, "nowhere"), "nowhere: no such folder, expected a run's folder"),
         ((run, alone, "--task", "m2"), "no record of task 'm2', expected one of m0."),
         ((run / "m1", alone), "1 and 1 tasks, none in common, expected some"),
