@@ -8,19 +8,22 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from metapp.apps import recipes_of
+from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.task import Tasks
+from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms import Paradigm, training
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.training import TrainState, prepare, split_validation, validation_error
 from metapp.rules import rule_of
 from tests.marked import long
-from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, prepared_for, result, rng
+from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, fits_of, prepared_for, result, rng, small_recipe
 from tests.quick import app_by
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
@@ -45,6 +48,21 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
     turns = tuple(f"{'abcd'[i % 4]}-{i:02d}" for i in range(64))
     _, validate = split_validation(Tasks(turns, {}, torch.arange(64)))
     assert {name[0] for name in validate.selected_names} == set("abcd")
+
+
+@pytest.mark.parametrize("name", ["general", "meta"])
+@ONE_APP
+def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> None:
+    class Judged(Brdf):
+        def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+            return 0 * self.loss(theta, batch, learned) + 7
+
+    judged = Judged(NBRDF)
+    paradigm = fits_of(judged, small_recipe(judged))[name]
+    phi = paradigm.first_phi(None, tasks, rng())
+    loss = paradigm.outer_loss(phi)
+    values = loss.value(phi.flat(), loss.draw(tasks, rng(), 0.0).batch, {})
+    assert torch.equal(values, torch.full_like(values, 7))
 
 
 @pytest.mark.parametrize("app", ["brdf"], indirect=True)
