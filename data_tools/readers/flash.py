@@ -35,8 +35,8 @@ find, recognises = photos.find, photos.recognises
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:
-    """A flash photograph as a task, named by `shown`; arguments and errors as of `flash_view` and `photo_of`."""
-    return Task(shown(path).name, {"image": photo_of(flash_view(read_pixels(path), fov_rad), str(path), size, least)})
+    """A flash photograph as a task of its stem's name; arguments and errors as of `flash_view` and `photo_of`."""
+    return Task(path.stem, {"image": photo_of(flash_view(read_pixels(path), fov_rad), str(path), size, least)})
 
 
 def task_of_object(

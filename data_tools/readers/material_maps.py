@@ -270,7 +270,7 @@ def _task(material: Material, pixels_of: Callable[[Path], Pixels], size: int, no
         raise ValueError(
             f"{material}: diffuse and specular are black, expected a material that reflects; leave it out."
         )
-    return svbrdf_task(task_name(material.title), pack(Maps(diffuse, specular, roughness, normal)))
+    return svbrdf_task(material.title, pack(Maps(diffuse, specular, roughness, normal)))
 
 
 def mixed_slopes(normal: Tensor) -> float:

@@ -82,7 +82,7 @@ def read_task(
     photo, *true = (_resampled(tile, size, share) for tile in tiles)
     if max(float(true[1].max()), float(true[3].max())) < _DARKEST:
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
-    task = svbrdf_task(task_name(path.stem), _packed(path, *true), photo=encoded(photo))
+    task = svbrdf_task(path.stem, _packed(path, *true), photo=encoded(photo))
     if not predicted:
         return task
     maps = _packed(predicted / path.name, *(_resampled(tile, size) for tile in of_others))

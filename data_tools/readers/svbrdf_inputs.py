@@ -10,7 +10,7 @@ from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import NAMED, Pixels, check_exists, read_pixels
 from data_tools.readers.listing import Found, files_below
 from data_tools.readers.photos import SIZE, flash_view, photo_of, placed_in
-from data_tools.readers.svbrdf_task import rightly_exposed, task_name
+from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
 
 
@@ -77,7 +77,7 @@ def task_of_object(
 def _photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: float, stops: float) -> Task:
     """A photograph as a task; `subject` begins errors."""
     photo = photo_of(flash_view(pixels, fov_rad), subject, size, min(size, SIZE))
-    return Task(task_name(name), {"photo": rightly_exposed(photo, stops)})
+    return Task(name, {"photo": rightly_exposed(photo, stops)})
 
 
 def _is_elsewhere(file: Path, folders: Collection[Path]) -> bool:

@@ -46,7 +46,7 @@ def test_a_strip_holds_its_maps(tmp_path: Path, kind: str, suffix: str, toleranc
     maps, photo = material(), torch.rand(3, 64, 64)
     path = write(tmp_path / f"a;b.{suffix}", strip(maps, photo, gamma), kind)
     task = strips.read_task(path, 64, gamma, white=1)
-    assert task.name == "a_b"
+    assert task.name == "a;b"
     assert [*task.data, "predicted"] == list(strips.UNITS)
     assert task.data["maps"].dtype == torch.float16
     torch.testing.assert_close(task.data["maps"].float(), maps, atol=tolerance * gamma * 1.3, rtol=0)
@@ -254,7 +254,7 @@ def test_fits_read_strips_maps_and_photographs(tmp_path: Path) -> None:
     mapped = {name: ["maps", "photo"] for name in ("off by one.png", "rock.png", "strip.png")}
     photographed = {name: ["photo"] for name in ("phone.jpg", "wood_color.jpg")}
     assert {name: sorted(task.data) for name, task in tasks.items()} == mapped | photographed
-    assert tasks["off by one.png"].name == "off_by_one"
+    assert tasks["off by one.png"].name == "off by one"
     assert tasks["phone.jpg"].data["photo"].shape == (3, 64, 64)
     assert tasks["phone.jpg"].data["photo"].dtype == torch.uint8
     torch.testing.assert_close(tasks["strip.png"].data["maps"].float(), maps, atol=0.006, rtol=0)

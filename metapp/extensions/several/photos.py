@@ -16,7 +16,7 @@ from data_tools.readers.image_files import shape_of
 from data_tools.readers.listing import Found
 from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, is_photo, placed_in, read_photo
 from data_tools.readers.photos import SIZE as PX
-from data_tools.readers.svbrdf_task import rightly_exposed, task_name
+from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
 
@@ -66,7 +66,7 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
                 "material; rectify them."
             )
     photo, *others = (rightly_exposed(read_photo(path, size, min(size, PX)), stops) for path in paths)
-    return Task(task_name(folder.resolve().name), {"photo": photo, "others": torch.stack(others), "places": places})
+    return Task(folder.resolve().name, {"photo": photo, "others": torch.stack(others), "places": places})
 
 
 def read_places(folder: Path, photos: int) -> Tensor:
