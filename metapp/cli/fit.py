@@ -157,17 +157,23 @@ def table_of(
         remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
     total = summary(records)
     measured = total["error"] is not None
+    if "photo_error" in total:
+        remarks.insert(0, "photo error: mean |fit - photo| of display values where the photo does not clip")
     caption = "\n".join([app.caption(measured), *remarks])
     table = Table(title=f"{app.full_title}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
-    table.add_column("task", "mean error; other columns: median" if measured else "median")
+    means = measured or "photo_error" in total
+    table.add_column("task", "mean error; other columns: median" if means else "median")
     if measured:
         table.add_column(f"error{app.factor}", number(total["error"], ".3f"), justify="right")
+    if "photo_error" in total:
+        table.add_column("photo error %", number(total["photo_error"], ".2f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
     pictures = {} if measured else {each["name"]: len([*Path(each["folder"]).glob("*.png")]) for each in listed}
     if any(pictures.values()):
         table.add_column("pictures", justify="right")
     for record in listed:
         cells = [number(record["error"], ".3f")] if measured else []
+        cells += [number(record.get("photo_error"), ".2f")] if "photo_error" in total else []
         cells.append(number(record.get("seconds"), ".4f"))
         cells += [f"{pictures[record['name']]}"] if any(pictures.values()) else []
         table.add_row(Text(escaped(record["name"])), *cells)

@@ -15,7 +15,7 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fitting import fit_tasks
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import content_of, tasks_of_data
-from metapp.runs.outputs.pictures import COMPARED, column_of, write_compared
+from metapp.runs.outputs.pictures import ROWS, tiles_of, write_compared
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
@@ -179,10 +179,10 @@ class Subject:
         if not by_method or not common:
             return None
         columns, path = [], self.run.path(self.label, kind)
-        with progress(f"pictures of {self.title}", len(common[:COMPARED]), quiet=self.run.options.quiet) as bar:
-            for task in common[:COMPARED]:
+        with progress(f"pictures of {self.title}", len(common[:ROWS]), quiet=self.run.options.quiet) as bar:
+            for task in common[:ROWS]:
                 shown = [(name, self.app, records[task.name]) for name, records in by_method.items()]
-                columns.append(column_of(task, shown))
+                columns.append(tiles_of(task, shown))
                 bar.advance()
         return write_compared(self.app, columns, path.with_name(f"{path.name}.png"))
 

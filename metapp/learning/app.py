@@ -243,6 +243,13 @@ class App(ABC):
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Linear RGB pictures [H, W, 3 or 4] of a fit and its `reference`, if there is one, by name."""
 
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The same for the picture of a run: "reference" or "photo", maps, and the fit under other lights, by name.
+
+        "reference X" is the reference of a picture X.
+        """
+        return self.preview(theta, task)
+
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The files that a fit makes for its user, by the file's name without its ending."""
         return {}
@@ -277,6 +284,10 @@ class App(ABC):
 
     def compared(self, theta: Params, task: Task) -> Compared | None:
         """Pictures that extensions measure, if there is a reference."""
+        return None
+
+    def photographed(self, theta: Params, task: Task) -> Compared | None:
+        """The fit's pictures of the photographs that it saw, and these; None if a fit sees something else."""
         return None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:

@@ -10,6 +10,7 @@ from metapp.learning.task import Params
 
 Kind = Literal["srgb", "data", "height", "radiance"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+CLIPPED_VALUE = 250  # of 255, from which a photograph says no more
 REFERENCE = "reference"  # among measures of pictures: what the references are off by themselves
 
 
@@ -48,6 +49,21 @@ class Compared(NamedTuple):
     pictures: Tensor
     references: Tensor
     mask: Tensor | None = None
+
+
+def photo_error(compared: Compared) -> float:
+    """Mean difference of pictures and references in 8 bits, % of white, where the references do not clip.
+
+    >>> one = torch.full((1, 3, 2, 2), 0.5)
+    >>> photo_error(Compared(one, one + 0.1)), photo_error(Compared(one, one + 0.5))
+    (10.196078431372548, 0.0)
+    """
+    pictures, references = ((each.clamp(0, 1) * 255).round() for each in compared[:2])
+    counts = (references < CLIPPED_VALUE).all(1)
+    if compared.mask is not None:
+        counts = counts & compared.mask
+    apart = (pictures - references).abs().mean(1)[counts]
+    return float(apart.double().mean()) * 100 / 255 if len(apart) else 0.0
 
 
 class Visible(NamedTuple):

@@ -17,7 +17,7 @@ from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
 from metapp.runs.outputs.files import export_fit, export_path, rendered, write_pictures
-from metapp.runs.outputs.pictures import COMPARED, Column, column_of_fit, write_sheet
+from metapp.runs.outputs.pictures import ROWS, Tiles, tiles_of_fit, write_sheet
 from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
@@ -68,7 +68,7 @@ class Execution:
         self._sources = sources
         self._records: dict[str, Document] = {}  # by the sources' places
         self._earlier: set[str] = set()  # places of fits of before
-        self._columns: dict[str, Column] = {}
+        self._tiles: dict[str, Tiles] = {}
         self._bar = Bar()
 
     @property
@@ -85,7 +85,7 @@ class Execution:
         """The object that --json prints."""
         settings, records = self.fits.settings, self.records
         stated = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
-        fields = ("name", "error", "seconds", "counts", "note", "warning", "folder")
+        fields = ("name", "error", "photo_error", "seconds", "counts", "note", "warning", "folder")
         return {
             **{key: settings[key] for key in (*stated, *self.run.app.conditions()) if key in settings},
             **summary(records),
@@ -172,19 +172,19 @@ class Execution:
             self.failures.append(Failure(str(path), line, kept=True))
 
     def _finish(self, source: Source, record: Document, task: Task, theta: Callable[[], Params]) -> None:
-        """Take over the record of a fit; of the first ones a column of the run's picture."""
+        """Take over the record of a fit; of the first ones tiles of the run's picture."""
         self._records[source.place] = record
-        if len(self._columns) < COMPARED:
+        if len(self._tiles) < ROWS:
             with torch.no_grad():
-                self._columns[source.place] = column_of_fit(self.run.app, task, theta(), record)
+                self._tiles[source.place] = tiles_of_fit(self.run.app, task, theta(), record)
 
     def _draw(self) -> None:
-        """Write `pictures.png`, the first fits beside their references."""
+        """Write `pictures.png`, the first fits beside their photos or references."""
         app, mean = self.run.app, summary(self.records)["error"]
         title = f"{app.full_title}, {self.run.paradigm.name}"
         title += "" if mean is None else f": mean error{app.factor} {mean:.3f}"
-        columns = [self._columns[source.place] for source in self._sources if source.place in self._columns]
-        write_sheet(columns, title, self.fits.path / "pictures.png")
+        tiles = [self._tiles[source.place] for source in self._sources if source.place in self._tiles]
+        write_sheet(tiles, title, self.fits.path / "pictures.png", len(self._records))
 
 
 def execute(run: Run) -> Execution | None:

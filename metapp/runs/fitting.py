@@ -16,6 +16,7 @@ from torch import Generator
 from metapp.learning.app import stack
 from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import DescentState, final_item
+from metapp.learning.pictures import photo_error
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
 from metapp.runs.inputs.sources import Source
@@ -172,7 +173,7 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     fits = []
     for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
         errors = {key: float(value[i]) * (app.scale if key == "error" else 1) for key, value in measures.items()}
-        parameters = {key: value[i] for key, value in theta.items()}
+        parameters = {key: value[i].detach().cpu() for key, value in theta.items()}
         _require_finite(task, parameters, errors)
         # sums depend on the number of threads, in their last digits: the record says it, but not its settings, since
         # that is no reason to fit anew
@@ -181,6 +182,8 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
         record |= {"guarded": end.guarded is not None and bool(end.guarded[i])} if run.paradigm.guard else {}
         record |= {"warning": "; ".join(clauses)} if clauses else {}
         record |= {"batch": len(tasks)} if len(tasks) > 1 else {}
+        if record["error"] is None and (compared := app.photographed(parameters, task)):
+            record |= {"photo_error": photo_error(compared)}
         fits.append(Fit(run, task, record, parameters))
     return fits
 

@@ -236,13 +236,17 @@ class Fits(NamedTuple):
 def summary(records: Sequence[Document]) -> dict[str, float | None]:
     """Mean error, as the table prints it, and median inference time of a task, of those that have one.
 
+    Of photos without a reference there is the mean of `photo_error`, too.
+
     >>> summary([{"error": 1.0, "seconds": 0.5}, {"error": 3.0, "seconds": 0.7}, {"error": None}])
     {'error': 2.0, 'seconds': 0.6}
     """
+    of_photos = [record["photo_error"] for record in records if record.get("photo_error") is not None]
     errors = [record["error"] for record in records if record["error"] is not None]
     seconds = [record["seconds"] for record in records if "seconds" in record]
     return {
         "error": statistics.fmean(errors) if errors else None,
+        **({"photo_error": statistics.fmean(of_photos)} if of_photos else {}),
         "seconds": statistics.median(seconds) if seconds else None,
     }
 

@@ -148,6 +148,7 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     fit = ("overfit", app, "--observe", "photo", "--json")
     document = metapp(*fit, photo).done
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
+    assert 0 < document["photo_error"] == document["tasks"][0]["photo_error"] < 30
     assert document["out"].endswith("-photo")
     assert read_fits(Path(document["out"]))[0]["settings"]["observe"] == "photo"
     made = Path(document["out"]) / "photo"
@@ -158,6 +159,7 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     document = metapp(*fit, photo.parent).done
     errors = {task["name"]: task["error"] for task in document["tasks"]}
     assert errors["photo"] is None
+    assert [task["name"] for task in document["tasks"] if "photo_error" in task] == ["photo"]
     assert document["error"] == pytest.approx(errors["reference"])
 
 

@@ -62,6 +62,16 @@ def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, source
     assert not torch.equal(other["reference"], pictures["reference"])
 
 
+def test_tiles_of_a_run_are_named_linear_pictures(app: App, fitted: Params, sources: list[Task]) -> None:
+    tiles = app.tiles(fitted, sources[0])
+    assert {"reference", "photo", "map"} & tiles.keys()
+    for name, tile in tiles.items():
+        assert name.startswith("reference") <= (name == "reference" or name.removeprefix("reference ") in tiles)
+        assert (tile.ndim, tile.shape[2] in (3, 4), tile.dtype) == (3, True, torch.float32), name
+        assert tile.isfinite().all(), name
+    assert app.photographed(fitted, sources[0]) is None
+
+
 def test_files_are_what_their_kind_says(app: App, fitted: Params, sources: list[Task]) -> None:
     """With names for every file system, also those that do not tell upper from lower case."""
     made = app.pictures(fitted, sources[0])

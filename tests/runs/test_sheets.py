@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from metapp.runs.outputs.pictures import COLUMNS, SIDE, Column, write_sheet
+from metapp.runs.outputs.pictures import ROWS, SIDE, Tiles, write_sheet
 
 COLOURS = {"reference": (1.0, 0.0, 0.0), "meta": (0.0, 1.0, 0.0), "general": (0.0, 0.0, 1.0)}
 
@@ -14,38 +14,51 @@ def plain(row: str, height: int = 20, width: int = 20) -> np.ndarray:
     return np.broadcast_to(np.array(COLOURS[row]), (height, width, 3))
 
 
-def sheet(tasks: list[Column], path: Path) -> np.ndarray:
-    pixels: np.ndarray = oiio.ImageBuf(str(write_sheet(tasks, "title", path))).get_pixels(oiio.FLOAT)
+def sheet(tasks: list[Tiles], path: Path, count: int = 0) -> np.ndarray:
+    pixels: np.ndarray = oiio.ImageBuf(str(write_sheet(tasks, "title", path, count))).get_pixels(oiio.FLOAT)
     return pixels
 
 
-def area(pixels: np.ndarray, row: str) -> int:
-    return int((np.abs(pixels - COLOURS[row]).max(-1) < 0.02).sum())
+def places(pixels: np.ndarray, row: str) -> np.ndarray:
+    return np.argwhere(np.abs(pixels - COLOURS[row]).max(-1) < 0.02)
 
 
-def test_all_pictures_are_there(tmp_path: Path) -> None:
-    """Also of more tasks than there are columns; the reference is on top, though it comes last."""
-    tasks = [
-        Column({f"meta 0.{i}": plain("meta"), "reference": plain("reference")}, f"task {i}") for i in range(COLUMNS + 2)
-    ]
+def test_the_first_tasks_have_a_row_each(tmp_path: Path) -> None:
+    """The reference comes first, and a line says how many more tasks there are."""
+    tasks = [Tiles({"meta": plain("meta"), "reference": plain("reference")}, f"task {i}") for i in range(ROWS + 2)]
     pixels = sheet(tasks, tmp_path / "sheet.png")
-    for row in ("meta", "reference"):
-        assert area(pixels, row) == (COLUMNS + 2) * SIDE**2
-    rows = {row: np.nonzero((np.abs(pixels - COLOURS[row]).max(-1) < 0.02).any(1))[0] for row in ("meta", "reference")}
-    assert rows["reference"].min() < rows["meta"].min()
+    assert len(places(pixels, "meta")) == len(places(pixels, "reference")) == ROWS * SIDE**2
+    assert places(pixels, "reference").max(0)[1] < places(pixels, "meta").min(0)[1]
     assert list(tmp_path.iterdir()) == [tmp_path / "sheet.png"]
+    few = sheet(tasks[:ROWS], tmp_path / "sheet.png")
+    more = sheet(tasks[:ROWS], tmp_path / "sheet.png", 1000)
+    assert len(few) < len(more) == len(pixels)
+    assert (more[len(few) :] < 0.5).any()
+
+
+def test_the_reference_of_a_map_stands_below_it(tmp_path: Path) -> None:
+    pixels = sheet([Tiles({"meta": plain("meta"), "reference meta": plain("reference")}, "a")], tmp_path / "sheet.png")
+    (top, left), (below, same) = (places(pixels, row).min(0) for row in ("meta", "reference"))
+    assert (left, below >= top + SIDE) == (same, True)
 
 
 def test_what_a_task_lacks_stays_blank(tmp_path: Path) -> None:
-    tasks = [Column({"general": plain("general")}, "a"), Column({"reference": plain("reference")}, "b", "0.5")]
+    tasks = [Tiles({"general": plain("general")}, "a"), Tiles({"reference": plain("reference")}, "b", {"": "0.5"})]
     pixels = sheet(tasks, tmp_path / "sheet.png")
-    assert area(pixels, "general") == area(pixels, "reference") == SIDE**2
+    assert len(places(pixels, "general")) == len(places(pixels, "reference")) == SIDE**2
 
 
 def test_shapes_are_kept_and_long_names_cut(tmp_path: Path) -> None:
-    tasks = [Column({"meta": plain("meta", 10, 40)}, "a name that is far too long for one column " * 4)]
+    tasks = [Tiles({"meta": plain("meta", 10, 40)}, "a name that is far too long for one row " * 9)]
     pixels = sheet(tasks, tmp_path / "sheet.png")
-    found = np.argwhere(np.abs(pixels - COLOURS["meta"]).max(-1) < 0.02)
-    height, width = np.ptp(found, axis=0) + 1
+    height, width = np.ptp(places(pixels, "meta"), axis=0) + 1
     assert abs(width / height - 4) < 0.1
     assert pixels.shape[1] < 2 * width
+
+
+def test_umlauts_are_drawn(tmp_path: Path) -> None:
+    """A letter that a font lacks is a box, the same for all."""
+    tasks = [Tiles({"meta": plain("meta")}, name) for name in "üßÉ"]
+    drawn = [sheet([task], tmp_path / "sheet.png") for task in tasks]
+    assert not (drawn[0] == drawn[1]).all()
+    assert not (drawn[1] == drawn[2]).all()

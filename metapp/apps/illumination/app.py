@@ -11,11 +11,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, relu, softmax
 
-from metapp.appearance.colour import srgb_to_linear, tone_map
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination import encoder
-from metapp.apps.illumination.mirror import completed, is_mirror, resampled, seen_loss
+from metapp.apps.illumination.mirror import completed, is_mirror, raised, resampled, seen_loss
 from metapp.apps.illumination.spheres import FACED, MIRRORED, SPHERES, sphere_errors, surfaces
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.variants import of_mean_1, varied
@@ -212,6 +212,31 @@ class Illumination(CodedApp):
         """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
         maps, photo = self._both_maps(theta, task)
         return {name: _overview(each, photo) for name, each in maps.items()}
+
+    @torch.no_grad()
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The photograph if fits see it, and the map and the second scene, tone-mapped, of fit and reference."""
+        maps, photo = self._both_maps(theta, task)
+        tiles = {"photo": srgb_to_linear(photo[0].permute(1, 2, 0) / 255)} if self.protocol == "photo" else {}
+        for name, each in maps.items():
+            before = "" if name == "fit" else f"{name} "
+            for title, radiance in (("map", each), ("relit", relighting.relight(each))):
+                tiles[f"{before}{title}"] = srgb_to_linear(tone_map(radiance))[0].permute(1, 2, 0)
+        return tiles
+
+    @torch.no_grad()
+    def photographed(self, theta: Params, task: Task) -> Compared | None:
+        """The ball as the fit makes it; of a mirror the light in it, unwrapped."""
+        if self.protocol != "photo":
+            return None
+        data = {key: value[None] for key, value in self.prepare(task).items()}
+        one = {key: value[None] for key, value in theta.items()}
+        maps = self.radiance_of(one)
+        if is_mirror(data)[0]:
+            fit, seen = (linear_to_srgb(each.clamp(0, 1)) for each in (raised(maps, data), data["seen"]))
+            return Compared(fit, seen, data["certain"][0, 0] > 0.5)
+        side = data["photo"].shape[-1]
+        return Compared(self.ball(one, maps, side), data["photo"] / 255, sphere_normals(side)[1])
 
     @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared | None:

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 
-from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.highlight import clipped_highlight
 from metapp.appearance.surface import Surface, map_pictures, photograph
@@ -276,6 +276,32 @@ class SvbrdfNonstationary(CodedApp):
         return target | {"fit": _sheet(fit)}
 
     @torch.no_grad()
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The photograph, the fit under its flash, maps, and the fit under three other lights."""
+        seen, photo = self.photographed(theta, task), _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+        fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
+        eye = camera()
+        shown = photograph(fit, eye, eye) if seen is None else seen.pictures[0]
+        tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
+        tiles |= _linear_pictures(fit)
+        if "maps" in task.data:
+            target = _linear_pictures(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))
+            tiles |= {f"reference {name}": picture for name, picture in target.items()}
+        return tiles
+
+    @torch.no_grad()
+    def photographed(self, theta: Params, task: Task) -> Compared | None:
+        """The maps under each photograph's flash, as the fit places it."""
+        if self.protocol != "photo":
+            return None
+        flashes = self.flashes(theta, task)
+        photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
+        photos = adaptive_avg_pool2d(linear(photos), min(SHOWN_PX, photos.shape[-1]))
+        maps = self.maps_of({key: value[None] for key, value in theta.items()}, photos[:1])
+        pictures = [photographed(maps, Flash(*(part[None] for part in flash)))[0] for flash in flashes]
+        return Compared(linear_to_srgb(torch.stack(pictures).clamp(0, 1)), linear_to_srgb(photos))
+
+    @torch.no_grad()
     def compared(self, theta: Params, task: Task) -> Compared | None:
         """The renderings that errors are of, as displays of gamma 2.2 show them."""
         if "maps" not in task.data:
@@ -332,6 +358,11 @@ def _photo_of(task: Task, side: int) -> Tensor:
     photo = linear(task.data["photo"])[None]
     finer = side > photo.shape[-1]
     return interpolate(photo, size=(side, side), mode="bilinear") if finer else adaptive_avg_pool2d(photo, side)
+
+
+def _linear_pictures(maps: Maps) -> dict[str, Tensor]:
+    """The pictures of maps [C, H, W], as of `map_pictures`, linear [H, W, 3]."""
+    return {name: srgb_to_linear(each.pixels).expand(-1, -1, 3) for name, each in map_pictures(maps).items()}
 
 
 def _sheet(maps: Maps) -> Tensor:

@@ -13,7 +13,7 @@ from metapp.appearance.colorimetry import colour_difference
 from metapp.evaluation.statistics import Paired, paired
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.runs.outputs.pictures import COMPARED, Column, column_of, write_compared
+from metapp.runs.outputs.pictures import Tiles, tiles_of, write_compared
 from metapp.runs.outputs.recorded import read_run, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.run import Run
@@ -21,6 +21,7 @@ from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.fits import PARAMS, summary
 
+COMPARED = 20  # tasks whose pictures are compared
 SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
 # settings that tell runs apart, the clearest first
 NOTED = ("device", "versions", "features", "precision", "observe")
@@ -152,7 +153,7 @@ def _measured(
 
 
 def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
-    """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of all runs below it.
+    """Write a picture of tasks, the reference beside the fits of all runs, and measure COMPARED spheres.
 
     Returns:
         The file; None if tasks cannot be read, or a run is of a method that keeps no picture. And the
@@ -167,7 +168,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     with progress("picture", len(drawn), quiet=quiet) as bar, threads(single=app.single_threaded):
         for task in drawn:
             pairs = zip(compared.sides, records, strict=True)
-            columns.append(column_of(task, [(side.label, side.app, of[task.name]) for side, of in pairs]))
+            columns.append(tiles_of(task, [(side.label, side.app, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
     judged = [column for column in columns if "reference" in column.pictures]
     if app.name in SPHERES and judged:
@@ -175,7 +176,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     return write_compared(app, columns, file), compared
 
 
-def _colour_differences(columns: list[Column], compared: Comparison) -> dict[str, list[Measured]]:
+def _colour_differences(columns: list[Tiles], compared: Comparison) -> dict[str, list[Measured]]:
     """Of the fits' spheres from the reference's, by their titles: median and 95th percentile of a sphere's pixels."""
     shares = ("median", "95 %")
     found: list[list[dict[str, float]]] = [[{} for _ in compared.sides] for _ in shares]

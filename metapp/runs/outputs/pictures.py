@@ -5,8 +5,10 @@ Pillow draws sheets: matplotlib, which figures are made by, takes longer to impo
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,82 +24,105 @@ from metapp.storage.images import in_8_bits
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+    from PIL.ImageFont import FreeTypeFont
 
-COLUMNS = 10
-SIDE = 150  # px, of a square picture
-GAP = 6
-SMALL, LARGE = 11, 15  # px, of letters
+ROWS = 8  # tasks in a picture; a line says how many more there are
+SIDE = 256  # px, of a square picture; a wide one has a height of it, and twice its width at most
+GAP = 8
+SMALL, LARGE = 14, 18  # px, of letters
+REFERENCE = "reference "  # begins the name of a picture that stands below that of the fit
+FONT = "mpl-data/fonts/ttf/DejaVuSans.ttf"  # in matplotlib, whose import takes too long; Pillow's own lacks umlauts
 
 
-class Column(NamedTuple):
-    """A task.
+class Tiles(NamedTuple):
+    """The pictures of a task, beside each other.
 
     Attributes:
-        pictures: display values [H, W, 3] in [0, 1] by the row's name, which may go on with an error after a space.
+        pictures: display values [H, W, 3] in [0, 1] by name; "reference X" stands below X.
         name: of the task.
-        error: below the last picture, if the row's name does not say it.
+        errors: below a picture, by its name; "" of the task's own, after its name.
     """
 
     pictures: dict[str, np.ndarray]
     name: str
-    error: str = ""
+    errors: Mapping[str, str] = MappingProxyType({})
 
 
-def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
-    """Draw columns of pictures, COLUMNS beside each other; pictures that a task does not have stay blank.
+def write_sheet(tasks: list[Tiles], title: str, path: Path, count: int = 0) -> Path:
+    """Draw the pictures of ROWS tasks below each other, all of a name in one column; the others stay blank.
+
+    Args:
+        tasks: one or more.
+        title: above them.
+        path: the file, a PNG.
+        count: of all tasks, if there are more.
 
     Returns:
-        The file, a PNG.
+        The file.
     """
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import Image, ImageDraw
 
-    small, large = (ImageFont.load_default(size) for size in (SMALL, LARGE))
-    rows = _rows(tasks)
-    height, width = _cell(tasks)
-    step = height + SMALL + GAP  # an error may stand below each picture
-    left = 2 * GAP + max(round(small.getlength(row)) for row in rows)
-    columns = min(COLUMNS, len(tasks))
-    block = step * len(rows) + 2 * (SMALL + GAP)
-    top = LARGE + 3 * GAP
-    whole = max(left + columns * (width + GAP), round(large.getlength(title)) + 2 * GAP)
-    sheet = Image.new("RGB", (whole, top + block * -(-len(tasks) // COLUMNS)), "white")
+    small, large = _font(SMALL), _font(LARGE)
+    drawn = tasks[:ROWS]
+    left, lefts = GAP, {}
+    for name, width in _widths(drawn).items():
+        lefts[name], left = left, left + width + GAP
+    tops, top = [], LARGE + 3 * GAP
+    line = SIDE + SMALL + 2 * GAP
+    for task in drawn:
+        tops.append(top)
+        top += SMALL + 2 * GAP + line * (1 + any(name.startswith(REFERENCE) for name in task.pictures))
+    more = max(count, len(tasks)) - len(drawn)
+    whole = max(left, round(large.getlength(title)) + 2 * GAP)
+    sheet = Image.new("RGB", (whole, top + (LARGE + GAP) * (more > 0)), "white")
     draw = ImageDraw.Draw(sheet)
-    draw.text((whole / 2, GAP), title, "black", large, "ma")
-    for i, task in enumerate(tasks):
-        x, y = left + i % COLUMNS * (width + GAP), top + i // COLUMNS * block
-        middle = x + width / 2
+    draw.text((GAP, GAP), title, "black", large)
+    for task, y in zip(drawn, tops, strict=True):
+        heading = ": ".join(filter(None, (task.name, task.errors.get("", ""))))
+        draw.text((GAP, y), _short(heading, whole - 2 * GAP, small), "black", small)
         for name, picture in task.pictures.items():
-            row, _, error = name.partition(" ")
-            at = y + rows.index(row) * step
-            sheet.paste(_shrunk(picture, height, width), (x, at))
-            draw.text((middle, at + height + 2), error, "black", small, "ma")
-        if i % COLUMNS == 0:
-            for k, row in enumerate(rows):
-                draw.text((GAP, y + k * step + height / 2), row, "black", small, "lm")
-        below = y + step * len(rows) - (SMALL + 2 if task.error else 0)
-        for line, text in enumerate(filter(None, (task.error, _short(task.name, width, small)))):
-            draw.text((middle, below + line * (SMALL + 4)), text, "black", small, "ma")
+            of = name.removeprefix(REFERENCE)
+            at = y + SMALL + GAP + line * (of != name)
+            tile = _shrunk(picture)
+            sheet.paste(tile, (lefts[of], at))
+            caption = f"{name.replace('_', ' ')} {task.errors.get(name, '')}"
+            draw.text((lefts[of], at + tile.height + 2), _short(caption, tile.width, small), "black", small)
+    if more > 0:
+        draw.text((GAP, top), f"and {more:,} more task{'s' * (more > 1)}", "black", large)
     write_atomically(path, lambda target: sheet.save(target, "PNG"))
     return path
 
 
-def _rows(tasks: list[Column]) -> list[str]:
-    """The names of all rows in order, the reference on top, also if the first task has none."""
-    names = dict.fromkeys(name.partition(" ")[0] for task in tasks for name in task.pictures)
-    return sorted(names, key=lambda name: name != "reference")
+def _font(size: int) -> FreeTypeFont:
+    from PIL import ImageFont
+
+    package = importlib.util.find_spec("matplotlib")
+    assert package is not None
+    assert package.origin is not None
+    return ImageFont.truetype(Path(package.origin).parent / FONT, size)
 
 
-def _cell(tasks: list[Column]) -> tuple[int, int]:
-    """Height and width of all pictures; wide ones hold several: they get more room."""
-    rows, across = next(iter(tasks[0].pictures.values())).shape[:2]
-    aspect = max(1.0, across / rows)
-    width = SIDE * aspect**0.6
-    return round(width * rows / across if rows <= across else SIDE), round(width)
+def _widths(tasks: list[Tiles]) -> dict[str, int]:
+    """The columns by name, in order, reference and photo first, and their widths."""
+    widths: dict[str, int] = {}
+    for task in tasks:
+        for name, picture in task.pictures.items():
+            of = name.removeprefix(REFERENCE)
+            widths[of] = max(widths.get(of, 0), _size(picture)[1])
+    return dict(sorted(widths.items(), key=lambda item: item[0] not in GIVEN))
 
 
-def _shrunk(picture: np.ndarray, height: int, width: int) -> Image:
+def _size(picture: np.ndarray) -> tuple[int, int]:
+    """Height and width of a tile."""
+    rows, across = picture.shape[:2]
+    scale = min(SIDE / rows, 2 * SIDE / across)
+    return max(1, round(rows * scale)), max(1, round(across * scale))
+
+
+def _shrunk(picture: np.ndarray) -> Image:
     from PIL.Image import Resampling
 
+    height, width = _size(picture)
     return in_8_bits(picture).resize((width, height), Resampling.BICUBIC)
 
 
@@ -106,43 +131,44 @@ def image_of(linear: Tensor | np.ndarray) -> Image:
     return in_8_bits(to_srgb(linear))
 
 
-def _short(name: str, width: int, font: object) -> str:
-    """The beginning of a name that is too long for its column."""
-    length = font.getlength  # type: ignore[attr-defined]
-    if length(name) <= width:
-        return name
-    kept = next(end for end in range(len(name), 0, -1) if end == 1 or length(name[:end] + "…") <= width)
-    return name[:kept] + "…"
+def _short(text: str, width: int, font: FreeTypeFont) -> str:
+    """The beginning of a text that is too long for its place."""
+    length = font.getlength
+    if length(text) <= width:
+        return text
+    kept = next(end for end in range(len(text), 0, -1) if end == 1 or length(text[:end] + "…") <= width)
+    return text[:kept] + "…"
 
 
-COMPARED = 20  # tasks in a picture of all paradigms
-GIVEN = ("reference", "samples")  # pictures that are the task's, not of a fit
+GIVEN = ("reference", "photo", "samples")  # pictures that are the task's, not of a fit
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
-def column_of_fit(app: App, task: Task, theta: Params, record: Document) -> Column:
-    """The reference of a task above its fit, parameters without a task axis, and the error of its record."""
-    return Column(_shown(app.preview(theta, task)), record["name"], _label(record))
+def tiles_of_fit(app: App, task: Task, theta: Params, record: Document) -> Tiles:
+    """The pictures of a fit, parameters without a task axis, and the error of its record."""
+    return Tiles(_shown(app.tiles(theta, task)), record["name"], {"": _label(record, "error ")})
 
 
-def column_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Column:
-    """The reference or the samples of a task, and its fits below: (label, application, record) of each."""
-    rows: dict[str, np.ndarray] = {}
+def tiles_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Tiles:
+    """The reference or the samples of a task, and its fits: (label, application, record) of each."""
+    tiles: dict[str, np.ndarray] = {}
     for label, app, record in fits:
         theta = read_params(record["folder"])
         pictures = {"fit": theta[PICTURE]} if PICTURE in theta else app.preview(theta, task)
-        rows |= {} if rows else _shown({name: pictures[name] for name in GIVEN if name in pictures})
-        rows[f"{label} {_label(record)}".rstrip()] = to_srgb(pictures["fit"])
-    return Column(rows, task.name)
+        tiles |= {} if tiles else _shown({name: pictures[name] for name in GIVEN if name in pictures})
+        tiles[label] = to_srgb(pictures["fit"])
+    return Tiles(tiles, task.name, {label: _label(record) for label, _, record in fits})
 
 
-def write_compared(app: App, columns: list[Column], file: Path) -> Path:
-    """Write columns of fits that are compared as one picture."""
-    return write_sheet(columns, f"{app.full_title}: mean error{app.factor} of each fit below it", file)
+def write_compared(app: App, tasks: list[Tiles], file: Path) -> Path:
+    """Write fits that are compared as one picture."""
+    return write_sheet(tasks, f"{app.full_title}: mean error{app.factor} of each fit below it", file)
 
 
-def _label(record: Document) -> str:
-    return "" if record["error"] is None else f"{record['error']:.3f}"
+def _label(record: Document, before: str = "") -> str:
+    if record["error"] is not None:
+        return f"{before}{record['error']:.3f}"
+    return f"|fit - photo| {record['photo_error']:.2f} %" if "photo_error" in record else ""
 
 
 def _shown(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:
