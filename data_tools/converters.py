@@ -121,7 +121,8 @@ class Maps(Converter):
     """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
 
     Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, if there are any, specular or
-    metallic; any case and format. Colours of 8 or 16 bit are sRGB. Of each map the central square is taken, scaled to
+    metallic, also packed (arm, orm, metallicRoughness); any case and format. Variants (COL_VAR1) and tiles (1001) are
+    materials of their own. Colours of 8 or 16 bit are sRGB. Of each map the central square is taken, scaled to
     --size, and the photograph under a flash is rendered. A bad material is skipped with a warning.
 
     A colour without such a word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's: its gloss is how

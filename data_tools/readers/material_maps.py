@@ -2,7 +2,8 @@
 
 A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
 a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
-maps are data.
+maps are data. Files of packed channels, `rock_arm.png`, have several roles. Variants, `ROCK_COL_VAR1.jpg`, and tiles,
+`rock_normal.1001.png`, are materials that share the files without such a mark.
 
 Roughness is 1 - gloss if there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
 base m, a specular map being left aside, but for a diffuse map beside the base colour, as in metapp's asset folders.
@@ -18,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,26 +42,46 @@ from metapp.storage.files import read_bytes
 from metapp.storage.shards import Entry
 
 _ROLES = {
-    "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
-    "normal": ("normal", "norm", "nrm", "nor"),
-    "normal (OpenGL)": ("normalgl", "normgl", "nrmgl", "norgl", "normalopengl", "noropengl"),
-    "normal (DirectX)": ("normaldx", "normdx", "nrmdx", "nordx", "normaldirectx", "nordirectx"),
-    "roughness": ("roughness", "rough"),
-    "gloss": ("gloss", "glossiness", "smoothness"),
-    "specular": ("specular", "spec", "f0"),
-    "metallic": ("metallic", "metalness", "metal"),
-    "": (  # of no use here, but no base colour either
-        "ambientocclusion", "ao", "occlusion", "height", "disp", "displacement", "bump", "opacity", "alpha", "mask",
-        "emissive", "emission", "glow", "reflect", "cavity", "curvature", "arm", "orm", "rma", "preview", "thumb",
-        "thumbnail", "render", "translucency", "sheen", "anisotropy",
+    "diffuse": ("diffuse", "diff", "d"),
+    "base colour": (
+        "albedo", "alb", "basecolor", "basecolour", "color", "colour", "col", "bc", "c", "albedotransparency",
     ),
+    "normal": ("normal", "normals", "norm", "nrm", "nor", "nml", "nrm16", "n"),
+    "roughness": ("roughness", "rough", "rgh", "r"),
+    "gloss": ("gloss", "glossiness", "smoothness", "g"),
+    "specular": ("specular", "spec", "f0", "refl", "reflection", "s"),
+    "metallic": ("metallic", "metalness", "metal", "met", "mtl", "m"),
+    "": (  # of no use here, but no base colour either
+        "ambientocclusion", "ao", "occlusion", "height", "disp", "displacement", "disp16", "bump", "bump16", "opacity",
+        "alpha", "alphamasked", "mask", "emissive", "emission", "glow", "reflect", "cavity", "curvature", "preview",
+        "thumb", "thumbnail", "render", "translucency", "transmission", "sheen", "fuzz", "anisotropy", "thickness", "h",
+        "e", "o",
+    ),
+    "occlusion, roughness, metallic": (
+        "arm", "orm", "occlusionroughnessmetallic", "aoroughnessmetallic", "metallicroughness", "roughnessmetallic",
+    ),
+    "roughness, metallic": ("rma",),
+    "metallic, roughness": ("mra",),
+    "metallic, gloss": ("metallicsmoothness", "metallicgloss", "maskmap"),
 }  # fmt: skip
+_CHANNELS = {  # the roles of red, green, blue and alpha of such files
+    "occlusion, roughness, metallic": ("", "roughness", "metallic"),
+    "roughness, metallic": ("roughness", "metallic"),
+    "metallic, roughness": ("metallic", "roughness"),
+    "metallic, gloss": ("metallic", "", "", "gloss"),
+}
 _ROLE = {word: role for role, words in _ROLES.items() for word in words}
-_BODY = ("diffuse", "diff")
+_ROLE = {f"{word}map": role for word, role in _ROLE.items() if len(word) > 1} | _ROLE
+for _word in [word for word, role in _ROLE.items() if role == "normal" and len(word) > 1]:
+    _ROLE |= {f"{_word}{end}": "normal (OpenGL)" for end in ("gl", "ogl", "opengl")}
+    _ROLE |= {f"{_word}{end}": "normal (DirectX)" for end in ("dx", "directx")}
 PLAIN = "plain"  # a colour by its place beside the others
+_COLOURS = ("base colour", "diffuse", PLAIN)
 _NORMALS = ("normal (OpenGL)", "normal", "normal (DirectX)")
 _WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
-_RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192", re.IGNORECASE)
+_RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192|x\d{3,4}|jpe?g|png|tiff?|exr", re.IGNORECASE)
+_MARK = re.compile(r"VAR\d+|1\d{3}", re.IGNORECASE)  # of variants, and of tiles (UDIM)
+_WORKFLOWS = ("METALNESS", "SPECULAR")  # behind roles in capitals, COL_2K_METALNESS: marks, too
 _IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
 _SAME_SHAPE = 0.02  # log of a ratio of width to height
 _UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
@@ -69,11 +90,19 @@ _EXPECTED = "expected names such as rock_diffuse.png, rock_normal.png, rock_roug
 
 
 class Material(NamedTuple):
-    """The maps of a material: their folder, its name in files ("" for none), and the files by role."""
+    """The maps of a material.
+
+    Attributes:
+        folder: of all.
+        name: in files, "" for none; of one of several variants or tiles with its mark.
+        files: by role; a file of packed channels has several.
+        unknown: other images whose names begin alike.
+    """
 
     folder: Path
     name: str
     files: Mapping[str, tuple[Path, ...]]
+    unknown: tuple[Path, ...] = ()
 
     @property
     def title(self) -> str:
@@ -82,13 +111,13 @@ class Material(NamedTuple):
 
     @property
     def source(self) -> Path:
-        """The file that stands for all."""
-        return min(self.maps)
+        """The file that stands for all: the colour, which variants do not share."""
+        return min(next((self.files[role] for role in _COLOURS if role in self.files), self.maps))
 
     @property
     def maps(self) -> list[Path]:
         """All its files."""
-        return [file for files in self.files.values() for file in files]
+        return list(dict.fromkeys(file for files in self.files.values() for file in files))
 
     def __str__(self) -> str:
         return str(self.folder / self.name)
@@ -132,46 +161,96 @@ def _material(file: Path) -> Material:
 
 
 def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
-    """The materials right in a folder, by name, and image files that are no map."""
+    """The materials right in a folder, by name, and image files whose role is unknown."""
     images = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
-    images = [file for file in images if not file.name.startswith(".")]
-    names: dict[str, str] = {}
-    roles: dict[str, dict[str, tuple[Path, ...]]] = {}
-    plain: list[tuple[str, Path]] = []
-    for file in images:
-        name, role = _parts(file.stem)
-        if role is None:
-            plain.append((name, file))
+    parts = {file: _parts(file.stem) for file in images if not file.name.startswith(".")}
+    names = {name.lower() for name, _, role in parts.values() if role}
+    groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
+    plain = []
+    for file, (name, mark, role) in parts.items():
+        if role is None or file.stem.lower() in names:  # rusty_metal beside rusty_metal_normal is no metal
+            plain.append(file)
         elif role:
-            names.setdefault(name.lower(), name)
-            maps = roles.setdefault(name.lower(), {})
-            maps[role] = (*maps.get(role, ()), file)
+            groups.setdefault(name.lower(), {})[file] = name, mark, role
+    for key, group in list(groups.items()):
+        (name, _, _), *more = group.values()
+        if not more and any(begin in groups for begin in _beginnings(name) - {key}):
+            plain += groups.pop(key)  # no material: its role is of more words than are known
     others = []
-    for name, file in plain:
-        maps = roles.get(name.lower(), {})
-        if maps and "base colour" not in maps:
-            maps[PLAIN] = (*maps.get(PLAIN, ()), file)
-        elif not maps:
+    for file in plain:
+        maps = groups.get(file.stem.lower())
+        if maps and not any(role in _COLOURS[:2] for _, _, role in maps.values()):
+            maps[file] = file.stem, "", PLAIN
+        else:
             others.append(file)
-    return [Material(folder, names[key], roles[key]) for key in sorted(roles)], others
+    stems = {file.stem.lower(): file for file in others}
+    unknown: dict[str, set[Path]] = {key: set() for key in groups}
+    for file in others:
+        for key in _beginnings(file.stem) & groups.keys():
+            unknown[key].add(file)
+    for key, group in groups.items():
+        unknown[key] |= {stems[begin] for begin in _beginnings(next(iter(group.values()))[0]) & stems.keys()}
+    made = [
+        Material(folder, *variant, tuple(sorted(unknown[key])))
+        for key in sorted(groups)
+        for variant in _variants(folder, groups[key])
+    ]
+    return made, sorted(others)
+
+
+def _beginnings(stem: str) -> set[str]:
+    """The names that a name begins with, before another word, in small letters."""
+    return {stem[:end].rstrip("_-. ").lower() for end in range(len(stem) + 1) if not stem[end : end + 1].islower()}
+
+
+def _variants(
+    folder: Path, group: Mapping[Path, tuple[str, str, str]]
+) -> Iterator[tuple[str, dict[str, tuple[Path, ...]]]]:
+    """Name and files by role of each variant or tile of a material; they share files without a mark."""
+    by_role: dict[str, dict[str, tuple[Path, ...]]] = {}
+    for file, (_, mark, role) in group.items():
+        marked = by_role.setdefault(role, {})
+        marked[mark] = (*marked.get(mark, ()), file)
+    marks = sorted({mark for marked in by_role.values() if len(marked) > 1 or "" not in marked for mark in marked})
+    name = next(iter(group.values()))[0]
+    for mark in marks or [""]:
+        files = {role: marked.get(mark, marked.get("")) for role, marked in by_role.items()}
+        shown = f"{name or folder.resolve().name}_{mark}" if mark and len(marks) > 1 else name
+        yield shown, _unpacked({role: some for role, some in files.items() if some})
+
+
+def _unpacked(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
+    """The files by role, those of packed channels for each of their roles that has no file of its own."""
+    for packed, channels in _CHANNELS.items():
+        for file in files.pop(packed, ()):
+            for role in filter(None, channels):
+                files.setdefault(role, (file,))
+    return files
 
 
 def lies_aside(file: Path) -> bool:
-    """True for a file of a material that is of no use here, by its name, such as heights."""
-    return _parts(file.stem)[1] == ""
+    """True for a file of a material that is of no use alone, by its name, such as heights and packed channels."""
+    return _parts(file.stem)[2] in ("", *_CHANNELS)
 
 
-def _parts(stem: str) -> tuple[str, str | None]:
-    """A stem as the material's name and a role: "" for one of no use here, None for none."""
-    words = list(_WORD.finditer(stem))
-    end = len(words)
-    while end > 1 and _RESOLUTION.fullmatch(words[end - 1].group()):
-        end -= 1
-    for count in (3, 2, 1):  # NormalOpenGL, nor_gl, normal
-        tail = "".join(word.group() for word in words[max(end - count, 0) : end]).lower()
-        if end >= count and tail in _ROLE:
-            return stem[: words[end - count].start()].rstrip("_-. "), _ROLE[tail]
-    return stem, None
+def _parts(stem: str) -> tuple[str, str, str | None]:
+    """A stem as the material's name, the mark of a variant or tile, and a role: "" for no use here, None for none."""
+    words = [*_WORD.finditer(stem)]
+    marks = []
+    while len(words) > 1 and (_RESOLUTION.fullmatch(word := words[-1].group()) or _MARK.fullmatch(word)):
+        marks += [word] * (not _RESOLUTION.fullmatch(word))
+        words.pop()
+    if words and words[-1].group() in _WORKFLOWS:
+        name, mark, role = _parts(before := stem[: words[-1].start()].rstrip("_-. "))
+        if role is not None and name and before.removeprefix(name).isupper():
+            return name, "_".join(filter(None, (mark, words[-1].group()))), role
+    for count in (4, 3, 2, 1):  # NormalMapOpenGL, NormalOpenGL, nor_gl, normal
+        tail = "".join(word.group() for word in words[-count:]).lower()
+        if len(words) >= count and tail in _ROLE:
+            start = words[-count].start()
+            if len(tail) > 1 or stem[max(start - 1, 0)] in "_-. ":  # a letter alone may be the end of a name
+                return stem[:start].rstrip("_-. "), "_".join(reversed(marks)), _ROLE[tail]
+    return stem, "", None
 
 
 def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
@@ -201,7 +280,7 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, leas
         name: of the material.
         size, least: as of `read_task`.
     """
-    words = {key: _parts(str(key))[1] for key in maps}
+    words = {key: _parts(str(key))[2] for key in maps}
     unknown = [key for key, role in words.items() if role is None]
     if unknown or len(set(filter(None, words.values()))) < 2:
         found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
@@ -214,7 +293,7 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, leas
             files[file := Path(f"{name}_{key}")] = pixels
             roles[role] = (*roles.get(role, ()), file)
     side = max(min(pixels.values.shape[:2]) for pixels in files.values())
-    return _task(Material(Path(), name, roles), files.__getitem__, side_of(side, size, least), "auto")
+    return _task(Material(Path(), name, _unpacked(roles)), files.__getitem__, side_of(side, size, least), "auto")
 
 
 def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
@@ -247,7 +326,7 @@ def _task(material: Material, pixels_of: Callable[[Path], Pixels], size: int, no
     shapes: dict[str, tuple[int, int]] = {}
     maps = {role: _read(file, pixels_of(file), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
-    colour = maps["base colour"] if "base colour" in maps else maps[PLAIN]
+    colour = next(maps[role] for role in _COLOURS if role in maps)
     if "metallic" in maps:
         diffuse, specular = from_metallic(colour, _gray(maps["metallic"]))
     else:
@@ -300,8 +379,14 @@ def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, 
 
 def _choose(material: Material) -> dict[str, Path]:
     """One file for each role that counts."""
-    roles = _specular_workflow(material.files)
+    roles = dict(material.files)
+    if {*_COLOURS[:2], "specular"} <= roles.keys():  # the specular workflow, not the metallic one beside it
+        roles = {role: files for role, files in roles.items() if role not in ("base colour", "metallic")}
+    if diffuse := roles.pop("diffuse", ()):
+        roles["base colour"] = (*roles.get("base colour", ()), *diffuse)
     found = ", ".join(sorted(file.name for file in material.maps))
+    unknown = ", ".join(file.name for file in material.unknown[:3])
+    remedy = f"; of {unknown} the role is unknown: rename it" if unknown else "; add it"
     needed = {
         "base colour": ("base colour", PLAIN),
         "normal": _NORMALS,
@@ -312,7 +397,7 @@ def _choose(material: Material) -> dict[str, Path]:
     for noun, candidates in needed.items():
         role = next((role for role in candidates if role in roles), None)
         if role is None and noun:
-            raise ValueError(f"{material}: no {noun} map ({found}), {_EXPECTED}; add it.")
+            raise ValueError(f"{material}: no {noun} map ({found}), {_EXPECTED}{remedy}.")
         if role is None:
             continue
         if len(roles[role]) > 1:
@@ -322,26 +407,18 @@ def _choose(material: Material) -> dict[str, Path]:
     return chosen
 
 
-def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
-    """The maps without those of the metallic workflow if those of both are there, as in our asset folders."""
-
-    def last_word(file: Path) -> str:
-        words = [word.group() for word in _WORD.finditer(file.stem) if not _RESOLUTION.fullmatch(word.group())]
-        return words[-1].lower() if words else ""
-
-    colours = roles.get("base colour", ())
-    diffuse = tuple(file for file in colours if last_word(file) in _BODY)
-    if not ("specular" in roles and len(diffuse) == 1 and len(colours) == 2):
-        return dict(roles)
-    return {role: files for role, files in roles.items() if role != "metallic"} | {"base colour": diffuse}
-
-
 def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
     """The central square of a map, [3, size, size] in [0, 1]; its whole size in px goes to `shapes`."""
     height, width = pixels.values.shape[:2]
     shapes[role] = height, width
-    is_colour = role in ("base colour", PLAIN, "specular")
+    is_colour = role in (*_COLOURS, "specular")
     values = pixels.values[..., :3]  # alpha holds opacity or something else again
+    channels = _CHANNELS.get(_parts(file.stem if file.suffix.lower() in SUFFIXES else file.name)[2] or "", ())
+    if role in channels:
+        channel, count = channels.index(role), pixels.values.shape[-1]
+        if channel >= count:
+            raise ValueError(f"{file}: {count} channels, expected {role} in alpha; export it with that.")
+        values = pixels.values[..., [channel] * 3]
     square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR))
     linear = resample(square, size)
     if not np.isfinite(linear).all():

@@ -31,10 +31,17 @@ def find(path: Path) -> Found:
     placed = placed_in(path) if path.is_dir() else []
     files = [file for file in files if _is_elsewhere(file, placed)]
     stands_for: dict[Path, Path | None] = {}
+    unknown: dict[Path, str] = {}
     for folder in {file.parent for file in files}:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
             stands_for.update(dict.fromkeys(filter(material_maps.lies_aside, folder.iterdir())))
             stands_for.update(dict.fromkeys(material.maps, material.source))
+            unknown |= dict.fromkeys(material.unknown, material.title)
+    skipped += [
+        f"{file}: of unknown role beside the maps of {title}, left out; rename it, or name it if it is a photo."
+        for file, title in unknown.items()
+    ]
+    stands_for |= dict.fromkeys(unknown)
     return list(dict.fromkeys(source for file in files if (source := stands_for.get(file, file)))), skipped
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import material_maps
+from data_tools.readers import material_maps, svbrdf_inputs
 from data_tools.readers.material_maps import entries, find, mixed_slopes, read_task
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
@@ -113,27 +113,101 @@ def test_alpha_is_left_aside_and_the_central_square_counts(tmp_path: Path) -> No
 
 # Names
 
-NAMES: dict[str, tuple[str, str | None]] = {
-    "rock_diff_4k": ("rock", "base colour"),
-    "rock-base-color": ("rock", "base colour"),
-    "Bricks075A_2K-JPG_Color": ("Bricks075A_2K-JPG", "base colour"),
-    "RockNormal": ("Rock", "normal"),
-    "rock_nor_gl_1k": ("rock", "normal (OpenGL)"),
-    "rock_nor_dx": ("rock", "normal (DirectX)"),
-    "rock rough": ("rock", "roughness"),
-    "RockGlossiness": ("Rock", "gloss"),
-    "rock_f0": ("rock", "specular"),
-    "rock_metalness": ("rock", "metallic"),
-    "normal": ("", "normal"),
-    "rock_ao": ("rock", ""),
-    "rock": ("rock", None),
-    "eX_cretewall_03b": ("eX_cretewall_03b", None),
-    "abnormal": ("abnormal", None),
+NAMES: dict[str, tuple[str, str, str | None]] = {  # name, mark, role
+    "rock_diff_4k": ("rock", "", "diffuse"),
+    "rock-base-color": ("rock", "", "base colour"),
+    "Bricks075A_2K-JPG_Color": ("Bricks075A_2K-JPG", "", "base colour"),
+    "RockNormal": ("Rock", "", "normal"),
+    "rock_nor_gl_1k": ("rock", "", "normal (OpenGL)"),
+    "rusty-metal_normal-ogl": ("rusty-metal", "", "normal (OpenGL)"),
+    "RockNormalMapOpenGL": ("Rock", "", "normal (OpenGL)"),
+    "rock_nor_dx": ("rock", "", "normal (DirectX)"),
+    "rock_normals_2048x2048": ("rock", "", "normal"),
+    "Rock_NormalMap": ("Rock", "", "normal"),
+    "T_Rock_N": ("T_Rock", "", "normal"),
+    "T_Rock_BC": ("T_Rock", "", "base colour"),
+    "T_Rock_ORM": ("T_Rock", "", "occlusion, roughness, metallic"),
+    "rock_arm_1k": ("rock", "", "occlusion, roughness, metallic"),
+    "Rock_metallicRoughness": ("Rock", "", "occlusion, roughness, metallic"),
+    "rock rough": ("rock", "", "roughness"),
+    "metal_roughness": ("metal", "", "roughness"),
+    "RockGlossiness": ("Rock", "", "gloss"),
+    "rock_f0": ("rock", "", "specular"),
+    "Bricks_REFL_3K": ("Bricks", "", "specular"),
+    "rock_metalness": ("rock", "", "metallic"),
+    "rusty_metal_metalness": ("rusty_metal", "", "metallic"),
+    "RustyMetal_METALNESS": ("RustyMetal", "", "metallic"),
+    "Metal01_COL_2K_METALNESS": ("Metal01", "METALNESS", "base colour"),
+    "Metal01_METALNESS_2K_METALNESS": ("Metal01", "METALNESS", "metallic"),
+    "Bricks_COL_VAR1_3K": ("Bricks", "VAR1", "base colour"),
+    "Bricks_NRM16_3K": ("Bricks", "", "normal"),
+    "hero_Normal.1001": ("hero", "1001", "normal"),
+    "hero_Normal_1024": ("hero", "", "normal"),
+    "normal": ("", "", "normal"),
+    "n": ("n", "", None),
+    "rockn": ("rockn", "", None),
+    "rock_ao": ("rock", "", ""),
+    "rock": ("rock", "", None),
+    "photo_1001": ("photo_1001", "", None),
+    "eX_cretewall_03b": ("eX_cretewall_03b", "", None),
+    "abnormal": ("abnormal", "", None),
 }
 
 
 def test_the_role_is_in_the_name() -> None:
     assert {stem: material_maps._parts(stem) for stem in NAMES} == NAMES
+
+
+PACKED = {  # a colour whose channels are 0.2, 0.6 and 1 (and alpha 0.7): roughness and metallic
+    "arm": (0.6, 1.0), "ORM": (0.6, 1.0), "metallicRoughness": (0.6, 1.0), "RMA": (0.2, 0.6), "mra": (0.6, 0.2),
+    "MetallicSmoothness": (0.3, 0.2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("word", PACKED)
+def test_packed_channels(tmp_path: Path, word: str) -> None:
+    roughness, metallic = PACKED[word]
+    folder(tmp_path, **{"roughness": None, word: [0.2, 0.6, 1.0, 0.7]})
+    specular = 0.04 * (1 - metallic) + LINEAR_HALF * metallic
+    assert values_of(tmp_path) == pytest.approx((LINEAR_HALF * (1 - metallic), roughness, specular), abs=3e-3)
+    write(tmp_path / "rock_roughness.png", 0.9)  # a file of its own counts
+    assert values_of(tmp_path)[1] == pytest.approx(0.9, abs=2e-3)
+    if word != "MetallicSmoothness":  # arrays have no alpha
+        colours = {"diffuse": torch.full((3,), 0.5), "normal": UP * 2 - 1, word: torch.tensor([0.2, 0.6, 1.0])}
+        arrays = {key: colour.expand(64, 64, 3).numpy() for key, colour in colours.items()}
+        task = material_maps.task_of_arrays(arrays, "a.b", 64)
+        assert task.data["maps"][6, 5, 7].item() == pytest.approx(roughness, abs=2e-3)
+
+
+def test_variants_and_tiles_share_what_has_no_mark(tmp_path: Path) -> None:
+    for index in (1, 2):
+        write(tmp_path / f"Bricks_COL_VAR{index}_1K.png", index / 4)
+        for role, value in (("BaseColor", 0.5), ("Normal", UP), ("Roughness", index / 4)):
+            write(tmp_path / f"hero_{role}.100{index}.png", value)
+    for role, value in (("NRM", UP), ("GLOSS", 0.5)):
+        write(tmp_path / f"Bricks_{role}_1K.png", value)
+    folder(tmp_path / "one", diffuse=None, albedo_1001=0.5)
+    tasks = {task.name: task.data["maps"][[3, 6], 5, 7] for task in map(read_task, find(tmp_path)[0])}
+    assert list(tasks) == ["Bricks_VAR1", "Bricks_VAR2", "hero_1001", "hero_1002", "rock"]
+    assert tasks["Bricks_VAR1"][0] < tasks["Bricks_VAR2"][0]
+    assert [tasks[f"hero_100{index}"][1].item() for index in (1, 2)] == pytest.approx([0.25, 0.5], abs=2e-3)
+
+
+def test_files_of_unknown_roles_are_named_and_no_materials_or_photos(tmp_path: Path) -> None:
+    folder(tmp_path)
+    unknown = ["rock.png", "rock_wibble.png", "rock_wibbleRoughness.png"]
+    for name in (*unknown, "rocky.png", "rock_ao.png"):
+        write(tmp_path / name, 0.5)
+    sources, skipped = find(tmp_path)
+    assert [source.name for source in sources] == ["rock_diffuse.png"]
+    assert [Path(line.partition(":")[0]).name for line in skipped] == [*unknown, "rocky.png"]
+    sources, skipped = svbrdf_inputs.find(tmp_path)
+    assert [source.name for source in sources] == ["rock_diffuse.png", "rocky.png"]  # which is a photo
+    assert [Path(line.partition(":")[0]).name for line in skipped] == unknown
+    (tmp_path / "rock_roughness.png").unlink()
+    message = "of rock.png, rock_wibble.png, rock_wibbleRoughness.png the role is unknown: rename it"
+    with pytest.raises(ValueError, match=message):
+        maps_of(tmp_path)
 
 
 def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
