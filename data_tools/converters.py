@@ -46,14 +46,15 @@ class Merl(Converter):
 class Nbrdf(Converter):
     """Convert NBRDF networks, BRDFs as small neural networks.
 
-    A network (Sztrajman et al. 2021) is a folder with fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy. It becomes
-    samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon, named by its folder. Several may share
-    a folder, each with its name in front: gold_fc1.npy. A folder without a usable network ends the conversion and
+    A network (Sztrajman et al. 2021) is a Keras model as published, gold.h5 (which needs h5py: pip install
+    "metapp[nbrdf]"), or a folder with fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy. It becomes samples (angles in
+    rad, reflectance in 1/sr, linear RGB) above the horizon, named by its file or folder. Several may share a folder,
+    each with its name in front: gold_fc1.npy. A folder without a usable network ends the conversion and
     nothing is written; further bad networks are skipped with a warning.
 
     Examples:
       metapp data nbrdf trained --out nbrdf
-      metapp data nbrdf trained/gold trained/tin --split test --out metals
+      metapp data nbrdf trained/gold trained/tin.h5 --split test --out metals
     """
 
     samples: Samples = 65_536

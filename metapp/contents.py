@@ -58,7 +58,7 @@ OBJECTS = {
 }
 FORMATS = {  # module of data_tools.readers, application, inputs
     "merl": ("merl", "brdf", "MERL .binary files"),
-    "nbrdf": ("nbrdf", "brdf", "folders with an NBRDF network"),
+    "nbrdf": ("nbrdf", "brdf", "NBRDF networks (.h5, folders of .npy)"),
     "images": ("photos", "texture", "images"),
     "flash": ("flash", "svbrdf_stationary", "flash photos"),
     "maps": ("material_maps", "svbrdf_nonstationary", ""),

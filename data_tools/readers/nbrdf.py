@@ -3,11 +3,13 @@
 A network is six `.npy` files, float32: fc1 (6, 21), fc2 (21, 21), fc3 (21, 3), stored [inputs, outputs], and the
 biases b1, b2 (21,), b3 (3,). It reads the half vector (phi_h = 0) and the difference vector, both of unit length;
 hidden layers are ReLU; reflectance = max(exp(out) - 1, 0), linear RGB in 1/sr. A folder holds one network (`fc1.npy`,
-...), or several, each with its name in front (`gold_fc1.npy`, ...).
+...), or several, each with its name in front (`gold_fc1.npy`, ...). Or a network is a Keras model in HDF5, `gold.h5`,
+as the paper's authors publish them.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from collections.abc import Iterable, Mapping
 from functools import partial
@@ -24,7 +26,7 @@ from data_tools.readers import brdf_task
 from data_tools.readers.listing import Found, files_below
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
-from metapp.storage.files import write_atomically
+from metapp.storage.files import open_regular, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -34,32 +36,43 @@ SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (2
 
 _FILE = re.compile(r"(?:(?P<name>.*)_)?(?P<part>fc[123]|b[123])\.npy")
 _EXPECTED = "expected fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy"
+_KERAS = (".h5", ".hdf5")
+INSTALL = 'pip install "metapp[nbrdf]"'
 
 
 def find(path: Path) -> Found:
     """Find networks by the names of their files, in a folder at any depth (hidden ones left out).
 
     Returns:
-        The places of networks, sorted: a network's folder, or folder/name if its files have a name in front. And a line
-        for each network of a folder that lacks files.
+        The places of networks, sorted: a file, a network's folder, or folder/name if its files have a name in front.
+        And a line for each network of a folder that lacks files, and for those that h5py is missing for.
 
     Raises:
         ValueError: a path that is neither folder nor network, a folder without a whole network.
     """
+    if _is_keras(path):
+        return [path], []
     if not path.is_dir():
         _files_of(path)
         return [path], []
     groups = _networks(files_below(path, ".npy"))
     whole = sorted(network for network, files in groups.items() if len(files) == len(SHAPES))
     broken = [_missing(network, groups[network]) for network in sorted(groups.keys() - set(whole))]
+    if (keras := files_below(path, _KERAS)) and importlib.util.find_spec("h5py"):
+        whole = sorted([*whole, *keras])
+    elif keras:
+        broken.insert(0, f"{path}: {len(keras)} networks in HDF5 ({keras[0].name}, ...), which need h5py; {INSTALL}.")
     if not whole:
         raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
     return whole, broken
 
 
 def recognises(path: str | Path) -> bool:
-    """True for a folder with files named as an NBRDF network's, at any depth."""
-    return Path(path).is_dir() and bool(_networks(files_below(Path(path), ".npy")))
+    """True for an HDF5 file, and for a folder with one or with files named as an NBRDF network's, at any depth."""
+    path = Path(path)
+    return _is_keras(path) or (
+        path.is_dir() and bool(files_below(path, _KERAS) or _networks(files_below(path, ".npy")))
+    )
 
 
 def export(app: Brdf, theta: Params, folder: Path) -> None:
@@ -71,15 +84,19 @@ def export(app: Brdf, theta: Params, folder: Path) -> None:
 def read_task(path: Path, samples: int = 65_536) -> Task:
     """A network as a BRDF task, named by its place; errors as of `read_nbrdf`, warnings of implausible values."""
     evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
-    return brdf_task.measured_task(path.resolve().name, evaluate, samples, path)
+    name = path.stem if _is_keras(path) else path.resolve().name
+    return brdf_task.measured_task(name, evaluate, samples, path)
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
     """A network at a place as of `find`, or alone in a folder: float32 arrays in C order, as of `SHAPES`.
 
     Raises:
-        ValueError: no such folder, missing files, several networks, another shape or type, values that are not finite.
+        ValueError: no such folder, missing files, several networks, another shape or type, values that are not finite;
+            of an HDF5 file, h5py is not installed.
     """
+    if _is_keras(Path(folder)):
+        return _read_keras(Path(folder))
     files = _files_of(Path(folder))
     return {part: _read_part(files[part], shape) for part, shape in SHAPES.items()}
 
@@ -141,11 +158,46 @@ def _files_of(network: Path) -> dict[str, Path]:
     else:  # without a look at a folder of many networks
         files = {part: file for part in SHAPES if (file := network.parent / f"{network.name}_{part}.npy").is_file()}
         if not files:
-            found = "a file" if network.is_file() else "no such folder"
-            raise ValueError(f"{network}: {found}, {_EXPECTED} in it, or {network.name}_fc1.npy, ...; check the path.")
+            found = "a file" if network.is_file() else "no such file or folder"
+            others = f"or {network.name}_fc1.npy, ..., or a Keras model (.h5)"
+            raise ValueError(f"{network}: {found}, {_EXPECTED} in it, {others}; check the path.")
     if len(files) < len(SHAPES):
         raise ValueError(_missing(network, files))
     return files
+
+
+def _is_keras(path: Path) -> bool:
+    return path.suffix.lower() in _KERAS and path.is_file()
+
+
+def _read_keras(path: Path) -> dict[str, NDArray[np.float32]]:
+    """The three dense layers of a Keras model or of its weights, told by their shapes; nothing in the file is run."""
+    try:
+        import h5py
+    except ImportError:
+        raise ValueError(f"{path}: a network in HDF5, which needs h5py; {INSTALL}.") from None
+    layers: dict[str, dict[int, NDArray[np.floating]]] = {}  # by the number of axes
+
+    def visit(name: str, node: h5py.Dataset | h5py.Group) -> None:
+        if isinstance(node, h5py.Dataset) and node.size <= 21 * 21 and not name.startswith("optimizer"):
+            layers.setdefault(node.parent.name, {})[node.ndim] = np.array(node, np.float32)
+
+    try:
+        with open_regular(path) as stream, h5py.File(stream, "r") as file:
+            file.visititems(visit)
+    except Exception as error:  # whatever libhdf5 says
+        reason = (str(error) or type(error).__name__).splitlines()[0][:80]
+        raise ValueError(f"{path}: not a readable HDF5 file ({reason}), expected a Keras model of an NBRDF.") from None
+    found = {arrays[2].shape: arrays for arrays in layers.values() if 2 in arrays}
+    kernels = [SHAPES[f"fc{layer}"] for layer in (1, 2, 3)]
+    if found.keys() != set(kernels):
+        shapes = ", ".join(map(str, found)) or "none"
+        raise ValueError(f"{path}: dense layers {shapes}, expected {', '.join(map(str, kernels))} of an NBRDF network.")
+    parts = {f"fc{layer + 1}": found[kernel][2] for layer, kernel in enumerate(kernels)}
+    parts |= {f"b{layer + 1}": found[kernel].get(1, np.empty(0)) for layer, kernel in enumerate(kernels)}
+    for part, array in parts.items():
+        _check_part(array, SHAPES[part], f"{path}: {part}")
+    return parts
 
 
 def _missing(network: Path, files: Mapping[str, Path]) -> str:

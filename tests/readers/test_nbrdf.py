@@ -1,16 +1,18 @@
+import importlib.util
 import io
 import math
 import os
 import pickle
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.nbrdf import SHAPES, find, nbrdf_evaluate, read_nbrdf, write_nbrdf
+from data_tools.readers.nbrdf import SHAPES, find, nbrdf_evaluate, read_nbrdf, read_task, recognises, write_nbrdf
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -95,7 +97,7 @@ def test_find(tmp_path: Path) -> None:
     assert found == [tmp_path / "set" / "gold", tmp_path / "set" / "tin"]
     assert len(skipped) == 1
     assert "broken: no file for b2, expected fc1.npy" in skipped[0]
-    with pytest.raises(ValueError, match="no such folder"):
+    with pytest.raises(ValueError, match="no such file or folder"):
         find(tmp_path / "none")
     shutil.rmtree(tmp_path / "set")
     with pytest.raises(ValueError, match="no NBRDF network, expected"):
@@ -105,6 +107,62 @@ def test_find(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "b3.npy")  # is not waited for
     with pytest.raises(ValueError, match="no file for b3"):
         read_nbrdf(tmp_path)
+
+
+def keras(path: Path, seed: int = 0, drop: str = "") -> Path:
+    """A network as Keras 2 saves models: dense layers of any name, an optimizer's state beside them."""
+    h5py = pytest.importorskip("h5py", reason='h5py is not installed: pip install "metapp[nbrdf]"')
+    weights = make_weights(seed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with h5py.File(path, "w") as file:
+        for layer in (1, 2, 3):
+            group = file.create_group(f"model_weights/dense_{layer + 6}/dense_{layer + 6}")
+            for part, name in ((f"fc{layer}", "kernel:0"), (f"b{layer}", "bias:0")):
+                if part != drop:
+                    group[name] = weights[part]
+        file["optimizer_weights/moments"] = np.zeros((21, 21))
+    return path
+
+
+def test_keras_models(tmp_path: Path) -> None:
+    path = keras(tmp_path / "set" / "gold.h5", 3)
+    for part, array in read_nbrdf(path).items():
+        np.testing.assert_array_equal(array, make_weights(3)[part])
+        assert array.dtype == np.float32
+    keras(tmp_path / "set" / "below" / "TIN.H5", 4)
+    make_network(tmp_path / "set" / "zinc")
+    (path.parent / "gold.json").write_text("{}")
+    found, skipped = find(tmp_path)
+    assert [place.name for place in found] == ["TIN.H5", "gold.h5", "zinc"]
+    assert skipped == []
+    assert recognises(path)
+    assert recognises(path.parent)
+    assert find(path) == ([path], [])
+    assert read_task(path, 64).name == "gold"
+
+
+@pytest.mark.parametrize(("drop", "message"), {"fc2": "dense layers (6, 21), (21, 3), expected (6, 21), (21, 21), ",
+                                               "b2": "b2: shape (0,), expected (21,)"}.items())  # fmt: skip
+def test_keras_models_of_others(tmp_path: Path, drop: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        read_nbrdf(keras(tmp_path / "a.h5", drop=drop))
+
+
+def test_what_is_no_keras_model_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n and no more")
+    if importlib.util.find_spec("h5py"):
+        with pytest.raises(ValueError, match=r"a\.h5: not a readable HDF5 file \(.*\), expected a Keras model"):
+            read_nbrdf(path)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(ValueError, match=r"a\.h5: a network in HDF5, which needs h5py; pip install \"metapp\[nbrdf\]"):
+        read_nbrdf(path)
+    with pytest.raises(ValueError, match=r"1 networks in HDF5 \(a\.h5, \.\.\.\), which need h5py; pip install"):
+        find(tmp_path)
+    make_network(tmp_path / "tin")
+    found, (line,) = find(tmp_path)
+    assert found == [tmp_path / "tin"]
+    assert "which need h5py" in line
 
 
 class Touch:
