@@ -83,14 +83,17 @@ def one_line(message: str) -> str:
 
 
 class _Bar(Bar):
-    """A row of a progress bar, or, of long work if there is no terminal, lines by `lines`."""
+    """A row of a progress bar, or, of long work if there is no terminal, lines by `lines`: one as each part is done."""
 
     def __init__(self, bars: Progress, title: str, total: int | None, done: int, lines: Terminal | None) -> None:
-        self.bars, self.lines, self.title = bars, lines, title
+        self.bars, self.lines, self.title, self.done, self.total = bars, lines, title, done, total
         self.row = bars.add_task(title, total=total, completed=done, note="")
 
     def advance(self, note: str = "") -> None:
         self.bars.update(self.row, advance=1, note=note)
+        self.done += 1
+        if self.lines:
+            self.lines.say(f"{self.title}: {self.done} of {self.total}, {note}")
 
     def name(self, note: str) -> None:
         self.bars.update(self.row, note=note)

@@ -18,13 +18,14 @@ from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
 from metapp.runs.outputs.files import export_fit, export_path, rendered, write_pictures
 from metapp.runs.outputs.pictures import ROWS, Tiles, tiles_of_fit, write_sheet
-from metapp.runs.reporter import Bar, Reporter, number, progress, reporting, say
+from metapp.runs.reporter import Bar, Reporter, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
 
+ERRORS = ("error", "photo_error")  # of a record, the first that there is
 FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
 
 
@@ -103,7 +104,8 @@ class Execution:
             ValueError: nothing could be fitted.
         """
         begin, options = time.perf_counter(), self.run.options
-        with progress(self.run.paradigm.name, len(self._sources), quiet=options.quiet) as self._bar:
+        count = len(self._sources)
+        with progress(self.run.paradigm.name, count, long=count > 1, quiet=options.quiet) as self._bar:
             for source, fit in fit_sources(self.run, self._sources, self._is_fitted):
                 try:
                     if isinstance(fit, Fit):
@@ -115,7 +117,6 @@ class Execution:
         if fitted := len(self._records) - self.skipped:
             self.tasks_per_second = fitted / (time.perf_counter() - begin)
         if not self._records:
-            count = len(self._sources)
             several = f"none of {count} inputs could be fitted; the first: " if count > 1 else ""
             raise ValueError(f"{several}{self.failures[0].reason}")
         self._draw()
@@ -155,9 +156,10 @@ class Execution:
         kept = self.fits.write(record, theta, draw)
         self.replaced += source.place in self._earlier
         self._finish(source, kept, fit.task, lambda: theta)
-        self._bar.advance(f"{kept['name']} {number(kept['error'], '.3f')}".removesuffix(" -"))
         for form in self.run.options.exports:
             self._export(fit, kept, form)
+        errors = [f"{key.replace('_', ' ')} {kept[key]:.3f}" for key in ERRORS if kept.get(key) is not None]
+        self._bar.advance(", ".join([kept["name"], *errors[:1], f"{kept['seconds']:.4f} s"]))
 
     def _export(self, fit: Fit, record: Document, form: str) -> None:
         """Write a fit that is kept in a form of --export."""

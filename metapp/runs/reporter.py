@@ -36,7 +36,7 @@ class Reporter:
     def bar(self, title: str, total: int | None, done: int, long: bool) -> AbstractContextManager[Bar]:
         """Show the progress of a job of `total` parts (None: not known yet), `done` of which are done.
 
-        A `long` one is also said in lines now and then if there is nothing to draw a bar on.
+        A `long` one is also said in lines if there is nothing to draw a bar on: as parts are done, or now and then.
         """
         return contextlib.nullcontext(Bar())
 

@@ -1,5 +1,6 @@
 """`--batch` and `--resume`: many inputs, side by side, whatever is broken among them."""
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -58,6 +59,17 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[l
     assert folder == Path(alone["out"])
     assert (folder / "pictures.png").is_file()
     assert (folder / "m3" / "params.safetensors").is_file()
+
+
+def test_each_input_is_a_line_where_there_is_no_terminal(fit: Callable, materials: Path) -> None:
+    (materials / "m1" / "fc1.npy").write_bytes(b"broken")
+    lines = [line for line in fit().err.splitlines() if line.startswith("quickft: ")]
+    assert lines[0].startswith("quickft: 1 of 5, m0, error ")
+    assert all(
+        re.fullmatch(r"quickft: [1-5] of 5, (m\d, error \d\.\d{3}, \d\.\d{4} s|failed: m1)", line) for line in lines
+    )
+    assert len(lines) == 5
+    assert not any(line.startswith("quickft: ") for line in fit("--quiet").err.splitlines())
 
 
 def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[str]], materials: Path) -> None:

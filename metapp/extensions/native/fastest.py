@@ -16,6 +16,7 @@ from torch.utils._pytree import TreeSpec, tree_flatten, tree_unflatten
 from metapp.extensions.native import in_c
 from metapp.learning.adjoint import Loss, RuleStep, Steps, UpdateRule, step_and_vjp, torch_steps
 from metapp.learning.task import Params
+from metapp.runs.reporter import say
 from metapp.storage.cache import cache_folder, code_folder
 
 COMPILED = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
@@ -30,6 +31,7 @@ def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: 
     """
     found = in_c.steps(rule, loss, theta, order)
     if found is None and compiles and can_compile():
+        _say_compiling()
         found = compiled_steps(rule, loss, theta, order)
     return found or torch_steps(rule, loss, theta, order)
 
@@ -53,6 +55,11 @@ def can_compile() -> bool:
     except Exception:  # whatever a compiler that lacks a part raises
         return False
     return True
+
+
+@functools.cache  # once, for all losses of a training
+def _say_compiling() -> None:
+    say("compiling steps of the rule by torch: a minute or two, the first time")
 
 
 @functools.lru_cache(maxsize=32)  # compiling takes seconds

@@ -251,6 +251,18 @@ def test_steps_that_torch_compiles_are_those_of_torch(randn: Callable[..., Tenso
     assert_alike(*(value_and_grads(mean(2, steps_of), phi) for steps_of in (compiled_steps, torch_steps)))
 
 
+def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("metapp.extensions.native.fastest.say", said.append)
+    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: True)
+    monkeypatch.setattr("metapp.extensions.native.fastest.compiled_steps", torch_steps)
+    monkeypatch.setattr(in_c, "steps", lambda *_: None)
+    phi, mean = brdf_case("meta-sgd", randn)
+    for _ in range(2):
+        value_and_grads(mean(2, functools.partial(fastest, compiles=True)), phi)
+    assert said == ["compiling steps of the rule by torch: a minute or two, the first time"]
+
+
 def test_torch_compiles_where_nobody_else_can_write(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "compile", lambda function: function)
     monkeypatch.setattr(shutil, "which", lambda name: name)
