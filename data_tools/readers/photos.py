@@ -172,7 +172,7 @@ def resample(pixels: Pixels, size: int) -> Floats:
     side = pixels.values.shape[0]
     columns = min(side, size)
     rows = [
-        _area(pixels.linear(slice(row, row + _ROWS)).swapaxes(0, 1), columns).swapaxes(0, 1)
+        _area(pixels.linear(slice(row, row + _ROWS)).swapaxes(0, 1).copy(), columns).swapaxes(0, 1)
         for row in range(0, side, _ROWS)
     ]
     result = _area(np.concatenate(rows), columns)
@@ -183,14 +183,18 @@ def resample(pixels: Pixels, size: int) -> Floats:
 
 
 def _area(values: Floats, count: int) -> Floats:
-    """Means over `count` equal intervals of the first axis; an entry on an edge counts with its share."""
+    """Means over `count` equal intervals of the first axis, float64; an entry on an edge counts with its share."""
     length = values.shape[0]
     edges = np.linspace(0, length, count + 1)
-    entry = np.minimum(edges.astype(np.int64), length - 1)
-    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
-    at_edges = total[entry] + (edges - entry)[:, None, None] * values[entry]
-    result: Floats = np.diff(at_edges, axis=0) * (count / length)
-    return result
+    first = edges[:-1].astype(np.int64)
+    total: Floats = np.zeros((count, *values.shape[1:]))
+    for step in range(int((np.ceil(edges[1:]) - first).max())):
+        entry = np.minimum(first + step, length - 1)
+        share = (np.minimum(edges[1:], first + step + 1) - np.maximum(edges[:-1], first + step)).clip(0)
+        for row in range(count):  # a row of a large picture stays in the cache
+            if share[row]:
+                total[row] += values[entry[row]] * (share[row] * (count / length))
+    return total
 
 
 def _over_mean(linear: Floats, name: str) -> Floats:

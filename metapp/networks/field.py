@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import interpolate
 
 from metapp.learning.draws import uniform
 from metapp.learning.task import Params
@@ -126,7 +127,12 @@ def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
 
 def field_by_rows(field: LocalField, theta: Params, places: Tensor) -> Iterator[Tensor]:
     """The rows of a field's output at places [T, inputs, height, width], [T, outputs, h, width] at a time."""
-    rows = max(1, STRIP_TEXELS // field.width)
+    rows, narrow = max(1, STRIP_TEXELS // field.width), field._replace(width=field.columns)
     for first in range(0, field.height, rows):
         end = first + rows
-        yield field.decoded(theta, field.code_at(theta, first, end), places[..., first:end, :])
+        if field.periodic:
+            code = field.code_at(theta, first, end)
+        else:  # of two cells each: a product with all of a row takes as long as the network
+            code = narrow.code_at(theta, first, end).flatten(0, 1)
+            code = interpolate(code, field.width, mode="linear").unflatten(0, theta["z"].shape[:2])
+        yield field.decoded(theta, code, places[..., first:end, :])

@@ -42,7 +42,8 @@ def decoded(raw: Tensor) -> Maps:
 
 def linear(photo: Tensor) -> Tensor:
     """A photograph as tasks keep it, uint8 sRGB of any shape, in linear RGB."""
-    return srgb_to_linear(photo.float() / 255)
+    levels = srgb_to_linear(torch.arange(256, device=photo.device) / 255)  # as a large photograph has many times
+    return levels[photo.int()]
 
 
 def pooled(maps: Tensor, size: Sequence[int]) -> Tensor:
