@@ -22,7 +22,7 @@ from data_tools.readers import material_maps, photos
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import SRGB
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import SIZE, flash_view, photo_of
+from data_tools.readers.photos import SIZE, flash_view, photo_of, task_of_square
 from metapp.learning.task import Task
 from metapp.storage.shards import AUTO, SPLITS, Entry
 
@@ -36,7 +36,8 @@ find, recognises = photos.find, photos.recognises
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:
     """A flash photograph as a task of its stem's name; arguments and errors as of `flash_view` and `photo_of`."""
-    return Task(path.stem, {"image": photo_of(flash_view(read_pixels(path), fov_rad), str(path), size, least)})
+    whole = read_pixels(path)
+    return task_of_square("image", flash_view(whole, fov_rad), whole, path, size, least)
 
 
 def task_of_object(

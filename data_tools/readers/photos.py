@@ -80,7 +80,17 @@ def placed_in(folder: Path) -> list[Path]:
 
 def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:
     """An image file as a texture task named by the file's stem; arguments and errors as of `photo_of`."""
-    return Task(path.stem, {"image": read_photo(path, size, least)})
+    whole = read_pixels(path)
+    return task_of_square("image", central_square(whole), whole, path, size, least)
+
+
+def task_of_square(key: str, square: Pixels, whole: Pixels, path: Path, size: int, least: int) -> Task:
+    """The task of a square of a file, named by the file's stem, with a note; arguments and errors as of `photo_of`."""
+    photo = photo_of(square, str(path), size, least)
+    (height, width), part, side = whole.values.shape[:2], len(square.values), photo.shape[-1]
+    cut = f": the central {part:,} x {part:,} px" if (height, width) != (part, part) else ""
+    scaled = f", scaled to {side:,} x {side:,}" if part != side else ""
+    return Task(path.stem, {key: photo}, note=f"{width:,} x {height:,} px{cut}{scaled}" if cut or scaled else "")
 
 
 def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, **_: object) -> Task:

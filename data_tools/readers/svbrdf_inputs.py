@@ -7,9 +7,9 @@ from pathlib import Path
 
 from data_tools.readers import material_maps, photos, strips
 from data_tools.readers.arrays import pixels_of
-from data_tools.readers.image_files import NAMED, Pixels, check_exists, read_pixels
+from data_tools.readers.image_files import NAMED, check_exists, read_pixels
 from data_tools.readers.listing import Found, files_below
-from data_tools.readers.photos import SIZE, flash_view, photo_of, placed_in
+from data_tools.readers.photos import SIZE, flash_view, photo_of, placed_in, task_of_square
 from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
 
@@ -69,7 +69,8 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
         return material_maps.read_task(path, size, least=least)
     if strips.is_strip(path):
         return strips.read_task(path, size, least=least)
-    return _photo_task(path.stem, read_pixels(path), str(path), size, fov_rad, stops)
+    whole = read_pixels(path)
+    return _exposed(task_of_square("photo", flash_view(whole, fov_rad), whole, path, size, least), stops)
 
 
 def task_of_object(
@@ -78,13 +79,13 @@ def task_of_object(
     """The task of a material in memory, of its maps or of its flash photograph; else as `read_task`."""
     if isinstance(source, Mapping):
         return material_maps.task_of_arrays(source, name, size, min(size, SIZE))
-    return _photo_task(name, pixels_of(name, source, material_maps.OR_MAPS), name, size, fov_rad, stops)
+    view = flash_view(pixels_of(name, source, material_maps.OR_MAPS), fov_rad)
+    return _exposed(Task(name, {"photo": photo_of(view, name, size, min(size, SIZE))}), stops)
 
 
-def _photo_task(name: str, pixels: Pixels, subject: str, size: int, fov_rad: float, stops: float) -> Task:
-    """A photograph as a task; `subject` begins errors."""
-    photo = photo_of(flash_view(pixels, fov_rad), subject, size, min(size, SIZE))
-    return Task(name, {"photo": rightly_exposed(photo, stops)})
+def _exposed(task: Task, stops: float) -> Task:
+    """A photograph as if it had been exposed rightly."""
+    return task._replace(data={"photo": rightly_exposed(task.data["photo"], stops)})
 
 
 def _is_elsewhere(file: Path, folders: Collection[Path]) -> bool:

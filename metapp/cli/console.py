@@ -90,15 +90,16 @@ class _Bar(Bar):
         self.row = bars.add_task(title, total=total, completed=done, note="")
 
     def advance(self, note: str = "") -> None:
-        self.bars.update(self.row, advance=1, note=note)
         self.done += 1
+        self.bars.update(self.row, completed=self.done, note=note)
         if self.lines:
             self.lines.say(f"{self.title}: {self.done} of {self.total}, {note}")
 
-    def name(self, note: str) -> None:
-        self.bars.update(self.row, note=note)
+    def name(self, note: str, share: float = 0.0) -> None:
+        self.bars.update(self.row, completed=self.done + share, note=note)
 
     def at(self, done: int, total: int | None, note: str = "") -> None:
+        self.done = done
         self.bars.update(self.row, completed=done, total=total, note=note)
         if self.lines:
             self.lines.say_at_times(f"{self.title}: step {done} of {total}, {note}", last=done == total)

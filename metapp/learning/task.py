@@ -22,6 +22,7 @@ class Task(NamedTuple):
         name: in tables and files.
         data: observations by name, without a task axis; `App.tensors` of the application lists them.
         group: of tasks that show one thing, such as photos of a material, which no split parts; "" for its own.
+        note: the part of its file that it shows, and the size; "" if that is all of it, as it is.
 
     >>> Task("gold", {"target": torch.zeros(3, 8)}).name
     'gold'
@@ -30,6 +31,7 @@ class Task(NamedTuple):
     name: str
     data: dict[str, Tensor]
     group: str = ""
+    note: str = ""
 
 
 class LeastSquares(NamedTuple):

@@ -26,6 +26,7 @@ from metapp.storage.files import named
 from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
 
 ERRORS = ("error", "photo_error")  # of a record, the first that there is
+READ, FITTED, DRAWN = 0.2, 0.5, 0.9  # shares of an input's time, about
 FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
 
 
@@ -106,6 +107,7 @@ class Execution:
         begin, options = time.perf_counter(), self.run.options
         count = len(self._sources)
         with progress(self.run.paradigm.name, count, long=count > 1, quiet=options.quiet) as self._bar:
+            self._bar.name(f"{Path(self._sources[0].place).name}: reading")
             for source, fit in fit_sources(self.run, self._sources, self._is_fitted):
                 try:
                     if isinstance(fit, Fit):
@@ -128,6 +130,7 @@ class Execution:
             self._earlier.add(source.place)
         same = record and self.fits.hold(record) and record.get("content") == content_of(task)
         if not (record and same and self.run.options.resume):
+            self._bar.name(f"{task.name}: fitting", READ)
             return False
         self.skipped += 1
         self._finish(source, record, task, lambda: read_params(record["folder"]))
@@ -144,6 +147,7 @@ class Execution:
     def _keep(self, source: Source, fit: Fit) -> None:
         """Write the parameters, the pictures and the record of a fit, in this order, then its exports."""
         app, theta = self.run.app, fit.parameters
+        self._bar.name(f"{fit.name}: pictures", FITTED)
 
         def draw(folder: Path) -> None:
             with torch.no_grad():
@@ -157,6 +161,7 @@ class Execution:
         self.replaced += source.place in self._earlier
         self._finish(source, kept, fit.task, lambda: theta)
         for form in self.run.options.exports:
+            self._bar.name(f"{fit.name}: {form}", DRAWN)
             self._export(fit, kept, form)
         errors = [f"{key.replace('_', ' ')} {kept[key]:.3f}" for key in ERRORS if kept.get(key) is not None]
         self._bar.advance(", ".join([kept["name"], *errors[:1], f"{kept['seconds']:.4f} s"]))

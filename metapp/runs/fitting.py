@@ -26,6 +26,7 @@ from metapp.storage import Document
 from metapp.storage.files import named
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
+NOTED = 3  # inputs of which it is said that they were cut or scaled
 ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
 FAILURES = (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError)  # of inputs and fits
 
@@ -65,10 +66,16 @@ def fit_sources(
 def _readable(
     run: Run, sources: Iterable[Source], skip: Callable[[Source, Task], bool]
 ) -> Iterator[tuple[Source, Task | Exception]]:
+    noted = 0
     for source in sources:
         try:
             task = source.task()
             if not skip(source, task):
+                noted += bool(task.note)
+                if task.note and noted <= NOTED:
+                    say(f"{Path(source.place).name}: {task.note}")
+                elif task.note and noted == NOTED + 1:
+                    say("further inputs are cut and scaled likewise")
                 check_task(run, task)
                 yield source, task
         except (ValueError, OSError) as error:

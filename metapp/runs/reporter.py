@@ -18,8 +18,8 @@ class Bar:
     def advance(self, note: str = "") -> None:
         """Count one more as done; `note` names the next or the last one."""
 
-    def name(self, note: str) -> None:
-        """Show the name of the current one."""
+    def name(self, note: str, share: float = 0.0) -> None:
+        """Show the name of the current one, and the share of it that is done."""
 
     def at(self, done: int, total: int | None, note: str = "") -> None:
         """Show that so many are done, of so many if that is known."""

@@ -1,6 +1,7 @@
 """`metapp ... illumination` and `metapp ... svbrdf_nonstationary` end to end, on references and on photographs."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,9 +28,10 @@ from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.evaluation.tables.results import closing
 from metapp.networks.field import LocalField
 from metapp.registry import exports_of
+from metapp.runs.execution import execute
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import read_run, tasks_as
-from metapp.runs.reporter import reporting
+from metapp.runs.reporter import Bar, reporting
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.fits import PARAMS, RECORD, read_fits
@@ -210,6 +212,29 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
     assert not Path("runs").exists()
+
+
+def test_what_is_cut_is_said_and_the_bar_moves(shot: Path, capsys: Any) -> None:
+    """Of the first inputs; the bar tells reading, fit, pictures and exports of each."""
+    for number in range(5):
+        write_planes(shot.with_name(f"wide{number}.png"), torch.rand(3, 64, 96))
+    shown: list[tuple[float, str]] = []
+
+    class Shown(Terminal):
+        def bar(self, title: str, total: int | None, done: int, long: bool) -> AbstractContextManager[Bar]:
+            bar = Bar()
+            bar.name = lambda note, share=0.0: shown.append((share, note))  # type: ignore[method-assign]
+            return nullcontext(bar)
+
+    with reporting(Shown()):
+        execute(Run.of(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
+    lines = capsys.readouterr().err.splitlines()
+    notes = [f"wide{number}.png: 96 x 64 px: the central 64 x 64 px, scaled to 256 x 256" for number in range(2)]
+    assert [line for line in lines if "px" in line][1:] == notes
+    assert lines.count("further inputs are cut and scaled likewise") == 1
+    shares = {note.partition(": ")[2]: share for share, note in shown if note.startswith("wide1")}
+    assert list(shares) == ["fitting", "pictures", "png16"]
+    assert 0 < shares["fitting"] < shares["pictures"] < shares["png16"] < 1
 
 
 def test_maps_have_the_size_asked_for(metapp: Callable, shot: Path) -> None:

@@ -10,6 +10,7 @@ import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -189,6 +190,17 @@ def test_the_central_square_counts(tmp_path: Path) -> None:
     path = write(tmp_path / "a.jpg", smooth(300, 200))
     assert torch.equal(read_photo(path), read_photo(path))
     assert read_photo(path).shape == (3, 256, 256)
+
+
+@pytest.mark.parametrize("reader", [photos, flash, svbrdf_inputs])
+def test_a_note_says_what_was_cut_and_scaled(reader: Any, tmp_path: Path) -> None:
+    for height, width, note in (
+        (300, 1200, "1,200 x 300 px: the central 300 x 300 px, scaled to 256 x 256"),
+        (256, 280, "280 x 256 px: the central 256 x 256 px"),
+        (300, 300, "300 x 300 px, scaled to 256 x 256"),
+        (256, 256, ""),
+    ):
+        assert reader.read_task(write(tmp_path / "train_1_a b.png", noise(height, width)))[::3] == ("train_1_a b", note)
 
 
 def test_smaller_pictures_are_interpolated_only_as_far_as_asked(tmp_path: Path) -> None:
