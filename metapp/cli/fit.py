@@ -107,9 +107,12 @@ def _show(execution: Execution, *, json: bool) -> None:
         for line in execution.remarks:
             say(line)
         if execution.skipped:
-            say(f"{execution.skipped} of {len(records)} inputs have such a fit already, and are skipped")
+            line = f"{execution.skipped} of {len(records)} inputs have such a fit already, and are skipped"
+            asked = run.options.exports or run.app.size
+            say(f"{line}; metapp export writes other files of these" if asked else line)
         if execution.replaced:
-            say(f"{execution.replaced} of {len(records)} fits replace earlier ones; --resume keeps these")
+            fits = f"{execution.replaced} of {len(records)} fits, and their pictures,"
+            say(f"{fits} replace earlier ones; --resume keeps these")
         say(f"fits: {execution.folder}")
         if "view" in registry().commands:
             say(f"to look at: metapp view {shlex.quote(str(execution.folder))}")

@@ -215,7 +215,7 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
     assert read_fits(run) == [first, second]
-    assert "2 of 2 fits replace earlier ones; --resume keeps these" in fit("overfit").err
+    assert "2 of 2 fits, and their pictures, replace earlier ones; --resume keeps these" in fit("overfit").err
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:

@@ -151,5 +151,5 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     names = ["one", *(marked_name("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").document)
     assert list(first) == names
-    assert "5 of 5 fits replace earlier ones" in (again := fit()).err
+    assert "5 of 5 fits, and their pictures, replace earlier ones" in (again := fit()).err
     assert list(errors(again.document)) == names
