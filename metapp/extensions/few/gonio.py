@@ -1,19 +1,24 @@
 """Gonioreflectometer measurements as CSV: one pair of directions a row, with its BRDF.
 
-A line of column names, then numbers; lines that begin with # are comments. `theta_i, phi_i` is the light, `theta_o,
-phi_o` the detector, with the unit behind: `theta_i_deg` or `theta_i_rad`; thetas from the normal. The BRDF in 1/sr is
-`r, g, b`, linear RGB, or columns of wavelengths, `400nm, 410nm, ...`, which become linear RGB of the material in D65.
-Columns stand in any order; others are passed over.
+A line of column names, perhaps one of units, then numbers; lines that begin with # are comments. `theta_i, phi_i` is
+the light, `theta_o, phi_o` the detector, with the unit behind, `theta_i_deg` or `theta_i_rad`, or below; thetas from
+the normal, negative ones at phi + 180 degrees. The BRDF in 1/sr is `r, g, b`, linear RGB, or columns of wavelengths,
+`400nm, 410nm, ...`, which become linear RGB of the material in D65. Columns stand in any order; others are passed over.
+UTF-8 or UTF-16; between cells stand commas, semicolons, tabs or bars, as Excel's line `sep=;` or the
+names tell; cells may be in quotes, and decimal commas stand beside another sign or in quotes.
 """
 
 from __future__ import annotations
 
+import codecs
 import contextlib
+import csv
 import functools
 import io
 import itertools
 import math
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -39,7 +44,12 @@ RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
 LONGEST = 1 << 28  # bytes of a file
+NOISE = 1e-3  # 1/sr; what is no further below 0 is noise
 
+_LINE = 1 << 20  # characters of a line
+_SEPARATORS = ",;\t|"
+_UNITS = {"deg": "_deg", "degree": "_deg", "degrees": "_deg", "°": "_deg", "rad": "_rad", "radian": "_rad",
+          "radians": "_rad", "nm": "nm"}  # fmt: skip
 _WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
 
 find = functools.partial(find_by_suffix, suffix=SUFFIX, what="a .csv file of a goniometer")
@@ -58,9 +68,9 @@ def has_few_task(task: Task) -> bool:
 
 
 def _few_lines(file: Path) -> bool:
-    with io.TextIOWrapper(open_regular(file), "utf-8-sig", "replace") as lines:
-        rows = (line for line in lines if line.strip() and line.lstrip()[0] != "#")
-        return sum(1 for _ in itertools.islice(rows, FEW + 2)) <= FEW + 1  # with the line of names
+    with contextlib.suppress(ValueError), _text_of(file) as text:  # of a bad table reading it tells
+        return sum(1 for _ in itertools.islice(_lines(file, text), FEW + 2)) <= FEW + 1  # with the line of names
+    return True
 
 
 def read_task(path: Path) -> Task:
@@ -99,13 +109,16 @@ def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
     angles = np.stack([_angle(path, columns, lines, name) for name in ANGLES], 1)
     names, matrix = _colours(path, list(columns))
     values = np.stack([columns[name] for name in names], 1)
-    bad = ~((values >= 0) & (values <= LARGEST))
+    bad = ~((values >= -NOISE) & (values <= LARGEST))
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise ValueError(
             f"{path}: line {lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
             f"{LARGEST:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not measured."
         )
+    if count := int((values < 0).sum()):
+        found = f"{count:,} of {values.size:,} values below 0, down to {values.min():.3g} /sr"
+        warnings.warn(f"{path}: {found}, expected 0 or more; taken for noise and set to 0", stacklevel=2)
     light, viewer = (torch.from_numpy(_direction(angles[:, i], angles[:, i + 1])) for i in (0, 2))
     return Pairs(light, viewer, torch.from_numpy(values @ matrix).clamp_min(0)).above()
 
@@ -137,36 +150,78 @@ def _rows(path: Path) -> tuple[dict[str, Array], list[int]]:
             f"{math.ceil(size / LONGEST)}."
         )
     try:
-        with io.TextIOWrapper(open_regular(path), "utf-8-sig") as file:
-            rows = [(at, line) for at, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != "#"]
+        with _text_of(path) as text:
+            rows = list(_lines(path, text))
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: no text in UTF-8, expected a table of numbers as CSV; save it as CSV.") from None
+        raise ValueError(f"{path}: no text in UTF-8 or UTF-16, expected a table of numbers; save it as CSV.") from None
+    told = re.fullmatch(r'"?sep=(.)"?', rows[0][1].rstrip("\r\n"), re.IGNORECASE) if rows else None
+    rows = rows[1:] if told else rows
     if not rows:
         raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
-    names = [name.strip().lower() for name in rows.pop(0)[1].split(",")]
+    separator = told[1] if told else max(_SEPARATORS, key=rows[0][1].count)
+    names = _words(rows.pop(0)[1].lower(), separator)
+    below = _words(rows[0][1].lower(), separator) if rows else []
+    units = [word.strip("[]() ") for word in below] if not any(map(_is_number, below)) else []
+    rows = rows[1:] if units else rows
+    names = [_named(*pair) for pair in itertools.zip_longest(names, units[: len(names)], fillvalue="")]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
+    plain = (line if separator == "," else line.replace(",", ".") for _, line in rows)
     numbers = np.empty((0, 0))
     with contextlib.suppress(ValueError):  # ten times as fast, but of what is wrong it does not say the line
-        numbers = np.loadtxt((line for _, line in rows), delimiter=",", ndmin=2)
+        numbers = np.loadtxt(plain, delimiter=separator, ndmin=2, quotechar='"')
     if numbers.shape != (len(rows), len(names)):
-        cells = [_cells(path, at, line, len(names)) for at, line in rows]
+        cells = [_cells(path, at, _words(line, separator), len(names)) for at, line in rows]
         numbers = np.array(cells, np.float64).reshape(-1, len(names))
     return dict(zip(names, numbers.T, strict=True)), [at for at, _ in rows]
 
 
-def _cells(path: Path, at: int, line: str, count: int) -> list[float]:
-    words = line.split(",")
+def _text_of(path: Path) -> io.TextIOWrapper:
+    """A file's text, of the encoding that its first bytes tell."""
+    stream = open_regular(path)
+    wide = stream.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    return io.TextIOWrapper(stream, "utf-16" if wide else "utf-8-sig")
+
+
+def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[tuple[int, str]]:
+    """Lines with something in a cell, by their numbers; comments are left out."""
+    for at in itertools.count(1):
+        line = text.readline(_LINE + 1)
+        if len(line) > _LINE:
+            raise ValueError(f"{path}: line {at}: more than {_LINE:,} characters, expected a row a pair; break it.")
+        if not line:
+            return
+        if line.strip(_SEPARATORS + '" \r\n') and line.lstrip()[0] != "#":
+            yield at, line
+
+
+def _words(line: str, separator: str) -> list[str]:
+    with contextlib.suppress(csv.Error):  # of a cell of more characters than any number has
+        return [word.strip() for word in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    return [line]
+
+
+def _named(name: str, unit: str) -> str:
+    """A column's name with its unit behind, which stands in brackets or below it."""
+    name, _, bracketed = name.replace("(", "[").partition("[")
+    name, end = name.strip(), _UNITS.get(bracketed.strip("]) ") or unit, "")
+    return name if name.endswith(end) or not (name in ANGLES or end == "nm") else f"{name}{end}"
+
+
+def _is_number(word: str) -> bool:
+    with contextlib.suppress(ValueError):
+        float(word.replace(",", "."))
+        return True
+    return False
+
+
+def _cells(path: Path, at: int, words: list[str], count: int) -> list[float]:
     if len(words) != count:
         raise ValueError(f"{path}: line {at}: {len(words)} numbers, expected {count} as column names; put it right.")
-    cells = []
-    for word in words:
-        try:
-            cells.append(float(word) if word.strip() else math.nan)
-        except ValueError:
-            raise ValueError(f"{path}: line {at}: {_shown(word)}, expected a number; put it right.") from None
-    return cells
+    if bad := [word for word in words if word and not _is_number(word)]:
+        raise ValueError(f"{path}: line {at}: {_shown(bad[0])}, expected a number; put it right.")
+    return [float(word.replace(",", ".")) if word else math.nan for word in words]
 
 
 def _shown(word: str) -> str:
@@ -175,18 +230,18 @@ def _shown(word: str) -> str:
 
 
 def _angle(path: Path, columns: dict[str, Array], lines: list[int], name: str) -> Array:
-    """One of the angles in rad, [N], thetas in [0, pi/2]."""
+    """One of the angles in rad, [N], thetas in [-pi/2, pi/2]."""
     there = [unit for unit in RADIANS if f"{name}_{unit}" in columns]
     if len(there) != 1:
         problem = "both units" if there else ("no unit" if name in columns else "no such column")
         raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad.")
     values, unit = columns[f"{name}_{there[0]}"], RADIANS[there[0]]
-    low, high = (0.0, math.pi / 2) if name.startswith("theta") else (-2 * math.tau, 2 * math.tau)
-    bad = ~((values * unit >= low - 1e-6) & (values * unit <= high + 1e-6))
+    high = math.pi / 2 if name.startswith("theta") else 2 * math.tau
+    bad = ~(np.abs(values * unit) <= high + 1e-6)
     if bad.any():
         row = int(bad.argmax())
         raise ValueError(
-            f"{path}: line {lines[row]}: {name} {values[row]:.6g} {there[0]}, expected {low / unit:.6g} to "
+            f"{path}: line {lines[row]}: {name} {values[row]:.6g} {there[0]}, expected {-high / unit:.6g} to "
             f"{high / unit:.6g}; reflection alone can be fitted."
         )
     result: Array = values * unit
@@ -211,5 +266,5 @@ def _colours(path: Path, names: Sequence[str]) -> tuple[list[str], Array]:
 
 
 def _direction(theta: Array, phi: Array) -> Array:
-    """Unit vectors [N, 3] of spherical angles in rad."""
+    """Unit vectors [N, 3] of spherical angles in rad; of a negative theta at phi + pi."""
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -94,6 +95,44 @@ def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> N
     assert angles[0].tolist() == pytest.approx([math.radians(10), math.radians(30), 0], abs=1e-9)
 
 
+DIALECTS: dict[str, Callable[[str], str]] = {
+    "semicolons and decimal commas": lambda text: text.replace(",", ";").replace(".", ","),
+    "tabs and decimal commas": lambda text: text.replace(",", "\t").replace(".", ","),
+    "quotes": lambda text: re.sub(r"[^,\n]+", r'"\g<0>"', text),
+    "quotes and decimal commas": lambda text: re.sub(r"[^,\n]+", r'"\g<0>"', text).replace(".", ","),
+    "a separator that is told": lambda text: "sep=;\n" + text.replace(",", ";"),
+    "bars and lines of Windows": lambda text: text.replace(",", "|").replace("\n", "\r\n"),
+    "a row of units": lambda text: text.replace("_deg", "").replace(
+        "\n", "\ndeg,[deg],degrees,(deg),1/sr,1/sr,1/sr\n", 1
+    ),
+    "units in brackets": lambda text: text.replace("_deg", " [deg]"),
+    "rows without values": lambda text: text + "\n,,,,,,\n",
+    "a negative theta": lambda text: text.replace("40,180", "-40,0").replace("-10.5,20", "10.5,-160"),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_tables_as_spreadsheets_write_them(tmp_path: Path, dialect: str, encoding: str) -> None:
+    text = f"{HEAD}\n30.25,0,40,180,0.125,0.25,0.5\n30,0,-10.5,20,0.1,1e-3,0.3"
+    (tmp_path / "plain.csv").write_text(text)
+    (tmp_path / "other.csv").write_text(DIALECTS[dialect](text), encoding, newline="")
+    plain, other = (gonio.read_pairs(tmp_path / f"{name}.csv") for name in ("plain", "other"))
+    assert len(plain.wi) == 2
+    for expected, found in zip(plain, other, strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+    assert gonio.has_few(tmp_path)
+
+
+def test_noise_below_zero_is_cut_and_said_once(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join([HEAD, ROW, ROW.replace("0.2", "-1e-5").replace("30,180", "35,180")]))
+    with pytest.warns(UserWarning, match=r"a\.csv: 1 of 6 values below 0, down to -1e-05 /sr, expected 0") as caught:
+        pairs = [gonio.read_pairs(file) for _ in range(2)]
+    assert pairs[1].reflectance[1].tolist() == [0.1, 0, 0.3]
+    assert len(caught) == 1
+
+
 def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
     file = write()
     lines = file.read_text().splitlines()
@@ -169,12 +208,14 @@ def test_a_file_that_is_too_large_says_how_many_rows_to_keep(tmp_path: Path) -> 
         (HEAD + "\n" + ROW.replace("0.2", "much"), "line 2: 'much', expected a number"),
         (HEAD + "\n# c\n" + ROW.replace("0.2", "-0.2"), "line 3: g -0.2, expected 0 to"),
         (HEAD + "\n" + ROW.replace("0.2", ""), "line 2: g nan"),
-        (HEAD + "\n" + ROW.replace("30,180", "130,180"), "line 2: theta_o 130 deg, expected 0 to 90"),
-        (HEAD.replace("deg", "rad") + "\n" + ROW, "line 2: theta_i 30 rad, expected 0 to 1.5708"),
+        (HEAD + "\n" + ROW.replace("30,180", "130,180"), "line 2: theta_o 130 deg, expected -90 to 90"),
+        (HEAD.replace("deg", "rad") + "\n" + ROW, "line 2: theta_i 30 rad, expected -1.5708 to 1.5708"),
         (HEAD + ",r\n" + ROW + ",1", "two columns 'r'"),
+        (HEAD + "\n" + ROW + "\n" + "1," * (2**19 + 1), "line 3: more than 1,048,576 characters, expected a row"),
+        (HEAD + "\n" + "1" * 2**18, "line 2: 1 numbers, expected 7"),
         (HEAD[:-6] + ",500nm,600nm\n" + ROW[:-4], "2 wavelengths from 500 to 600 nm, expected 4"),
         (HEAD + "\n" + "\n".join([ROW] * 200), "different pairs of directions: 1 of 200, expected 4 or more"),
-        (b"\xff\xfe\x00", "no text in UTF-8"),
+        (b"\xff\xfe\x00", "no text in UTF-8 or UTF-16"),
     ],
 )
 def test_what_is_no_such_table_is_refused_in_one_line(tmp_path: Path, text: str | bytes, words: str) -> None:
