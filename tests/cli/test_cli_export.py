@@ -56,11 +56,14 @@ def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_ridge_fit_is_distilled_where_its_input_is_given(
+def test_a_ridge_fit_is_distilled_once_where_its_input_is_given(
     metapp: Callable, neural_fits: Callable[[int], Path]
 ) -> None:
     network = neural_fits(1) / "m0"
-    run = metapp("meta", "brdf", network, "--json", "--quiet").document["out"]
+    fitted = metapp("meta", "brdf", network, "--export", "cpp,glsl,wgsl", "--json", "--quiet")
+    assert fitted.err.count("m0: distilled into the network of the format") == 1
+    run = fitted.document["out"]
+    assert len([*Path(run, "m0").glob("*/m0.*")]) == 3
     Path("moved").mkdir()
     moved = network.rename(Path("moved").absolute() / "m0")
     assert "m0: nbrdf is made of the fit and its input" in metapp("export", run, "nbrdf").error

@@ -14,11 +14,13 @@ from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
 from metapp.registry import exports_of, registry
 from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.inputs.sources import content_of
 from metapp.runs.options import fit_options
 from metapp.runs.recipes import QUICK
 from metapp.runs.reporter import number, say
 from metapp.runs.run import Run
 from metapp.storage import Document
+from metapp.storage.checkpoints import tensor_digest
 from metapp.storage.images import write_exr, write_png
 
 WRITERS = 2  # pictures compressed at a time
@@ -82,8 +84,15 @@ def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, setti
         write(surface, path, {"task": task.name, **settings})
         return
     if form.holds and set(theta) != set(form.holds):
-        theta = distilled(app, task, theta)
+        key = f"{app.name} {content_of(task)} {tensor_digest(theta)}"
+        if key not in _distilled:
+            _distilled.clear()
+            _distilled[key] = distilled(app, task, theta)
+        theta = _distilled[key]
     write(app, theta, path)
+
+
+_distilled: dict[str, Params] = {}  # of the last fit, for all forms that it is written in
 
 
 def distilled(app: App, task: Task, theta: Params) -> Params:

@@ -38,9 +38,10 @@ def theta_of(network: BrdfNetwork) -> Params:
 
 
 @pytest.mark.parametrize("name", ["nbrdf", long("featured"), long("anisotropic")])
-def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path) -> None:
+def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     theta = theta_of(NETWORKS[name])
     brdf.write_onnx(APP, theta, tmp_path / "paint")
+    assert capfd.readouterr() == ("", "")
     wi, wo = (normalize(torch.randn(5000, 3, generator=Generator().manual_seed(seed)), dim=1) for seed in (3, 4))
     wo[:, 2] = wo[:, 2].abs()
     (found,) = session(tmp_path / "paint.onnx").run(["reflectance"], {"wi": wi.numpy(), "wo": wo.numpy()})
