@@ -120,7 +120,10 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
         return checked(scene, Places.beside(path, roots), str(path.resolve()))
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        reason, builtin = str(error), path.with_name(f"{path.stem}_builtin.xml")  # as our exports have
+        if builtin.is_file():
+            reason = f"{reason.rstrip('.')}; or take {builtin.name} beside it, which needs no plugin of metapp."
+        raise ValueError(f"{path}: {reason}") from None
 
 
 def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:

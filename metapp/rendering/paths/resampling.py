@@ -83,9 +83,11 @@ def _pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, T
         if not effective and number >= DARK_BATCHES:
             break
     if effective < FEWEST_PATHS:
+        kinds = {emitter.class_name() for emitter in tracer.scene.emitters()}
+        only = " (its only light is a projector)" if kinds == {"Projector"} else ""
         raise FewPaths(
-            f"{effective:.0f} of {number * batch:,} paths meet a light, expected {FEWEST_PATHS} or more, counted by "
-            "what they carry; point the camera at surfaces that light reaches, or enlarge the lights."
+            f"{effective:.0f} of {number * batch:,} paths meet a light{only}, expected {FEWEST_PATHS} or more, counted "
+            "by what they carry; point the camera at surfaces that light reaches, turn or enlarge the lights."
         )
     return torch.cat(kept), torch.cat(weights), image.mean()
 

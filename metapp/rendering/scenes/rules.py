@@ -1,6 +1,6 @@
 """Scene dictionaries: their text, their checks, and Mitsuba's object of a checked one; imports no torch.
 
-A scene may name plugins that Mitsuba ships, names without paths, and files that were let in alone.
+A scene may name plugins that Mitsuba or metapp ships, names without paths, and files that were let in alone.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from metapp.registry import registry
 from metapp.rendering.types import Mitsuba, Scene
 from metapp.storage import Document
 
@@ -80,6 +81,11 @@ def plugins() -> frozenset[str]:
     return frozenset(path.stem for path in (own_folder() / "plugins").iterdir())
 
 
+def own_plugins() -> list[str]:
+    """Names of the BSDFs that extensions add to Mitsuba; integrators alone have help."""
+    return [name for name, entry in registry().plugins.items() if not entry.help]
+
+
 @functools.cache
 def materials() -> frozenset[str]:
     """Names of the metals that Mitsuba knows."""
@@ -92,7 +98,7 @@ def snake_case(name: str) -> str:
 
 
 def check_plugin(kind: str) -> None:
-    """Refuse all but plugins that Mitsuba ships and that paths can be traced with.
+    """Refuse all but plugins that Mitsuba ships and that paths can be traced with, and BSDFs of extensions.
 
     Args:
         kind: name of the plugin.
@@ -104,7 +110,7 @@ def check_plugin(kind: str) -> None:
         )
     if kind in _MEMORY:
         raise ValueError(f"a plugin {kind[:60]!r}, expected one that reads files; leave it out.")
-    if kind not in plugins():
+    if kind not in plugins() and kind not in own_plugins():
         raise Unsupported(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
 
 
@@ -304,6 +310,10 @@ def _is_list(value: Json, kind: str) -> bool:
 
 def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
     """A checked scene in Mitsuba, in this thread: others would write their messages to the screen."""
+    text = json.dumps(scene)
+    for name in own_plugins():
+        if name in text:
+            registry().plugins[name].load()()
     if "xml" in scene:
         return mi.load_string(scene["xml"], parallel=False)
     return mi.load_dict(_matrices(mi, scene), parallel=False)
@@ -320,6 +330,7 @@ def _matrices(mi: Mitsuba, value: Json) -> Json:
 
 
 def one_line(reason: str) -> str:
-    """Mitsuba's message of an error, in one line."""
+    """Mitsuba's message of an error, or that of an extension's BSDF alone, in one line."""
+    reason = reason.rpartition("ValueError: ")[2]
     reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", reason).strip()
     return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from data_tools.synthetic.cornell import random_scene, to_xml
 from metapp.apps.transport.app import Transport
@@ -254,3 +255,27 @@ def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.Mo
     mesh = {"type": "ply", "filename": "/etc/hostname"}
     with pytest.raises(ValueError, match=r"names the file '/etc/hostname', .* need the extension scene_files"):
         load_scene({**box, "more": mesh})
+
+
+@needs_mitsuba
+def test_our_exported_scenes_are_read_while_their_fit_lies_beside(tmp_path: Path) -> None:
+    weights = {"w1": (21, 6), "w2": (21, 21), "w3": (3, 21), "b1": (21, 1), "b2": (21, 1), "b3": (3, 1)}
+    rng = torch.Generator().manual_seed(0)
+    fit = {name: torch.rand(shape, generator=rng) * 0.1 for name, shape in weights.items()}
+    save_file(fit, tmp_path / "paint.safetensors")
+    bsdf = '<bsdf type="neural_brdf"><string name="filename" value="paint.safetensors"/></bsdf>'
+    lamp = f'<shape type="sphere"><point name="center" x="0" y="3" z="0"/>{LAMP}</shape>'
+    scene = write(tmp_path / "paint.xml", xml(CAMERA, ball(bsdf), lamp))
+    task = read_task(scene, samples=64, held=16)
+    assert torch.isfinite(task.data["samples"]).all()
+    (tmp_path / "paint.safetensors").write_bytes(b"no fit")
+    with pytest.raises(
+        ValueError, match=r"paint\.xml: no scene that Mitsuba can load: .*paint\.safetensors: not readable"
+    ):
+        read_task(scene, samples=64, held=16)
+    (tmp_path / "paint.safetensors").unlink()
+    with pytest.raises(ValueError, match=r"file not found; put it in the scene's folder\.$"):
+        read_scene(scene)
+    write(tmp_path / "paint_builtin.xml", "")
+    with pytest.raises(ValueError, match=r"put it in the scene's folder; or take paint_builtin\.xml beside it"):
+        read_scene(scene)

@@ -152,6 +152,8 @@ TWICE = SAMPLER.format("ldsampler", "float", 4).replace("/><", '/><float name="s
 ORTHOGRAPHIC = CAMERA.replace("perspective", "orthographic").replace('<float name="fov" value="45"/>', "")
 BEAM = '<emitter type="directionalarea"/>'
 SHUTTER = '<shape type="sphere"><point name="center" value="0, 0, 4"/></shape>'
+AWAY = '<lookat origin="0, 9, 0" target="0, 99, 0" up="1, 0, 0"/>'
+PROJECTOR = f'<shape type="sphere"/><emitter type="projector"><transform name="to_world">{AWAY}</transform></emitter>'
 FOG = '<shape type="cube"><medium name="interior" type="homogeneous"/></shape>'
 SMOKY = {"type": "cube", "interior": {"type": "ref", "id": "smoke"}}
 MESH = f'<shape type="obj">{NAMED.format("a.obj")}</shape>'
@@ -173,6 +175,7 @@ BAD: dict[str, tuple[str, str]] = {
     "beam.xml": (xml(f"<shape type='cube'>{BEAM}</shape>"), "an emitter DirectionalArea.*small area light"),
     "blind.xml": (xml().replace(CAMERA, ""), "no sensor, expected a perspective one"),
     "lens.xml": (xml().replace(CAMERA, ORTHOGRAPHIC), "a sensor Orthographic.*expected a perspective one"),
+    "turned.xml": (f'<scene version="3.0.0">{CAMERA}{PROJECTOR}</scene>', r"0 of [\d,]+ paths meet a light \(its only light is a projector\), expected 256 or more"),
     "closed.xml": (xml(SHUTTER), r"0 of [\d,]+ paths meet a light, expected 256 or more.*; point the camera"),
     "fog.xml": (xml(FOG), "a participating medium, 'homogeneous', expected surfaces alone: .*; leave it out of the sh"),
     "smoke.json": (in_json(SMOKY, smoke={"type": "homogeneous", "id": "other"}), "a participating medium, 'homogen"),
