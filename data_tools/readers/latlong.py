@@ -154,10 +154,23 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
 def _check_shape(subject: Path | str, height: int, width: int) -> None:
     if not is_latlong(height, width):
         raise ValueError(
-            f"{subject}: {width}x{height} px, expected a lat-long map, twice as wide as high; a photograph of a sphere "
-            "should be PNG or JPEG."
+            f"{subject}: {width}x{height} px{_layout(height, width)}, expected a lat-long map, twice as wide as high; "
+            "convert it to one; a photograph of a sphere should be PNG or JPEG."
         )
     check_size(width, height, subject)
+
+
+def _layout(height: int, width: int) -> str:
+    """The layouts of maps that have such a ratio of sides, in words; "" for none."""
+    layouts = {
+        (1, 1): "an angular map or a photograph of a sphere",
+        (4, 3): "a cross of a cube map",
+        (3, 4): "a cross of a cube map",
+        (6, 1): "a strip of a cube map's faces",
+        (1, 6): "a strip of a cube map's faces",
+    }
+    words = next((words for (wide, high), words in layouts.items() if width * high == height * wide), "")
+    return f", the shape of {words}" if words else ""
 
 
 def _light_of(radiance: Floats, space: Space, subject: Path | str, height: int) -> Tensor:

@@ -204,7 +204,10 @@ def stated(**attributes: Any) -> Callable[[Path], Path]:
 
 
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "square": (lambda folder: write(folder / "a.exr", radiance(64, 64)), "64x64 px, expected a lat-long map"),
+    "square": (lambda folder: write(folder / "a.exr", radiance(64, 64)), "64x64 px, the shape of an angular map or a"),
+    "cross": (lambda folder: write(folder / "a.exr", radiance(96, 128)), "128x96 px, the shape of a cross of a cube m"),
+    "strip": (lambda folder: write(folder / "a.exr", radiance(64, 384)), "384x64 px, the shape of a strip of a cube "),
+    "no shape": (lambda folder: write(folder / "a.exr", radiance(64, 99)), "99x64 px, expected a lat-long map"),
     "tiny": (
         lambda folder: write(folder / "a.exr", radiance(4, 8)),
         "8x4 px, expected 32 px or more on the short side",
