@@ -175,7 +175,10 @@ BAD: dict[str, tuple[str, str]] = {
     "beam.xml": (xml(f"<shape type='cube'>{BEAM}</shape>"), "an emitter DirectionalArea.*small area light"),
     "blind.xml": (xml().replace(CAMERA, ""), "no sensor, expected a perspective one"),
     "lens.xml": (xml().replace(CAMERA, ORTHOGRAPHIC), "a sensor Orthographic.*expected a perspective one"),
-    "turned.xml": (f'<scene version="3.0.0">{CAMERA}{PROJECTOR}</scene>', r"0 of [\d,]+ paths meet a light \(its only light is a projector\), expected 256 or more"),
+    "turned.xml": (
+        f'<scene version="3.0.0">{CAMERA}{PROJECTOR}</scene>',
+        r"0 of [\d,]+ paths meet a light \(its only light is a projector\), expected 256 or more",
+    ),
     "closed.xml": (xml(SHUTTER), r"0 of [\d,]+ paths meet a light, expected 256 or more.*; point the camera"),
     "fog.xml": (xml(FOG), "a participating medium, 'homogeneous', expected surfaces alone: .*; leave it out of the sh"),
     "smoke.json": (in_json(SMOKY, smoke={"type": "homogeneous", "id": "other"}), "a participating medium, 'homogen"),
