@@ -5,14 +5,13 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from metapp.evaluation.style import COLOURS, MUTED, STYLE, save
+from metapp.evaluation.style import COLOURS, MUTED, STYLE, label, save
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Table, text_of
 from metapp.evaluation.tables.convergence import CURVES, trace_records
@@ -21,7 +20,6 @@ from metapp.storage.files import write_bytes
 
 MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
 TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
-OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 
 Captioned = tuple[Figure, str]  # a figure, and its description in words for those who read it or hear it
 
@@ -48,19 +46,17 @@ def plane(subject: Subject) -> Captioned | None:
         reach = [[row["error"] - row["low"]], [row["high"] - row["error"]]]
         size, place = 12 if name == "meta" else 7, (row["seconds"], row["error"])
         axis.errorbar(*place, yerr=reach, capsize=2, fmt=MARKERS[name], color=COLOURS[name], markersize=size)
-        axis.annotate(TITLES[name], place, OFFSETS.get(name, (6, 6)), textcoords="offset points", fontsize=8)
     baselines = [row for name in registry().tables for row in subject.table(name).rows if row.get("baseline")]
     others = [row for row in baselines if None not in (row["error"], row["seconds"])]
-    turned: Any = {"rotation": 40, "rotation_mode": "anchor"}  # so that names of neighbours part
     for row in others:
-        place = row["seconds"], row["error"]
-        axis.plot(*place, "x", color=MUTED, markersize=5)
-        axis.annotate(row["paradigm"], place, (2, 3), textcoords="offset points", fontsize=6, color=MUTED, **turned)
+        axis.plot(row["seconds"], row["error"], "x", color=MUTED, markersize=5)
     axis.set_xscale("log")
     axis.invert_xaxis()
     axis.invert_yaxis()
-    axis.margins(x=0.18, y=0.12)
+    axis.margins(x=0.28, y=0.12)
     named = [*((TITLES[name], row) for name, row in rows.items()), *((row["paradigm"], row) for row in others)]
+    looks = [{"fontsize": 8}] * len(rows) + [{"fontsize": 6, "color": MUTED}] * len(others)
+    label(axis, [(name, (row["seconds"], row["error"]), look) for (name, row), look in zip(named, looks, strict=True)])
     figures = ", ".join(f"{name} {row['error']:.3f} in {row['seconds']:.3g} s" for name, row in named)
     return figure, f"{subject.title}: mean error over seconds of inference. {figures}."
 

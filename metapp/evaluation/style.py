@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from metapp.storage.files import write_atomically
 
@@ -19,6 +25,9 @@ COLOURS = {
     "meta": "#D55E00",
 }
 MUTED = "#666666"
+MARKER = 5  # px, half the side of a place
+REACHES = (7, 16, 26, 36)  # points from a place to its name
+ANGLES = [math.radians(degrees) for degrees in (35, -35, 145, -145, 90, -90, 0, 180)]
 STYLE: Any = {
     "axes.axisbelow": True,
     "axes.grid": True,
@@ -39,3 +48,33 @@ def save(figure: Figure, path: Path) -> Path:
     with rc_context(STYLE):
         write_atomically(path, functools.partial(figure.savefig, metadata=metadata))
     return path
+
+
+def label(axis: Axes, names: Sequence[tuple[str, tuple[float, float], Mapping[str, Any]]]) -> None:
+    """Write names beside places, each as near as it covers neither a place nor another name; far ones have a line.
+
+    Args:
+        axis: whose limits are final.
+        names: each with its place, in data coordinates, and its look, as of `Axes.annotate`.
+    """
+    figure = axis.get_figure(root=True)
+    assert figure is not None
+    figure.draw_without_rendering()
+    centres = [axis.transData.transform(place) for _, place, _ in names]
+    taken = [Bbox.from_extents(*(centre - MARKER), *(centre + MARKER)) for centre in centres]
+    for name, place, look in names:
+        for reach, angle in itertools.product(REACHES, ANGLES):
+            x, y = reach * math.cos(angle), reach * math.sin(angle)
+            line = {"arrowstyle": "-", "linewidth": 0.4, "color": MUTED} if reach > REACHES[0] else None
+            side = "center" if abs(x) < 1 else "left" if x > 0 else "right"
+            options: Any = {"textcoords": "offset points", "ha": side, "va": "center", "arrowprops": line} | dict(look)
+            note = axis.annotate(name, place, (x, y), **options)
+            note.get_window_extent()  # which moves the text, and is of text and line
+            box = Text.get_window_extent(note)
+            is_inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and box.y1 <= axis.bbox.y1
+            if is_inside and not any(box.overlaps(other) for other in taken):
+                break
+            note.remove()
+        else:
+            note = axis.annotate(name, place, (REACHES[0], 0), textcoords="offset points", **look)
+        taken.append(box)

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.measured_pairs import Pairs
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.evaluation.style import COLOURS, MUTED, STYLE
+from metapp.evaluation.style import COLOURS, MUTED, STYLE, label
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.network import NETWORK, linear, slope_of
 from metapp.learning.task import Params
@@ -78,6 +78,7 @@ def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
         axis.set_rlim(0, 90)
         axis.set_rticks([30, 60, 90], ["30", "60", "90 degrees"])
         axis.set_thetagrids(range(0, 360, 45))
+        names: list[tuple[str, tuple[float, float], dict[str, int]]] = []
         for *vectors, first, second, number in pairs:
             (a, r), (b, s) = (
                 (math.atan2(y, x), math.degrees(math.acos(min(1.0, z)))) for x, y, z in (v.tolist() for v in vectors)
@@ -86,10 +87,11 @@ def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
             axis.plot([a], [r], "o", color=first, markersize=5, zorder=3)
             axis.plot([b], [s], "s", color=second, markersize=4, zorder=2)
             if number:
-                axis.annotate(number, (a, r), xytext=(4, 3), textcoords="offset points", fontsize=7)
+                names.append((number, (a, r), {"fontsize": 7}))
         axis.plot([], [], "o", color=light, markersize=5, label="light")
         axis.plot([], [], "s", color=detector, markersize=4, label="detector")
         if len(before.wi):
             axis.plot([], [], "o", color=MUTED, markersize=5, label="measured before")
         figure.legend(loc="outside lower center", ncols=3)
+        label(axis, names)
     return figure

@@ -1,12 +1,16 @@
 """The figures and the report of `metapp evaluate`: tables as Markdown, which links to the figures."""
 
+import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from metapp.evaluation.figures import FIGURES
+from metapp.evaluation.style import label
 from metapp.registry import registry
 
 
@@ -43,3 +47,15 @@ def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, t
     assert not {"Methods without a network", "Error and time"} & set(headings(text))
     folders = {folder.name.split("-")[0] for folder in (tmp_path / "runs" / "brdf").iterdir()}
     assert folders == {"general", "meta", "quickft"}
+
+
+def test_names_of_crowded_places_do_not_overlap() -> None:
+    axis = Figure().subplots()
+    places = [(0.5 + 0.02 * (i % 3), 0.5 + 0.02 * (i // 3)) for i in range(9)]
+    axis.plot(*zip(*places, strict=True), "o")
+    axis.set(xlim=(0, 1), ylim=(0, 1))
+    label(axis, [(f"name {i}", place, {"fontsize": 7}) for i, place in enumerate(places)])
+    boxes = [Text.get_window_extent(note) for note in axis.texts]
+    assert len(boxes) == 9
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+    assert all(axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 for box in boxes)
