@@ -23,7 +23,7 @@ from typing import IO, TYPE_CHECKING, Any
 from metapp.options import BadOption
 from metapp.runs.reporter import Bar, Reporter, reporting
 from metapp.storage import Document
-from metapp.storage.files import as_text
+from metapp.storage.files import FULL, as_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -234,6 +234,9 @@ def what_failed(error: Exception) -> str:
     """
     if os.environ.get("METAPP_TRACEBACK"):
         raise error
+    # files are named by whoever writes them
+    if isinstance(error, OSError) and error.errno in FULL and error.strerror and error.filename is None:
+        return f"standard output: {error.strerror}; print to another file."
     foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
     what = str(error) or type(error).__name__
     cut = what if len(what) < 150 else f"{what[:147]}..."  # libraries say pages

@@ -167,13 +167,13 @@ def naming(path: Path) -> Iterator[None]:
         place = Path(str(error.filename or path)).parent
         if not error.errno or (place != path.parent and not place.name.startswith(PARTIAL)):
             raise
-        room = "free some space or choose another folder" if error.errno in _FULL else "choose another folder"
+        room = "free some space or choose another folder" if error.errno in FULL else "choose another folder"
         named = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {room}.")
         named.errno = error.errno
         raise named from error
 
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def _sync(path: Path, mode: int) -> None:

@@ -45,6 +45,17 @@ def test_a_reader_that_goes_away_ends_a_command_quietly(
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+@pytest.mark.parametrize("flush", [False, True])
+def test_a_full_standard_output_is_named(
+    flush: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert run(lambda: print("a line", flush=flush)) == 1
+    assert capsys.readouterr().err == "error: standard output: No space left on device; print to another file.\n"
+
+
 def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
     """As --show-completion does; only a broken pipe counts as output that nobody read."""
     with pytest.raises(SystemExit) as ended:
