@@ -126,23 +126,24 @@ def test_help_and_python_have_it_until_it_is_broken_which_is_said_or_uninstalled
     assert installed.run(MAIN, "meta", "curve").returncode != 0
 
 
-# The smallest extensions of docs/developers/extend.md, as modules of a package beside metapp
+# The smallest extensions of docs/developers/extend.md
 
 
 PAGE = ROOT / "docs" / "developers" / "extend.md"
 
 
 @pytest.mark.usefixtures("compiled")
-def test_a_rule_a_baseline_and_an_export_of_the_page_work(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+def test_the_blocks_of_the_page_work_as_one_package(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+    """Installed as a reader would, with all modules in one folder."""
     (neural_fits(1) / "m0").rename(tmp_path / "gold")
-    packages = tmp_path / "packages"
-    info = packages / "mine-0.1.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 0.1\n")
-    names = ("damped", "mine")
-    (info / "entry_points.txt").write_text("[metapp.extensions]\n" + "".join(f"{name} = {name}\n" for name in names))
-    for name, text in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", PAGE.read_text(), re.DOTALL):
-        (packages / name).write_text(text)
+    package = tmp_path / "package"
+    package.mkdir()
+    blocks = re.findall(r"```(\w+)\n(?:# (\w+\.\w+)\n)?(.*?)```", PAGE.read_text(), re.DOTALL)
+    for _, name, text in blocks:
+        assert name
+        (package / name).write_text(text)
+    installed = Environment(tmp_path / "env")
+    installed.pip("install", "--quiet", "--no-deps", "--no-build-isolation", "--editable", str(package))
     quick = ("--recipe", "quick", "--quiet")
     said = many_commands(
         ("data", "synth", "brdf", "--count", 5, "--out", "set", "--quiet"),
@@ -150,9 +151,11 @@ def test_a_rule_a_baseline_and_an_export_of_the_page_work(neural_fits: Callable[
         ("meta", "brdf", "--help"),
         ("baseline", "brdf", "gold", "--method", "mean", "--json", "--quiet"),
         ("general", "brdf", "gold", "--export", "text", "--out", "runs", *quick),
+        ("overfit", "brdf", "gold", "--recipe", "robust", "--steps", 200, "--json", "--quiet"),
+        ("general", "brdf", "--data", "set", "--recipe", "robust", "--train", "--train-steps", 2, "--json", "--quiet"),
         folder=tmp_path,
+        python=installed.python,
         METAPP_WITHOUT="native",  # torch would compile the rule, for a minute
-        PYTHONPATH=os.pathsep.join(filter(None, [str(packages), str(ROOT), os.environ.get("PYTHONPATH", "")])),
     )
     fit = json.loads(said[1])
     assert fit["rule"] == "meta-damped"
@@ -161,3 +164,5 @@ def test_a_rule_a_baseline_and_an_export_of_the_page_work(neural_fits: Callable[
     assert 0 < json.loads(said[3])["tasks"][0]["error"] < 100
     (file,) = (tmp_path / "runs").rglob("text/gold.txt")
     assert "w1 (21, 6)" in file.read_text()
+    assert 0 < json.loads(said[5])["error"] < 10
+    assert json.loads(said[6])["error"] > 0
