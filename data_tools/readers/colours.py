@@ -1,56 +1,87 @@
 """The colours of image files: which space a file states, and any space as linear Rec.709.
 
 Integers are taken as sRGB and floating-point values as linear Rec.709, unless the file states another space: by an ICC
-profile of a known name, such as Display P3 of many phones, by primaries (`chromaticities` of EXR), or by a name that
-OpenColorIO knows. White stays white (Bradford).
+profile, which Little CMS converts, by primaries (`chromaticities` of EXR, PRIMARIES of Radiance, cHRM and gAMA of PNG),
+by EXIF, or by a name that OpenColorIO knows, such as of cICP of PNG. White stays white (Bradford).
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Sequence
+import itertools
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from metapp.appearance.colorimetry import colour_science
-from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio
+    from PIL.Image import Exif
 
 Array = NDArray[Any]
 Floats = NDArray[np.floating]
-Space = str | Floats  # OpenColorIO's name, or the matrix [3, 3] of linear colours to Rec.709
+
+
+class Profile(NamedTuple):
+    """An ICC profile of encoded colours: its description, and its conversion of uint8 [rows, columns, 3] to sRGB."""
+
+    name: str
+    convert: Callable[[Array], Array]
+
+
+class Primaries(NamedTuple):
+    """The matrix [3, 3] of linear colours to Rec.709, and their encoding: a power, 1 for none, 0 for sRGB's curve."""
+
+    matrix: Floats
+    power: float = 1.0
+
+
+Space = str | Primaries | Profile  # or OpenColorIO's name
 
 SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
 
 _CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
-_PROFILES = {"Display P3": "srgb_p3d65_scene", "Adobe RGB (1998)": "g22_adobergb_scene"}
 _UNSTATED = ("", "unknown", "data", "raw", "rec709")  # say nothing of primaries, or those that are expected
 _REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+_PQ_WHITE = 2.03  # in 100 cd/m^2 (ITU-R BT.2408)
+_SAME = 1  # levels of 255 by which conversions of one space differ
 
 
-def space_of_file(spec: oiio.ImageSpec, path: Path) -> Space:
-    """The space of the colours of an open file.
+def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] = ()) -> Space:
+    """The space of the colours of an open file; a warning of one that cannot be converted.
+
+    Args:
+        spec: the file's.
+        path: the file.
+        primaries: x, y of red, green, blue, white that it states elsewhere than in `chromaticities`.
 
     Raises:
         ValueError: floating-point values in a space that is not known, or of primaries that do not differ.
     """
     import OpenImageIO as oiio
+    from PIL import Image
 
-    is_float = str(spec.format) in ("half", "float", "double")
-    profile = spec.get_string_attribute("ICCProfile:profile_description")
-    if profile in _PROFILES:
-        return _PROFILES[profile]
-    primaries = spec.getattribute("chromaticities")
-    if primaries is not None and is_float:
-        is_rec709 = np.abs(np.subtract(primaries, _REC709_XY)).max() <= 1e-3
-        return LINEAR if is_rec709 else _from_primaries(primaries, path)
+    is_float, codes = str(spec.format) in ("half", "float", "double"), spec.getattribute("CICP")
+    profile = spec.getattribute("ICCProfile")
+    if profile is not None and codes is None:  # which come first
+        return _of_profile(bytes(profile), path)
+    primaries = primaries or spec.getattribute("chromaticities") or ()
+    if primaries and is_float:
+        return _of_primaries(primaries, 1.0, path)
+    if not is_float and codes is None:  # Pillow reads more of PNG and EXIF
+        info, is_adobe = dict[Any, Any](), False
+        with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+            info, is_adobe = image.info, states_adobe(image.getexif())
+        if space := space_of_info(info, path, is_adobe):
+            return space
     stated: str = spec.get_string_attribute("oiio:ColorSpace")
     if stated.lower() not in _UNSTATED:
         if oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0:
@@ -60,17 +91,64 @@ def space_of_file(spec: oiio.ImageSpec, path: Path) -> Space:
                 f"{path}: colours in {stated[:40]!a}, expected a known space, such as linear Rec.709 or ACEScg; "
                 "export the image with linear colours."
             )
+        if codes is not None:
+            return _taken_as_srgb(path, f"in {stated[:40]!a}")
     return LINEAR if is_float else SRGB
 
 
-def space_of_profile(profile: bytes | None) -> Space:
-    """The space that an ICC profile names; sRGB without one, and of one that is damaged or not known."""
-    from PIL import ImageCms
+def states_adobe(exif: Exif) -> bool:
+    """True if EXIF states Adobe RGB, as cameras do without a profile."""
+    return exif.get_ifd(0xA005).get(1) == "R03" or exif.get_ifd(0x8769).get(0xA001) == 2
 
-    with contextlib.suppress(ImageCms.PyCMSError, OSError, TypeError):
-        if profile:
-            name = str(ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))).strip()
-            return _PROFILES.get(name, SRGB)
+
+def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) -> Space | None:
+    """The space that the `info` of a picture of PIL or its EXIF state, if any; `subject` begins warnings."""
+    if profile := info.get("icc_profile"):
+        return _of_profile(profile, subject)
+    gamma, white_first = info.get("gamma"), info.get("chromaticity")
+    if "srgb" not in info and (gamma or white_first):
+        xy = (*white_first[2:], *white_first[:2]) if white_first else _REC709_XY
+        return _of_primaries(xy, 1 / gamma if gamma else 0.0, subject)
+    return "g22_adobergb_scene" if is_adobe else None
+
+
+def _of_profile(data: bytes, subject: Path | str) -> Space:
+    """The space of an ICC profile: sRGB and linear ones by their names, so that floating-point values stay."""
+    from PIL import Image, ImageCms
+
+    name, srgb = "damaged", cast(Any, ImageCms.createProfile("sRGB"))
+    try:
+        stated = ImageCms.ImageCmsProfile(io.BytesIO(data))
+        name = ImageCms.getProfileDescription(stated).strip()[:60]
+        mode = {"RGB": "RGB", "GRAY": "L"}[stated.profile.xcolor_space.strip()]
+        relative = ImageCms.Intent.RELATIVE_COLORIMETRIC
+        transform = ImageCms.buildTransform(stated, srgb, mode, "RGB", relative)
+    except (ImageCms.PyCMSError, OSError, TypeError, KeyError):
+        return _taken_as_srgb(subject, f"by the profile {name!a}")
+
+    def convert(levels: Array) -> Array:
+        picture = Image.fromarray(np.ascontiguousarray(levels if mode == "RGB" else levels[..., 0]))
+        return np.asarray(transform.apply(picture))
+
+    lattice = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), -1).reshape(18, -1, 3)
+    shown = convert(lattice).astype(np.int32)
+    if np.abs(shown - lattice).max() <= _SAME:
+        return SRGB
+    if stated.profile.is_matrix_shaper and mode == "RGB":
+        own, to_xyz = (
+            np.array([each.red_colorant[0], each.green_colorant[0], each.blue_colorant[0]], np.float32).T
+            for each in (cast(Any, stated.profile), srgb)
+        )
+        linear = Primaries(np.linalg.solve(to_xyz, own))
+        expected = linear_to_srgb(torch.from_numpy(linear_rgb(lattice, linear).clip(0, 1))).numpy() * 255
+        if np.abs(shown - expected).max() <= _SAME:
+            return linear
+    return Profile(name, convert)
+
+
+def _taken_as_srgb(subject: Path | str, stated: str) -> str:
+    found = f"{subject}: colours {stated}, which cannot be converted, are taken as sRGB; export it as sRGB."
+    warnings.warn(found, stacklevel=2)
     return SRGB
 
 
@@ -78,22 +156,39 @@ def is_linear(space: Space) -> bool:
     """True if light adds up in a space."""
     import OpenImageIO as oiio
 
+    if not isinstance(space, str):
+        return isinstance(space, Primaries) and space.power == 1
     config = oiio.ColorConfig(_CONFIG)
-    return not isinstance(space, str) or config.isColorSpaceLinear(config.resolve(space))
+    return config.isColorSpaceLinear(config.resolve(space))
 
 
 def linear_rgb(values: Array, space: Space) -> Floats:
     """Stored colours, uint8, uint16 or float [rows, columns, 3], as linear Rec.709, float32, which may leave [0, 1]."""
-    if not isinstance(space, str):
-        return fraction(values) @ space.T
+    if isinstance(space, Profile):
+        return _by_profile(values, space.convert)
+    if isinstance(space, Primaries):
+        linear = fraction(values) if space.power else linear_rgb(values, SRGB)
+        return (linear if space.power in (0, 1) else linear.clip(0) ** np.float32(space.power)) @ space.matrix.T
     if space == SRGB and values.dtype.kind == "u":
         levels = torch.linspace(0, 1, np.iinfo(values.dtype).max + 1, dtype=torch.float64)
         return srgb_to_linear(levels).float().numpy()[values]
     floats = fraction(values)
     if space == SRGB:
-        linear: Floats = srgb_to_linear(torch.from_numpy(floats)).numpy()
-        return linear
+        return srgb_to_linear(torch.from_numpy(floats)).numpy()
     return floats if space == LINEAR else _converted(floats, space)
+
+
+def _by_profile(values: Array, convert: Callable[[Array], Array]) -> Floats:
+    """Linear colours, of more than 8 bits interpolated between those of 8 bits; floats in [0, 1]."""
+    if values.dtype == np.uint8:
+        return linear_rgb(convert(values), SRGB)
+    place = fraction(values).clip(0, 1) * 255
+    low = np.nan_to_num(place).astype(np.uint8)
+    total = np.zeros(values.shape, np.float32)
+    for corner in np.array(list(itertools.product((0, 1), repeat=3)), np.uint16):
+        weight = np.where(corner, place - low, 1 - place + low).prod(-1, keepdims=True)
+        total += weight * linear_rgb(convert((low + corner).clip(max=255).astype(np.uint8)), SRGB)
+    return total
 
 
 def fraction(values: Array) -> Floats:
@@ -108,18 +203,24 @@ def _converted(values: Floats, space: str) -> Floats:
     done = oiio.ImageBufAlgo.colorconvert(image, space, LINEAR, colorconfig=_CONFIG)
     linear = done.get_pixels(oiio.FLOAT)
     assert linear is not None, done.geterror()  # `space_of_file` names known ones only
-    return linear
+    return linear / (_PQ_WHITE if space.startswith("pq_") else 1)
 
 
-def _from_primaries(xy: Sequence[float], path: Path) -> Floats:
-    """The matrix [3, 3] of linear colours of these primaries (red, green, blue, white) to Rec.709, white to white."""
+def _of_primaries(xy: Sequence[float], power: float, subject: Path | str) -> Space:
+    """The space of these primaries (red, green, blue, white), encoded by a power, as of `Primaries`."""
+    is_rec709 = np.abs(np.subtract(xy, _REC709_XY)).max() <= 1e-3
+    if is_rec709 and power in (0, 1):
+        return LINEAR if power else SRGB
     colour = colour_science()
     source = colour.RGB_Colourspace("stated", np.reshape(xy[:6], (3, 2)), np.array(xy[6:]))
     try:
-        matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
+        with np.errstate(all="ignore"):
+            matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
+        if not np.isfinite(matrix).all():
+            raise np.linalg.LinAlgError
     except np.linalg.LinAlgError:
         shown = ", ".join(f"{number:.3g}" for number in xy[:6])
         raise ValueError(
-            f"{path}: chromaticities {shown}, expected three primaries that differ; export the image again."
+            f"{subject}: chromaticities {shown}, expected three primaries that differ; export the image again."
         ) from None
-    return np.asarray(matrix, np.float32)
+    return Primaries(np.asarray(matrix, np.float32), power)

@@ -10,14 +10,24 @@ import importlib.util
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from data_tools.readers.colours import Array, Floats, Space, fraction, linear_rgb, space_of_file, space_of_profile
+from data_tools.readers.colours import (
+    SRGB,
+    Array,
+    Floats,
+    Space,
+    fraction,
+    linear_rgb,
+    space_of_file,
+    space_of_info,
+    states_adobe,
+)
 from metapp.storage.files import check_readable, open_regular
 
 if TYPE_CHECKING:
@@ -35,6 +45,9 @@ NAMED = (*SUFFIXES, *_RAW, *_HEIF)
 EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
 _BEAUTY = ("COMBINED", "BEAUTY", "RGBA")  # names that renderers give the layer of the picture itself
+_DEPTH = {"Z", "ZBACK", "DEPTH"}
+_MISSING = 0.01  # of a map's solid angle
+_HEADER_BYTES = 2**14  # of Radiance
 _MIN_SIDE, _MAX_PIXELS = 32, 2**28
 _ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
 _REASON = 120  # characters of a library's message
@@ -59,16 +72,16 @@ class Pixels(NamedTuple):
     is_premultiplied: bool
     focal_mm: float = 0.0
 
-    def linear(self, rows: slice = slice(None)) -> Floats:
-        """Some rows in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
+    def linear(self, rows: slice = slice(None), high: float = 1.0) -> Floats:
+        """Some rows in linear light, in [0, high], float32; with alpha, colours are multiplied by it."""
         stored = self.values[rows]
         if stored.shape[-1] == 3:
-            return linear_rgb(stored, self.space).clip(0, 1)
+            return linear_rgb(stored, self.space).clip(0, high)
         values = fraction(stored)
         colours, alpha = values[..., :3], values[..., 3:].clip(0, 1)
         if self.is_premultiplied:  # in the file's encoding, which does not commute with it
             colours = colours / np.maximum(alpha, 1e-6)
-        return np.concatenate([linear_rgb(colours, self.space).clip(0, 1) * alpha, alpha], axis=-1)
+        return np.concatenate([linear_rgb(colours, self.space).clip(0, high) * alpha, alpha], axis=-1)
 
 
 def check_exists(path: Path) -> None:
@@ -105,6 +118,7 @@ def open_image(path: Path) -> oiio.ImageInput:
         raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
     if source is None:
         reason = reason_of(error_of(oiio), path)  # also told where it is not shown, else it appears as Python ends
+        _radiance_header(path)
         if path.suffix.lower() in _HEIF:
             raise ValueError(to_export(path))
         raise ValueError(f"{path}: not an image ({reason}), {EXPECTED}; check the file or export it again.")
@@ -128,7 +142,7 @@ def shape_of(path: Path) -> tuple[int, int]:
         height, width, _ = read_pixels(path).values.shape
         return height, width
     with opened(path) as source:
-        return source.spec().height, source.spec().width
+        return _display_window(source)[:2]
 
 
 def to_export(path: Path) -> str:
@@ -138,35 +152,95 @@ def to_export(path: Path) -> str:
     return f"{path}: {kind}, {EXPECTED}; export it as JPEG or PNG{remedy}."
 
 
-def read_pixels(path: Path) -> Pixels:
-    """A whole file, upright, as it is encoded.
+def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
+    """What a file shows, upright, as it is encoded.
+
+    Args:
+        path: the file.
+        layer: of an EXR, as of `_find_layer`.
+        is_map: a lat-long map, of whose solid angle 1 % may be missing, which is black.
 
     Raises:
         ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than 2^28
-            px; deep pixels; channels other than gray or RGB, of several layers as of `_channels`; floating-point values
-            in a space that is not known.
+            px; deep pixels, missing ones; channels and layers as of `_find_layer`; floating-point values in a space
+            that is not known.
     """
     check_exists(path)
     if is_heif(path):
         return _read_heif(path)
     with opened(path) as source:
-        spec = source.spec()
-        check_size(spec.width, spec.height, path)
+        part, channels = _find_layer(source, layer, path)
+        source.seek_subimage(part, 0)
+        spec, first = source.spec(), min(channels)
+        height, width, top, left = window = _display_window(source)
+        check_size(width, height, path)
         check_memory(spec, path)
-        channels = _channels(spec, path)
-        space = space_of_file(spec, path)
-        kind, first = str(spec.format), min(channels)
-        values = source.read_image(0, 0, first, max(channels) + 1, kind if kind in ("uint8", "uint16") else "float")
+        _check_missing(spec, window, path, _MISSING if is_map else 0.0)
+        exposure, primaries = _radiance_header(path) if source.format_name() == "hdr" else (None, [])
+        space = space_of_file(spec, path, primaries)
+        kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
+        values = source.read_image(part, 0, first, max(channels) + 1, kind)
         problem = error_of(source)
         focal_mm = float(max(0, spec.get_int_attribute("Exif:FocalLengthIn35mmFilm", 0)))
     if values is None or problem:
+        repack = "" if exposure is None else ", or write one of old run lengths again by Radiance's pfilt -1"
         raise ValueError(
             f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole image; copy or download it "
-            "again."
+            f"again{repack}."
         )
+    values = values[..., [channel - first for channel in channels]]
+    if window != (*values.shape[:2], 0, 0):
+        whole = np.zeros((height, width, len(channels)), values.dtype)
+        inside = values[max(0, -top) : height - top, max(0, -left) : width - left]
+        whole[max(0, top) : top + len(values), max(0, left) : left + values.shape[1]] = inside
+        values = whole
+    if exposure is not None:
+        values = values / exposure
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
-    is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
-    return Pixels(upright[..., [channel - first for channel in channels]], space, is_premultiplied, focal_mm)
+    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), focal_mm)
+
+
+def _display_window(source: oiio.ImageInput) -> tuple[int, int, int, int]:
+    """Height and width of what a file shows, and the row and column in it of the first pixel that the file holds."""
+    spec = source.spec()
+    if source.format_name() not in ("openexr", "tiff"):  # offsets of others are places on a page
+        return spec.height, spec.width, 0, 0
+    return spec.full_height, spec.full_width, spec.y - spec.full_y, spec.x - spec.full_x
+
+
+def _check_missing(spec: oiio.ImageSpec, window: tuple[int, int, int, int], path: Path, limit: float) -> None:
+    """Refuse a file that lacks pixels of its display window, by more than a share of a lat-long map's solid angle."""
+    height, width, top, left = window
+    weights = np.sin(np.pi * (np.arange(height) + 0.5) / height)
+    rows = weights[max(0, top) : max(0, top + spec.height)].sum() / weights.sum()
+    columns = max(0, min(width, left + spec.width) - max(0, left)) / width
+    if rows * columns < 1 - max(limit, 1e-9):
+        raise ValueError(
+            f"{path}: a data window of {spec.width}x{spec.height} px at {spec.x},{spec.y}, expected all of the display "
+            f"window, {width}x{height} px at {spec.full_x},{spec.full_y}; export it uncropped."
+        )
+
+
+def _radiance_header(path: Path) -> tuple[Floats, list[float]]:
+    """What the values of a Radiance picture were multiplied by, [3], and its primaries, as `chromaticities` of EXR.
+
+    Raises:
+        ValueError: colours in XYZ, numbers that cannot be.
+    """
+    with open_regular(path) as stream:
+        head = stream.read(_HEADER_BYTES).partition(b"\n\n")[0].decode("latin-1")
+    stated = re.findall(r"(?m)^(FORMAT|EXPOSURE|COLORCORR|PRIMARIES) *= *(.*)$", head if head[:2] == "#?" else "")
+    if ("FORMAT", "32-bit_rle_xyze") in stated:
+        raise ValueError(f"{path}: colours in XYZ, expected RGB; convert it, such as by Radiance's ra_xyze -r.")
+    try:
+        numbers = [(name, np.array(text.split(), np.float32)) for name, text in stated if name != "FORMAT"]
+        factors = [np.resize(each, 3) for name, each in numbers if name != "PRIMARIES"]
+        exposure, xy = np.prod([np.ones(3, np.float32), *factors], 0), dict(numbers).get("PRIMARIES", np.empty(0))
+        if not (np.isfinite(exposure).all() and exposure.min() > 0 and xy.size in (0, 8)):
+            raise ValueError
+    except ValueError:
+        raise ValueError(f"{path}: {stated!a:.90}, expected positive numbers; export it again.") from None
+    return exposure, xy.tolist()
 
 
 def _read_heif(path: Path) -> Pixels:
@@ -188,23 +262,35 @@ def _read_heif(path: Path) -> Pixels:
             values = np.asarray(source)
     except Exception as error:
         raise ValueError(_damaged(path, error)) from None
-    return _tagged(values, source.info.get("icc_profile"), source.info.get("exif"))
+    return _tagged(values, source.info, source.info.get("exif"), path)
 
 
 def pixels_of_pil(image: PilImage, name: str) -> Pixels:
     """A picture of PIL, upright, with the encoding and focal length that it states; ValueError for a damaged one."""
     from PIL import ImageOps
 
-    try:
+    exif = b""
+    with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):  # damaged EXIF says nothing
         image = ImageOps.exif_transpose(image)
+        exif = image.getexif().tobytes()
+    try:
         values = np.asarray(image.convert("RGBA" if image.has_transparency_data else "RGB"))
     except (OSError, ValueError) as error:  # PIL decodes when it must
         raise ValueError(f"{name}: a picture that PIL cannot decode ({error}), expected a whole one.") from None
-    return _tagged(values, image.info.get("icc_profile"), image.getexif().tobytes())
+    return _tagged(values, image.info, exif, name)
 
 
-def _tagged(values: Array, profile: bytes | None, exif: bytes | None) -> Pixels:
-    return Pixels(values, space_of_profile(profile), False, focal_length_of(exif))
+def _tagged(values: Array, info: Mapping[Any, Any], exif: bytes | None, subject: Path | str) -> Pixels:
+    """As the `info` and EXIF of PIL state."""
+    from PIL import Image
+
+    parsed, focal_mm, is_adobe = Image.Exif(), 0.0, False
+    # Pillow's reader of TIFF raises whatever a damaged block makes of it
+    with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
+        parsed.load(exif or b"")
+        is_adobe = states_adobe(parsed)
+        focal_mm = float(max(0, int(parsed.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
+    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB, False, focal_mm)
 
 
 def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) -> None:
@@ -221,29 +307,60 @@ def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) 
         raise ValueError(f"{path}: {found}; take a larger image.")
 
 
-def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
-    """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha.
+def _find_layer(source: oiio.ImageInput, layer: str, path: Path) -> tuple[int, list[int]]:
+    """The part of a file that holds a picture, and the channels: red, green, blue (gray thrice) and, if any, alpha.
 
-    Those without a layer count, else those of a layer of _BEAUTY, else of the first one in RGB.
+    Of layers in RGB, in all parts of an EXR, the one of channels without a prefix counts, then one of _BEAUTY, then the
+    only one; without any, the only gray one, which is not depth.
+
+    Args:
+        source: an open file; its current part changes.
+        layer: the one that counts, by its name or the end of that; "": the first. A file without layers has one anyhow.
+        path: begins errors.
+
+    Raises:
+        ValueError: no such layer, several or none that come first; deep pixels alone.
     """
-    names = [name.upper() for name in spec.channelnames]
-    if spec.deep:
+    parts = source.spec().get_int_attribute("oiio:subimages", 1) if source.format_name() == "openexr" else 1
+    found: list[tuple[tuple[bool, bool, bool], str, int, list[int]]] = []  # the order, the name, the part, the channels
+    is_deep, every = False, list[str]()
+    for part in range(parts):
+        source.seek_subimage(part, 0)
+        spec = source.spec()
+        is_deep |= spec.deep
+        # those of CIELAB are called R, G, B
+        names = ["L*", "a*", "b*"] if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB" else spec.channelnames
+        every += names
+        layers: dict[str, dict[str, int]] = {}
+        for index, name in enumerate(() if spec.deep else names):
+            prefix, _, channel = name.rpartition(".")
+            layers.setdefault(prefix, {})[channel.upper()] = index
+        for prefix, held in layers.items():
+            name = prefix or (spec.get_string_attribute("oiio:subimagename") if parts > 1 else "")
+            others = sorted(held.keys() - {"A"})
+            is_gray = len(others) == 1 and others[0] not in _DEPTH
+            if is_gray or held.keys() >= set("RGB"):
+                order = (is_gray, prefix != "", name.rpartition(".")[2].upper() not in _BEAUTY)
+                channels = [held[each] for each in (*(others * 3 if is_gray else "RGB"), "A") if each in held]
+                found.append((order, name, part, channels))
+    named = [name if name.isprintable() else ascii(name) for _, name, _, _ in found if name][:8]
+    chosen = [each for each in found if each[0] == min(found)[0]]
+    if layer and named:
+        wanted = layer.upper()
+        chosen = [each for each in found if each[1].upper() == wanted] or [
+            each for each in found if each[1].upper().endswith(f".{wanted}")
+        ]
+    if len(chosen) == 1 and not (is_deep and chosen[0][0][0]):
+        return chosen[0][2:]
+    if is_deep:
         raise ValueError(f"{path}: a deep image, expected one colour a pixel; flatten it.")
-    if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB":
-        names = ["L*", "a*", "b*"]  # called R, G, B
-    layers: dict[str, dict[str, int]] = {"": {}}
-    for index, name in enumerate(names):
-        layer, _, channel = name.rpartition(".")
-        layers.setdefault(layer, {})[channel] = index
-    for layer in sorted(layers, key=lambda layer: (layer != "", layer.rpartition(".")[2] not in _BEAUTY)):
-        if layers[layer].keys() >= {"R", "G", "B"}:
-            return [layers[layer][channel] for channel in "RGBA" if channel in layers[layer]]
-    if spec.nchannels == 1:
-        return [0, 0, 0]
-    if spec.nchannels == 2 and "A" in names:
-        alpha = names.index("A")
-        return [1 - alpha] * 3 + [alpha]
-    shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
+    if named:
+        subject = f"no single layer {layer!a} among" if layer else "layers"
+        raise ValueError(
+            f"{path}: {subject} {', '.join(named)}, expected one of them; choose it by --layer NAME, or export it "
+            "alone."
+        )
+    shown = ", ".join(name if name.isprintable() else ascii(name) for name in every[:8])
     raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
 
 
@@ -276,18 +393,6 @@ def can_read() -> bool:
 def _damaged(path: Path, error: Exception) -> str:
     reason = (str(error) or type(error).__name__).splitlines()[0][:80].replace(str(path), "").strip(" :.")
     return f"{path}: a HEIF picture that cannot be decoded ({reason}), expected a whole one; copy or download it again."
-
-
-def focal_length_of(exif: bytes | None) -> float:
-    """The focal length in mm as of 35 mm film of an EXIF block; 0 if it does not say or is damaged."""
-    from PIL import Image
-
-    parsed = Image.Exif()
-    # Pillow's reader of TIFF raises whatever a damaged block makes of it
-    with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
-        parsed.load(exif or b"")
-        return float(max(0, int(parsed.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
-    return 0.0
 
 
 @contextlib.contextmanager

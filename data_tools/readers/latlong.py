@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor
 from data_tools.draws import Rng, stream
 from data_tools.readers.arrays import pixels_of, planes_of
 from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
-from data_tools.readers.image_files import NAMED, check_exists, check_size, opened, opens, read_pixels
+from data_tools.readers.image_files import NAMED, check_exists, check_size, opened, opens, read_pixels, shape_of
 from data_tools.readers.listing import Found, files_of, find_files
 from data_tools.readers.photos import fault_of
 from metapp.appearance.latlong import mean_luminance, resample
@@ -41,9 +42,17 @@ def is_latlong(height: int, width: int) -> bool:
     return abs(width - 2 * height) <= 2
 
 
-def read_task(path: Path, rows: int = HEIGHT) -> Task:
-    """An HDR map as a task of so many rows, as `map_task`, named by the file's stem; errors as of `read_map`."""
-    return map_task(path.stem, read_map(path, rows), _draws(path.stem), rows)
+def read_task(path: Path, rows: int = HEIGHT, fov_rad: float = 0.0, observe: str = "", layer: str = "") -> Task:
+    """An HDR map as a task of so many rows, as `map_task`, named by the file's stem; errors as of `read_map`.
+
+    Args:
+        path, rows, layer: as of `read_map`.
+        fov_rad, observe: as of `task_of_object`.
+    """
+    if observe == "photo" and not is_latlong(*shape_of(path)):
+        task: Task = _photo_reader(str(path)).task_of_pixels(read_pixels(path, layer), str(path), rows, fov_rad)
+        return task._replace(name=path.stem)
+    return map_task(path.stem, read_map(path, rows, layer), _draws(path.stem), rows)
 
 
 def task_of_object(
@@ -73,12 +82,17 @@ def task_of_object(
                 f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; leave --observe "
                 "reference out if it is the photo of a ball."
             )
+    task: Task = _photo_reader(name).task_of_pixels(pixels_of(name, source), name, rows, fov_rad)
+    return task
+
+
+def _photo_reader(name: str) -> ModuleType:
+    """The reader of photographs of balls; ValueError if there is none."""
     forms = inputs_of("illumination").values()
-    readers = [files for files in (form.load() for form in forms) if hasattr(files, "task_of_pixels")]
+    readers: list[ModuleType] = [form.load() for form in forms if hasattr(form.load(), "task_of_pixels")]
     if not readers:
         raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
-    task: Task = readers[0].task_of_pixels(pixels_of(name, source), name, rows, fov_rad)
-    return task
+    return readers[0]
 
 
 def _draws(name: str) -> Rng:
@@ -127,7 +141,7 @@ def find(path: Path) -> Found:
     return find_files(path, check_exists, fault, f"no map in this folder, {_EXPECTED}; name the folder of the maps.")
 
 
-def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
+def read_map(path: str | Path, height: int = HEIGHT, layer: str = "") -> Tensor:
     """A lat-long map, averaged over solid angle: linear Rec.709 radiance, float32 [3, height, 2 * height], >= 0.
 
     Negative values become 0, if together they are less than 0.1 % of the light, and so do colours that Rec.709 cannot
@@ -137,16 +151,17 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
         ValueError: as `read_pixels`; an LDR image; not 2 : 1 (but for a row); no linear space;
             NaN, infinite or negative values; a black map.
     """
-    pixels = read_pixels(path := Path(path))
+    pixels = read_pixels(path := Path(path), layer, is_map=True)
     if pixels.values.dtype.kind != "f":
         raise ValueError(
             f"{path}: an LDR image ({pixels.values.dtype}), {_EXPECTED}; a photograph of a sphere is an input of fits."
         )
     _check_shape(path, *pixels.values.shape[:2])
     if not is_linear(pixels.space):
+        name = getattr(pixels.space, "name", pixels.space)
         raise ValueError(
-            f"{path}: colours in {pixels.space!a}, expected a linear space such as Rec.709, Rec.2020 or ACEScg; "
-            "export the map with linear colours."
+            f"{path}: colours in {name!a}, expected a linear space such as Rec.709, Rec.2020 or ACEScg; export the map "
+            "with linear colours."
         )
     return _light_of(pixels.values[..., :3], pixels.space, path, height)
 
@@ -155,7 +170,7 @@ def _check_shape(subject: Path | str, height: int, width: int) -> None:
     if not is_latlong(height, width):
         raise ValueError(
             f"{subject}: {width}x{height} px{_layout(height, width)}, expected a lat-long map, twice as wide as high; "
-            "convert it to one; a photograph of a sphere should be PNG or JPEG."
+            "convert it to one; a photograph of a sphere is for fits with --observe photo."
         )
     check_size(width, height, subject)
 

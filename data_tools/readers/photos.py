@@ -78,9 +78,9 @@ def placed_in(folder: Path) -> list[Path]:
     return sorted({file.parent for file in files_below(folder, PLACES) if file.name in PLACES})
 
 
-def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:
-    """An image file as a texture task named by the file's stem; arguments and errors as of `photo_of`."""
-    whole = read_pixels(path)
+def read_task(path: Path, size: int = SIZE, least: int = 0, layer: str = "") -> Task:
+    """An image file as a texture task named by the file's stem; arguments and errors as of `read_photo`."""
+    whole = read_pixels(path, layer)
     return task_of_square("image", central_square(whole), whole, path, size, least)
 
 
@@ -98,9 +98,9 @@ def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, 
     return Task(name, {"image": photo_of(pixels_of(name, source), name, size, least)})
 
 
-def read_photo(path: str | Path, size: int = SIZE, least: int = 0) -> Tensor:
-    """The central square of an image file, as `photo_of`; ValueError as there and as of `read_pixels`."""
-    return photo_of(read_pixels(Path(path)), str(path), size, least)
+def read_photo(path: str | Path, size: int = SIZE, least: int = 0, layer: str = "") -> Tensor:
+    """The central square of an image file; arguments and errors as of `photo_of` and `read_pixels`."""
+    return photo_of(read_pixels(Path(path), layer), str(path), size, least)
 
 
 def photo_of(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tensor:
