@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from metapp.networks.options import field_of_view
+from metapp.networks.options import Layer, field_of_view
 from metapp.options import Converter, Option, split_option
 
 Samples = Annotated[
@@ -74,6 +74,7 @@ class Images(Converter):
     """
 
     size: Size = 256
+    layer: Layer = ""
 
 
 @dataclass(frozen=True)
@@ -111,10 +112,11 @@ class Flash(Converter):
             parse=field_of_view,
         ),
     ] = 0.0
+    layer: Layer = ""
 
     def arguments(self) -> dict[str, object]:
         """As of `Converter`; the field of view in radians."""
-        return {"size": self.size, "fov_rad": math.radians(self.fov)}
+        return {"size": self.size, "fov_rad": math.radians(self.fov), "layer": self.layer}
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,7 @@ class Maps(Converter):
     ] = "auto"
     size: Size = 256
     normals: Normals = "auto"
+    layer: Layer = ""
 
 
 def _folder(path: Path) -> Path:
@@ -189,6 +192,7 @@ class Strips(Converter):
             parse=_folder,
         ),
     ] = None
+    layer: Layer = ""
 
 
 @dataclass(frozen=True)
@@ -206,3 +210,4 @@ class Laval(Converter):
     """
 
     rows: Annotated[int, Option("Rows of the maps; the recipe full fits 128.", low=32, high=1024)] = 64
+    layer: Layer = ""

@@ -34,9 +34,9 @@ _NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 find, recognises = photos.find, photos.recognises
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:
-    """A flash photograph as a task of its stem's name; arguments and errors as of `flash_view` and `photo_of`."""
-    whole = read_pixels(path)
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, layer: str = "") -> Task:
+    """A flash photograph as a task of its stem's name; as of `read_pixels`, `flash_view` and `photo_of`."""
+    whole = read_pixels(path, layer)
     return task_of_square("image", flash_view(whole, fov_rad), whole, path, size, least)
 
 

@@ -2,8 +2,8 @@
 
 A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
 a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
-maps are data. Files of packed channels, `rock_arm.png`, have several roles. Variants, `ROCK_COL_VAR1.jpg`, and tiles,
-`rock_normal.1001.png`, are materials that share the files without such a mark.
+maps are data; floating-point normals may be -1..1. Files of packed channels, `rock_arm.png`, have several roles.
+Variants, `ROCK_COL_VAR1.jpg`, and tiles, `rock_normal.1001.png`, are materials that share the files without a mark.
 
 Roughness is 1 - gloss if there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
 base m, a specular map being left aside, but for a diffuse map beside the base colour, as in metapp's asset folders.
@@ -16,6 +16,7 @@ peak is as bright, pi D F / 4 = g, so alpha^2 = 0.01 / g, at most 1.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import re
@@ -253,7 +254,7 @@ def _parts(stem: str) -> tuple[str, str, str | None]:
     return stem, "", None
 
 
-def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
+def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = "") -> Task:
     """The material that a map belongs to as a task, photographed by the renderer.
 
     Args:
@@ -262,12 +263,13 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
         normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else as a height field
             could have it, up if that is not clear.
         least: as of `photo_of`, if all maps are smaller.
+        layer: as of `read_pixels`, of each map.
 
     Raises:
         ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
             normals that are none.
     """
-    return read_material(_material(source), size, normals, least)
+    return read_material(_material(source), size, normals, least, layer)
 
 
 def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, least: int = 0) -> Task:
@@ -314,11 +316,11 @@ def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
     return role, checked(subject, Pixels(values.astype(np.float32), LINEAR, False))
 
 
-def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
+def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = "") -> Task:
     """As `read_task`, of a material that was found."""
     side = max(min(shape_of(file)) for file in _choose(material).values())
     size = side_of(side, size, least)
-    return _task(material, read_pixels, size, normals)
+    return _task(material, functools.partial(read_pixels, layer=layer), size, normals)
 
 
 def _task(material: Material, pixels_of: Callable[[Path], Pixels], size: int, normals: str) -> Task:
@@ -419,6 +421,9 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
         if channel >= count:
             raise ValueError(f"{file}: {count} channels, expected {role} in alpha; export it with that.")
         values = pixels.values[..., [channel] * 3]
+    slopes = values[..., :2]
+    if role in _NORMALS and values.dtype.kind == "f" and (slopes.min() < -0.1 or slopes.mean() < 0.25):  # -1..1
+        values = values / 2 + 0.5
     square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR))
     linear = resample(square, size)
     if not np.isfinite(linear).all():

@@ -58,6 +58,7 @@ def read_task(
     white: float = WHITE,
     predicted: Path | None = None,
     least: int = 0,
+    layer: str = "",
 ) -> Task:
     """A strip as a task with the maps and the photograph that it holds, and `predicted` maps if there is a folder.
 
@@ -71,11 +72,12 @@ def read_task(
             where it is clipped.
         predicted: a folder of predicted maps, of the strip's stem or its part before the first `;`.
         least: as of `photo_of`.
+        layer: as of `read_pixels`.
 
     Raises:
         ValueError: as `read_pixels` and `read_predicted`; not five squares, NaN, black, normals that are none.
     """
-    tiles = _read_tiles(path, gamma, white)
+    tiles = _read_tiles(path, gamma, white, layer)
     of_others = read_predicted(predicted, (path.stem, path.stem.split(";")[0])) if predicted else []
     share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
     size = side_of(round(share * len(tiles[0])), size, least)
@@ -144,9 +146,9 @@ def _has_tiles(height: int, width: int) -> bool:
     return abs(width - TILES * height) <= TILES
 
 
-def _read_tiles(path: Path, gamma: float, white: float) -> list[Floats]:
+def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floats]:
     """The tiles, [S, S, 3] in [0, 1]; all but the normals linear; the photograph's white as `read_task` says."""
-    pixels = read_pixels(path)
+    pixels = read_pixels(path, layer)
     height, width = pixels.values.shape[:2]
     if not _has_tiles(height, width):
         count = round(width / height)

@@ -51,7 +51,7 @@ def protocol_of(source: Path) -> str:
     return "reference" if (material and _is_material(material)) or strips.is_strip(source) else "photo"
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0) -> Task:
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, layer: str = "") -> Task:
     """A strip, the material that a map belongs to, or else a photograph as a task named by the file.
 
     Args:
@@ -59,6 +59,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
         size: side in px; above 256 only of files as fine as that.
         fov_rad: of a photograph's camera, as of `flash_view`.
         stops: by which a photograph is too bright.
+        layer: as of `read_pixels`.
 
     Returns:
         As `svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
@@ -66,10 +67,10 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
     check_exists(path)
     material, least = material_maps.material_of(path), min(size, SIZE)
     if material and _is_material(material):
-        return material_maps.read_task(path, size, least=least)
+        return material_maps.read_task(path, size, least=least, layer=layer)
     if strips.is_strip(path):
-        return strips.read_task(path, size, least=least)
-    whole = read_pixels(path)
+        return strips.read_task(path, size, least=least, layer=layer)
+    whole = read_pixels(path, layer)
     return _exposed(task_of_square("photo", flash_view(whole, fov_rad), whole, path, size, least), stops)
 
 

@@ -49,8 +49,20 @@ def fov(default: str) -> Option:
     return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=field_of_view)
 
 
+Layer = Annotated[
+    str, Option("Layer or part of EXR files that hold several; default: the picture itself, such as Combined.", "NAME")
+]
+
+
 @dataclass(frozen=True)
-class CameraOptions(AppOptions):
+class PictureOptions(AppOptions):
+    """The option of applications that read pictures."""
+
+    layer: Layer = ""
+
+
+@dataclass(frozen=True)
+class CameraOptions(PictureOptions):
     """The option of applications that read photos of a known camera."""
 
     fov: Annotated[float, fov("EXIF's, else 45")] = 0.0
@@ -61,7 +73,7 @@ class CameraOptions(AppOptions):
 
 
 @dataclass(frozen=True)
-class ExemplarOptions(AppOptions):
+class ExemplarOptions(PictureOptions):
     """The options of applications that fit a texture to an exemplar."""
 
     size: Annotated[tuple[int, int] | None, size("textures and maps up to 4096x4096")] = None

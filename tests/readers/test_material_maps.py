@@ -90,6 +90,17 @@ def test_formats(tmp_path: Path, kind: str, suffix: str) -> None:
     assert maps[6, 4, 4].item() == pytest.approx(0.25, abs=0.005)
 
 
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8), (0.36, 0.48, 0.8)])
+@pytest.mark.parametrize("is_signed", [True, False])
+def test_normals_of_floating_point_may_be_the_vectors(tmp_path: Path, normal: Any, is_signed: bool) -> None:
+    bent = torch.tensor(normal)[:, None, None].expand(3, 64, 64).clone()
+    bent[0, :8] *= -1
+    write(tmp_path / "a_nrm.exr", bent if is_signed else bent / 2 + 0.5, "float")
+    write(tmp_path / "a_albedo.png", 0.5)
+    write(tmp_path / "a_rough.png", 0.25)
+    torch.testing.assert_close(maps_of(tmp_path)[:3, 40, 40], torch.tensor(normal), atol=2e-3, rtol=0)
+
+
 def test_a_task_is_photographed_by_the_renderer(tmp_path: Path) -> None:
     (source,), _ = material_maps.find(folder(tmp_path))
     task = read_task(source, 48)

@@ -44,13 +44,13 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
     return material_maps.entries([source for source in sources if source not in drawn], folders, split) | drawn
 
 
-def read_task(source: Path, size: int, normals: str) -> Task:
+def read_task(source: Path, size: int, normals: str, layer: str = "") -> Task:
     """The material that a map belongs to, with the weights of its maps.
 
     Args:
         source: one of its maps, or a drawn material's file in its data set.
         size: side in px.
-        normals: as of `data_tools.readers.material_maps.read_task`.
+        normals, layer: as of `data_tools.readers.material_maps.read_task`.
 
     Raises:
         ValueError: as there, but for a missing roughness; a drawn material of another size, or a photo alone.
@@ -67,7 +67,7 @@ def read_task(source: Path, size: int, normals: str) -> Task:
         other = next((maps for role, maps in files.items() if role.startswith("normal")), ())
         kept = {role: maps for role, maps in files.items() if role != "specular"}
         material = material._replace(files=kept | ({"roughness": other} if other else {}))
-    task = read_material(material, size, normals, least=1)
+    task = read_material(material, size, normals, 1, layer)
     times = -(-size // task.data["maps"].shape[-1])
     maps = task.data["maps"].float().repeat(1, times, times)[:, :size, :size]
     if not has:

@@ -39,13 +39,14 @@ def protocol_of(folder: Path) -> str:
     return "photo"
 
 
-def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
+def read_task(folder: Path, size: int = PX, stops: float = 0.0, layer: str = "") -> Task:
     """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
 
     Args:
         folder: of photographs and text files.
         size: side in px; above 256 only of photographs as fine as that.
         stops: by how many stops all of them are too bright.
+        layer: as of `read_photo`.
 
     Raises:
         ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
@@ -65,7 +66,7 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0) -> Task:
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
-    photo, *others = (rightly_exposed(read_photo(path, size, min(size, PX)), stops) for path in paths)
+    photo, *others = (rightly_exposed(read_photo(path, size, min(size, PX), layer), stops) for path in paths)
     return Task(folder.resolve().name, {"photo": photo, "others": torch.stack(others), "places": places})
 
 
