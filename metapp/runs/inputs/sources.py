@@ -8,7 +8,6 @@ import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from types import ModuleType
 from typing import NamedTuple
 
 import torch
@@ -170,12 +169,12 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
         places, skipped = reader.find(path)
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield name, places, functools.partial(reader.read_task, **_taken(reader, _arguments(run)))
+        yield name, places, functools.partial(reader.read_task, **_taken(reader.read_task, _arguments(run)))
 
 
-def _taken(reader: ModuleType, arguments: Mapping[str, object]) -> dict[str, object]:
-    """The arguments that `read_task` of a format has."""
-    return {key: arguments[key] for key in inspect.signature(reader.read_task).parameters if key in arguments}
+def _taken(read: Callable[..., Task], arguments: Mapping[str, object]) -> dict[str, object]:
+    """The arguments that a function of a format has."""
+    return {key: arguments[key] for key in inspect.signature(read).parameters if key in arguments}
 
 
 def _arguments(run: Run) -> dict[str, object]:
@@ -195,11 +194,10 @@ def _merged(run: Run, option: str) -> Source:
     """The one source of all inputs, as an option merges them."""
     app = run.app
     places = [place for path in run.options.paths for _, some, _ in _found(run, path) for place in some]
-    (reader, *_) = (form.load() for form in inputs_of(app.name).values() if form.load().recognises(places[0]))
 
     def read() -> Task:
         merge = registry().merges[app.name, option].load()
-        task: Task = merge(places, getattr(run.options.own, option), **_taken(reader, _arguments(run)))
+        task: Task = merge(places, getattr(run.options.own, option), **_taken(merge, _arguments(run)))
         return task
 
     return Source(as_text(str(places[0].resolve())), read, True, run.options.paths)

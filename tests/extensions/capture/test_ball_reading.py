@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from data_tools.readers import latlong
 from data_tools.readers.photos import read_photo
 from metapp.appearance.latlong import directions, sphere_normals
+from metapp.extensions.capture.ball.capture import capture
 from metapp.extensions.capture.ball.geometry import Ball
 from metapp.extensions.capture.ball.picture import features, is_mirror
 from metapp.extensions.capture.ball.reading import read_task
@@ -64,6 +66,31 @@ def test_of_a_mirror_what_it_shows_is_read(tmp_path: Path) -> None:
     certain = read["certain"][0] > 0.99
     assert certain.float().mean() > 0.7
     assert (read["seen"] - true)[:, certain].abs().median() < 0.03
+
+
+def lamp_lit(towards: np.ndarray) -> np.ndarray:
+    """With a lamp that is far brighter than white."""
+    return room(towards) + 400 * (towards[1] * 0.8 + towards[2] * 0.6 > 0.95)
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+def test_a_linear_photograph_keeps_its_radiance(tmp_path: Path, alpha: bool) -> None:
+    picture = photograph(Ball(150, 120, 80), 220, 300, 0.9, lamp_lit).transpose(1, 2, 0).astype(np.float32)
+    picture = np.concatenate([picture, np.ones((220, 300, 1), np.float32)], -1) if alpha else picture
+    path = write(tmp_path / "mirror.exr", picture)
+    read = latlong.read_task(path, 32, observe="photo").data
+    true = torch.from_numpy(lamp_lit(directions(32, 64, dtype=torch.float64).numpy())).float()
+    seen = read["certain"][0] > 0.5
+    assert read["certain"][1].max() == 0  # nothing clips
+    assert 0.9 < (read["seen"] * seen).sum() / (true * seen).sum() < 1.1
+    found = capture([path], rows=32).data
+    assert 0.9 < (found["seen"] * seen).sum() / (true * seen).sum() < 1.1
+    assert found["certain"][1].max() == 0
+    with pytest.raises(ValueError, match=r"300x220 px, expected a lat-long map, .*is for fits with --observe photo"):
+        latlong.read_task(path, 32, observe="reference")
+    picture[5, 5] = np.inf
+    with pytest.raises(ValueError, match=r"mirror\.exr: .* values are NaN or infinite, expected finite ones"):
+        capture([write(path, picture)])
 
 
 @pytest.mark.parametrize("lit", [light, detailed])

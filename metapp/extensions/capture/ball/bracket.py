@@ -147,13 +147,16 @@ def power_of(pictures: Floats, exposures: Floats) -> float:
     return float(ratios @ true / (ratios @ ratios))
 
 
-def merged(pictures: Floats, exposures: Floats, power: float) -> tuple[Floats, NDArray[np.bool_], list[float]]:
+def merged(
+    pictures: Floats, exposures: Floats, power: float, is_hdr: bool = False
+) -> tuple[Floats, NDArray[np.bool_], list[float]]:
     """Radiance of photographs that show the same.
 
     Args:
         pictures: linear by sRGB's curve.
         exposures: [N].
         power: of the camera's curve, as of `power_of`.
+        is_hdr: whether no value clips.
 
     Returns:
         Linear RGB [3, S, S], of which 1 is white in a photograph of exposure 1; where all photographs are white,
@@ -161,12 +164,12 @@ def merged(pictures: Floats, exposures: Floats, power: float) -> tuple[Floats, N
     """
     shown = linear_to_srgb(torch.from_numpy(pictures[:, :3])).numpy()
     radiances = pictures[:, :3] ** power / exposures[:, None, None, None]
-    below_white = ((0.97 - shown) / 0.15).clip(0, 1)
+    below_white = ((0.97 - shown) / 0.15).clip(float(is_hdr), 1)
     # colours of a pixel that clips in one channel are wrong in the others
     weights = ((shown - 0.01) / 0.15).clip(0, 1) * below_white * below_white.min(1, keepdims=True) * pictures[:, 3:]
     shortest, longest = exposures.argmin(), exposures.argmax()
     bright = shown[shortest].max(0) * pictures[shortest, 3]
-    is_clipped = bright >= CLIPPED_VALUE
+    is_clipped = (bright >= CLIPPED_VALUE) & (not is_hdr)
     mean = (weights * radiances).sum(0) / weights.sum(0).clip(1e-6)
     instead = np.where(bright > 0.5, radiances[shortest], radiances[longest])
     radiance = np.where((weights.sum(0) > 1e-3) & ~is_clipped, mean, instead)

@@ -21,7 +21,15 @@ from metapp.apps.illumination.mirror import CLIPPED_VALUE
 from metapp.extensions.capture.ball.bracket import aligned, exposures_of, merged, power_of
 from metapp.extensions.capture.ball.circle import MIN_SCORE, best_ball, score_of
 from metapp.extensions.capture.ball.geometry import FAR, Ball, seen_at
-from metapp.extensions.capture.ball.picture import is_mirror, lens_of, means, photo_of, picture_of, sampled
+from metapp.extensions.capture.ball.picture import (
+    check_finite,
+    is_mirror,
+    lens_of,
+    means,
+    photo_of,
+    picture_of,
+    sampled,
+)
 from metapp.extensions.capture.photos import display
 from metapp.learning.task import Task
 
@@ -55,9 +63,9 @@ class Capture(NamedTuple):
     data: dict[str, Tensor]
 
 
-def merge(paths: Sequence[Path], shutter: str, rows: int = HEIGHT, fov_rad: float = 0.0) -> Task:
+def merge(paths: Sequence[Path], shutter: str, rows: int = HEIGHT, fov_rad: float = 0.0, layer: str = "") -> Task:
     """Turn photographs of one mirror ball into a task named by the first one's stem; arguments as of `capture`."""
-    return Task(paths[0].stem, capture(paths, shutter, rows, fov_rad).data)
+    return Task(paths[0].stem, capture(paths, shutter, rows, fov_rad, layer=layer).data)
 
 
 def capture(
@@ -67,6 +75,7 @@ def capture(
     fov_rad: float = 0.0,
     circle: Sequence[float] = (),
     done: Callable[[str], object] = str,
+    layer: str = "",
 ) -> Capture:
     """Read photographs of one mirror ball.
 
@@ -77,6 +86,7 @@ def capture(
         fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
         circle: x, y, radius of the ball in px of the first photograph; (): it is found.
         done: called with the name of each photograph that was searched.
+        layer: as of `read_pixels`.
 
     Raises:
         ValueError: as `read_pixels` and `exposures_of`; no ball; OpenCV is not installed and there are several
@@ -85,7 +95,8 @@ def capture(
     exposures = exposures_of(paths, shutter)
     photos, found, brightness = [], [], []
     for path in paths:
-        pixels = read_pixels(path)
+        pixels = read_pixels(path, layer)
+        check_finite(pixels, path)
         gray, lens = display(pixels).mean(-1), lens_of(pixels, fov_rad)
         photos.append(pixels)
         found.append(Ball(circle[0], circle[1], circle[2], lens) if circle else best_ball(gray, lens))
@@ -133,7 +144,7 @@ def capture_one(pixels: Pixels, square: Tensor, rows: int, fov_rad: float) -> di
 
 
 def light_around(photos: Sequence[Pixels], balls: Sequence[Ball], first: int, exposures: Floats, rows: int) -> Capture:
-    """The light that aligned photographs of one mirror ball show.
+    """The light that aligned photographs of one mirror ball show; floating-point ones with values above 1 never clip.
 
     Args:
         photos: the photographs.
@@ -144,15 +155,18 @@ def light_around(photos: Sequence[Pixels], balls: Sequence[Ball], first: int, ex
     """
     nearest = balls[first]
     size = min(_LARGEST_PX, 2 * math.ceil(nearest.radius))
-    pictures = np.stack([picture_of(*photo, size, nearest.angle) for photo in zip(photos, balls, strict=True)])
+    values = [photo.values[..., :3] for photo in photos]
+    is_hdr = all(each.dtype.kind == "f" for each in values) and max(each.max() for each in values) > 1
+    high = np.inf if is_hdr else 1.0
+    pictures = np.stack([picture_of(*photo, size, nearest.angle, high) for photo in zip(photos, balls, strict=True)])
     # the brightest photograph that is hardly white anywhere, else the darkest
     is_white = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
     white = np.average(is_white.reshape(len(photos), -1), 1, pictures[:, 3].reshape(len(photos), -1))
     order = np.argsort(exposures).tolist()
     chosen = next((number for number in reversed(order) if white[number] <= _MAX_WHITE), order[0])
     exposures = exposures / exposures[chosen]
-    power = power_of(pictures, exposures)
-    radiance, is_clipped, residuals = merged(pictures, exposures, power)
+    power = 1.0 if is_hdr else power_of(pictures, exposures)
+    radiance, is_clipped, residuals = merged(pictures, exposures, power, is_hdr)
     seen, certain = unwrapped(radiance, is_clipped, pictures[:, 3].max(0), nearest, rows)
     data = {"photos": photo_of(photos[chosen], balls[chosen], FAR), "seen": seen, "certain": certain}
     return Capture(balls, chosen, exposures, power, residuals, data)

@@ -12,7 +12,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
-from metapp.networks.options import fov
+from metapp.networks.options import Layer, fov
 from metapp.options import Option
 from metapp.runs.reporter import progress, say
 
@@ -53,6 +53,7 @@ class BallOptions:
         Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=circle_of),
     ] = ()
     rows: Annotated[int, Option("Rows of the map, 32 to 1024.", "N", low=32, high=1024)] = 128
+    layer: Layer = ""
 
 
 @takes(BallOptions)
@@ -84,8 +85,8 @@ def ball(
     check_new(folder / MANIFEST, overwrite)
     name, fov_rad = folder.resolve().name, math.radians(options.fov)
     with progress("photos", len(paths), quiet=quiet) as bar:
-        captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance)
-    _write(name, paths, captured, folder, overwrite=overwrite)
+        captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer)
+    _write(name, paths, captured, folder, options.layer, overwrite=overwrite)
     figures = zip(paths, captured.balls, captured.exposures.tolist(), captured.residuals, strict=True)
     photos: list[dict[str, Any]] = [
         {"source": str(path), "x": ball.x, "y": ball.y, "radius": ball.radius, "score": ball.score}
@@ -106,7 +107,7 @@ def ball(
         print_json({"out": str(folder), "power": captured.power, **map_, "photos": photos})
 
 
-def _write(name: str, paths: list[Path], captured: Capture, folder: Path, *, overwrite: bool) -> None:
+def _write(name: str, paths: list[Path], captured: Capture, folder: Path, layer: str, *, overwrite: bool) -> None:
     """Write a data set of one task, its map NAME.exr and found/*.png."""
     import numpy as np
     import torch
@@ -130,7 +131,7 @@ def _write(name: str, paths: list[Path], captured: Capture, folder: Path, *, ove
         yield Task(name, captured.data), "test", paths[captured.chosen]
         for path, ball in zip(paths, captured.balls, strict=True):
             contour = ball.to_px(np.stack([np.cos(turn), np.sin(turn)])).T
-            write_found(read_pixels(path), [(contour, "lime")], folder / FOUND / f"{path.stem}.png")
+            write_found(read_pixels(path, layer), [(contour, "lime")], folder / FOUND / f"{path.stem}.png")
         light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
         write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -47,7 +48,7 @@ def means(planes: Floats, many: int) -> Floats:
     return result
 
 
-def picture_of(pixels: Pixels, ball: Ball, size: int, angle: float) -> Floats:
+def picture_of(pixels: Pixels, ball: Ball, size: int, angle: float, high: float = 1.0) -> Floats:
     """A ball alone, which fills a square, as a camera at some distance sees it if it is a mirror.
 
     Args:
@@ -55,6 +56,7 @@ def picture_of(pixels: Pixels, ball: Ball, size: int, angle: float) -> Floats:
         ball: in it.
         size: of the square, px.
         angle: half the angle that the ball fills for that camera, rad; `ball.angle`: as it is in the photograph.
+        high: the value that larger ones become.
 
     Returns:
         [4, size, size]: linear RGB, and the share of each pixel that the photograph shows.
@@ -67,7 +69,7 @@ def picture_of(pixels: Pixels, ball: Ball, size: int, angle: float) -> Floats:
     there = (np.hypot(*places) < 1) & (speed > 0) & (px > 0).all(0) & (px < ends[:, None, None]).all(0)
     left, top = low = np.clip(px.min((1, 2)).astype(int) - 1, 0, ends - 2)
     right, bottom = np.maximum(px.max((1, 2)).astype(int), low) + 2
-    part = pixels._replace(values=pixels.values[top:bottom, left:right]).linear()[..., :3]
+    part = pixels._replace(values=pixels.values[top:bottom, left:right]).linear(high=high)[..., :3]
     light = sampled(part.transpose(2, 0, 1), px - low[:, None, None])
     return means(np.concatenate([light, there[None]]), many)
 
@@ -76,6 +78,12 @@ def photo_of(pixels: Pixels, ball: Ball, angle: float) -> Tensor:
     """A ball alone as fits see it, display values uint8 [1, 3, SIZE, SIZE], black outside; angle as of `picture_of`."""
     light = torch.from_numpy(picture_of(pixels, ball, SIZE, angle)[:3])
     return (linear_to_srgb(light) * sphere_normals(SIZE)[1] * 255).round().to(torch.uint8)[None]
+
+
+def check_finite(pixels: Pixels, name: Path | str) -> None:
+    """Refuse values that are NaN or infinite; `name` begins the error."""
+    if pixels.values.dtype.kind == "f" and (count := np.count_nonzero(~np.isfinite(pixels.values[..., :3]))):
+        raise ValueError(f"{name}: {count:,} values are NaN or infinite, expected finite ones; export it again.")
 
 
 def is_mirror(pixels: Pixels, ball: Ball) -> bool:

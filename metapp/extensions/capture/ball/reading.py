@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from data_tools.readers import latlong, photos
+from data_tools.readers.colours import fraction
 from data_tools.readers.image_files import NAMED, Pixels, read_pixels
 from data_tools.readers.listing import Found, files_of
 from data_tools.readers.photos import is_photo, photo_of
@@ -28,9 +29,9 @@ def protocol_of(source: Path) -> str:
     return "photo"
 
 
-def read_task(path: Path, rows: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
+def read_task(path: Path, rows: int = latlong.HEIGHT, fov_rad: float = 0.0, layer: str = "") -> Task:
     """Turn an LDR photograph of a ball into a task named by the file's stem; as `task_of_pixels`."""
-    return task_of_pixels(read_pixels(path), str(path), rows, fov_rad)._replace(name=path.stem)
+    return task_of_pixels(read_pixels(path, layer), str(path), rows, fov_rad)._replace(name=path.stem)
 
 
 def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
@@ -61,8 +62,11 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_ra
     square = photo_of(pixels, name, latlong.SIZE)[None] * sphere_normals(latlong.SIZE)[1]
     if not square.any():
         raise ValueError(f"{name}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
-    if channels == 4:  # what is transparent is no contour
+    if channels == 4 and fraction(pixels.values[..., 3]).min() < 1:  # what is transparent is no contour
         return Task(name, {"photos": square})
-    from metapp.extensions.capture.ball.capture import capture_one  # imports scipy, which `recognises` does not need
+    # these import scipy, which `recognises` does not need
+    from metapp.extensions.capture.ball.capture import capture_one
+    from metapp.extensions.capture.ball.picture import check_finite
 
+    check_finite(pixels, name)
     return Task(name, capture_one(pixels, square, rows, fov_rad))
