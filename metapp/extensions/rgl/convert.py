@@ -70,7 +70,7 @@ def convert(source: Path, kind: str, target: Path) -> None:
             evaluate, back = evaluator(source), torch.tensor([0, 0, math.pi])
             # light and viewer exchanged are the same in a MERL table, and not quite in measurements
             merl.write_merl(target, tabulate(lambda angles: (evaluate(angles) + evaluate(angles + back)) / 2))
-        elif source.suffix == rgl.SUFFIX:
+        elif source.suffix.lower() == rgl.SUFFIX:
             fields = read_tensor_file(source)
             rgl.check(source, fields)
             write_tensor_file(target, in_rgb(fields) if kind == "bsdf" else in_spectra(fields))
@@ -84,6 +84,6 @@ def evaluator(source: Path) -> Callable[[Tensor], Tensor]:
     """Linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad."""
     if not source.is_file():
         return partial(nbrdf.nbrdf_evaluate, nbrdf.read_nbrdf(source))
-    if source.suffix == rgl.SUFFIX:
+    if source.suffix.lower() == rgl.SUFFIX:
         return rgl.read_rgl(source)
     return partial(merl_evaluate, np.ascontiguousarray(merl.read_merl(source), np.float32))
