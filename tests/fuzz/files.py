@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.pictures import png_with, profile, write_exr
 from tests.scene_files import OBJ, ply, serialized, volume
 
 Files = dict[str, bytes]
@@ -58,6 +59,74 @@ def images(*kinds: str) -> list[Files]:
     ]
 
 
+def windows() -> list[Files]:
+    """Maps of light whose data window is larger than the display window, or a little smaller."""
+    wide = picture(40, 72)
+    return [
+        of_exr((":R G B", wide), window=(32, 64, -4, -4)),
+        of_exr((":R G B", wide[:31, :64]), window=(32, 64, 0, 0)),
+    ]
+
+
+def layers() -> list[Files]:
+    """Maps of light in layers, and in parts, of an EXR file, beside others."""
+    values = picture(32, 64, 8)
+    names = (
+        "View.Depth.Z",
+        "View.AO.R View.AO.G View.AO.B",
+        "View.Combined.R View.Combined.G View.Combined.B View.Combined.A",
+    )
+    parts = ("depth:Z", values[..., :1]), ("AO:R G B", values[..., 1:4]), ("beauty:R G B A", values[..., 4:])
+    return [of_exr((f":{' '.join(names)}", values)), of_exr(*parts)]
+
+
+def deep() -> list[Files]:
+    return [of_exr(("deep:R G B A", picture(32, 64, 4)))]
+
+
+def balls() -> list[Files]:
+    """Linear photographs, of more than white."""
+    return [{f"ball{suffix}": image(3 * picture(64, 64), suffix, "float")} for suffix in (".exr", ".hdr", ".tif")]
+
+
+def of_exr(*parts: tuple[str, Any], window: tuple[int, int, int, int] | None = None) -> Files:
+    with tempfile.TemporaryDirectory() as folder:
+        return {"wood.exr": write_exr(Path(folder) / "x.exr", *parts, window=window).read_bytes()}
+
+
+def profiles() -> list[Files]:
+    """Photographs that state their colours: by profiles, in PNG and EXIF."""
+    from PIL import Image
+
+    levels = (picture(32, 64) * 255).astype(np.uint8)
+    matrix, gray = np.array([[0.8, 0.1, 0.06], [0.3, 0.65, 0.05], [0, 0.03, 0.8]]), levels[..., 0]
+    adobe = Image.Exif()
+    adobe.get_ifd(0x8769)[0xA005] = {1: "R03"}
+    found = []
+    for values, suffix, stated in (
+        (levels, ".png", {"icc_profile": profile(matrix, 1.8)}),
+        (levels, ".jpg", {"icc_profile": profile(matrix, 1.0)}),
+        (gray, ".tif", {"icc_profile": profile(matrix, 1.8, kind=b"GRAY")}),
+        (levels, ".jpg", {"exif": adobe}),
+    ):
+        stream = io.BytesIO()
+        Image.fromarray(values).save(stream, Image.registered_extensions()[suffix], **stated)
+        found.append({f"wood{suffix}": stream.getvalue()})
+    chunks = {
+        b"gAMA": (55556).to_bytes(4, "big"),
+        b"cHRM": np.array([31270, 32900, 64000, 33000, 21000, 71000, 15000, 6000], ">u4").tobytes(),
+    }
+    return [*found, {"wood.png": png_with(image(picture(32, 64), ".png"), chunks)},
+            {"wood.png": png_with(image(picture(32, 64), ".png"), {b"cICP": bytes((9, 16, 0, 1))})}]  # fmt: skip
+
+
+def radiance() -> list[Files]:
+    """Radiance pictures whose header states exposure and primaries."""
+    plain = image(picture(32, 64), ".hdr", "float")
+    more = b"\nEXPOSURE=4.0\nCOLORCORR= 1 0.5 1\nPRIMARIES= .7 .3 .2 .7 .15 .05 .3127 .329\n"
+    return [{"wood.hdr": plain.replace(b"\n", more, 1)}]
+
+
 def strips() -> list[Files]:
     values = picture(32, 160)
     values[:, 32:64] = (0.5, 0.5, 0.98)
@@ -69,6 +138,8 @@ def maps() -> list[Files]:
     return [
         {"rock_diff.png": image(picture(32, 32), ".png"), "rock_normal.exr": image(normal, ".exr", "half"),
          "rock_rough.png": image(gray, ".png"), "rock_metal.jpg": image(gray, ".jpg")},
+        {"rock_diff.PNG": image(picture(32, 32), ".png"), "rock_arm.png": image(picture(32, 32), ".png"),
+         "rock_normal.exr": image(normal * 2 - 1, ".exr", "half")},
     ]  # fmt: skip
 
 
