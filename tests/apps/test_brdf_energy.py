@@ -10,8 +10,11 @@ from torch import Tensor
 
 import metapp
 from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.energy import albedo, conserving, quadrature
+from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import network_of
+from metapp.learning.task import Task
 
 
 def grey(value: Tensor) -> Tensor:
@@ -106,3 +109,14 @@ def test_colours_go_on_beyond_what_was_measured(roughness: float, colour: tuple[
     off = (predicted.clamp_min(1e-4) / values[beyond]).log()
     assert float((off - off.mean(1, keepdim=True)).abs().mean()) < 0.05
     assert abs(float(off.mean())) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("bias", "words"), [(0.5, "reflects 2.04 of the light"), (50.0, "reflects more than 100 times the light")]
+)
+def test_a_fit_that_reflects_too_much_says_so(bias: float, words: str) -> None:
+    app = Brdf(NBRDF)
+    shapes = {"w1": (21, 6), "w2": (21, 21), "w3": (3, 21), "b1": (21, 1), "b2": (21, 1), "b3": (3, 1)}
+    theta = {key: torch.zeros(shape) for key, shape in shapes.items()} | {"b3": torch.full((3, 1), bias)}
+    task = Task("hot", {"angles": torch.rand(8, 3), "reflectance": torch.ones(8, 3)})
+    assert words in str(app.remarks(task, theta)["note"])

@@ -151,7 +151,8 @@ class Brdf(App):
             remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
             if (most := float(shares.amax())) > EXCESSIVE_ALBEDO:
                 angle = math.degrees(INCIDENT_RAD[shares.argmax()])
-                notes.append(f"reflects {most:.2f} of the light from {angle:.0f} degrees; --conserve limits it")
+                times = f"{most:.2f} of" if most < 100 else "more than 100 times"  # the exp of what was never seen
+                notes.append(f"reflects {times} the light from {angle:.0f} degrees; --conserve limits it")
         return remarks | ({"note": "; ".join(notes)} if notes else {})
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
