@@ -177,11 +177,14 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
         check_memory(spec, path)
         _check_missing(spec, window, path, _MISSING if is_map else 0.0)
         exposure, primaries = _radiance_header(path) if source.format_name() == "hdr" else (None, [])
-        space = space_of_file(spec, path, primaries)
+        with warnings.catch_warnings(record=True) as said:  # shown below: here nothing is
+            space = space_of_file(spec, path, primaries)
         kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
         values = source.read_image(part, 0, first, max(channels) + 1, kind)
         problem = error_of(source)
         focal_mm = float(max(0, spec.get_int_attribute("Exif:FocalLengthIn35mmFilm", 0)))
+    for warning in said:
+        warnings.warn(warning.message, stacklevel=2)
     if values is None or problem:
         repack = "" if exposure is None else ", or write one of old run lengths again by Radiance's pfilt -1"
         raise ValueError(

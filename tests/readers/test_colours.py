@@ -1,6 +1,8 @@
 """Colours of image files: whatever space a file states, a picture looks as it is meant to."""
 
+import os
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +88,9 @@ def test_a_linear_profile_keeps_the_radiance_of_a_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "said"), [(b"CMYK", "'any ink'"), (b"", "'damaged'")])
-def test_of_a_profile_that_cannot_be_converted_there_is_a_warning(tmp_path: Path, kind: bytes, said: str) -> None:
+def test_of_a_profile_that_cannot_be_converted_there_is_a_warning(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: bytes, said: str
+) -> None:
     values = picture("uint8")
     stated = profile(np.eye(3), 2.2, "any ink", kind) if kind else b"no profile at all, only text" * 9
     Image.fromarray(values).save(tmp_path / "a.png", icc_profile=stated)
@@ -94,6 +98,10 @@ def test_of_a_profile_that_cannot_be_converted_there_is_a_warning(tmp_path: Path
         UserWarning, match=rf"a\.png: colours by the profile {said}, which cannot be converted, are taken"
     ):
         assert torch.equal(read_photo(tmp_path / "a.png", SIDE), planes(values))
+    with warnings.catch_warnings(action="always"):
+        warnings.showwarning = lambda message, *_, **__: os.write(2, str(message).encode())
+        read_photo(tmp_path / "a.png", SIDE)
+    assert "which cannot be converted" in capfd.readouterr().err  # though libraries are silent
 
 
 def test_png_and_exif_state_colours_without_a_profile(tmp_path: Path) -> None:
