@@ -213,7 +213,7 @@ def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
     return maps.diffuse * (1 - maps.specular) / math.pi + lobe
 
 
-def _towards(place: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
+def towards(place: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
     """Unit vectors [B, 3, h, w] from the patch to a place [B, 3] above it, and squared distances [B, 1, h, w]."""
     across = place[..., :2, None, None] - positions
     up = place[..., 2:, None, None].expand_as(across[..., :1, :, :])
@@ -245,8 +245,8 @@ def render(
     Returns:
         Linear radiance [B, 3, h, w], >= 0.
     """
-    wi, squared = _towards(light, positions)
-    wo, _ = _towards(view, positions)
+    wi, squared = towards(light, positions)
+    wo, _ = towards(view, positions)
     power = falloff[..., None, None, None] if isinstance(falloff, Tensor) else falloff
     colour = intensity[..., None, None] if isinstance(intensity, Tensor) else intensity
     irradiance = colour * (math.pi * camera_distance() * camera_distance()) * wi[..., 2:, :, :] ** power / squared

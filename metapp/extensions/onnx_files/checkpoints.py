@@ -8,6 +8,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.extensions.onnx_files.models import OPSET, require
 from metapp.extensions.onnx_files.page import SIDES, VERSION, runtime, write_folder
 from metapp.extensions.onnx_files.photographs import FEATURES, SIDE_STEP_PX, photographs_model
+from metapp.networks.field import LocalField
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, check_new_files, fit_options
 from metapp.runs.recipes import FULL
@@ -44,6 +45,8 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     found = with_checkpoint(Run.of(options))
     app, checkpoint = found.app, found.checkpoint
     assert isinstance(app, SvbrdfNonstationary)
+    if not isinstance(app.network, LocalField):
+        raise ValueError(f"{path}: General of several photos, expected one of one photo; export maps of its fits.")
     assert checkpoint is not None
     about = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
     if reads_features := bool(app.conditions()):

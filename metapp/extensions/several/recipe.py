@@ -1,23 +1,27 @@
-"""The recipe of non-stationary svBRDFs from several photos: that of one photo, "full", with more and larger steps."""
+"""The recipe of non-stationary svBRDFs from several photos: maps of each texel, begun by photometric stereo."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.svbrdf_nonstationary.recipes import FINER, GENTLE, RECIPES
+from metapp.apps.svbrdf_nonstationary.recipes import GENTLE, RECIPES
 from metapp.extensions.several.app import SeveralPhotos
-from metapp.learning.recipe import Adam
+from metapp.learning.recipe import Adam, OuterLoop
 
-# Several photographs decide much: more and larger steps, from the same General, which training leaves as it is. On 20
-# validation materials of 5 photographs (error 0.194 by General) 40 steps at 1e-3 come to 0.119, at 1.4e-3 to 0.118, at
-# 2e-3 to 0.124, what is smooth suffering first; of one photograph they make it worse (0.190, then 0.197, on 6).
-LARGER = Adam(1e-3, beta1=0.8, beta2=0.95, eps=1e-8, final=0.1)
-STEP_SIZES = replace(GENTLE, steps=60, tasks=2, rates={"": 0.0, "alpha.": 1e-2}, first=LARGER, order=1)
+SEARCHED = Adam(0.03, beta1=0.9, beta2=0.95, eps=2e-3, final=0.1)
 SEVERAL = replace(
     RECIPES["photo"]["full"],
-    app=SeveralPhotos(RECIPES["photo"]["full"].app.network, encoder_finer=FINER),
-    steps=40,
-    finetune=Adam(1e-3, beta2=0.99, final=0.0),
-    quickft=LARGER,
-    meta={"meta-encoder": replace(STEP_SIZES, validate_every=10)},
+    app=SeveralPhotos(),
+    steps=30,
+    overfit_steps=300,
+    overfit=Adam(0.05, beta1=0.9, beta2=0.95, final=0.0),
+    finetune_steps=100,
+    finetune=replace(SEARCHED, rate=0.02),
+    quickft=SEARCHED,
+    general=OuterLoop(steps=4200, tasks=40, rates={"": 1.5e-3}, warmup=100, final=0.01, decay=1e-4),
+    meta={
+        "meta-encoder": replace(
+            GENTLE, steps=130, rates={"": 0.0, "alpha.": 3e-2}, first=SEARCHED, final=0.02, warmup=5, validate_every=20
+        )
+    },
 )
