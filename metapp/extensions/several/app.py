@@ -287,7 +287,7 @@ def _slopes(normal: Tensor) -> Tensor:
 
 
 def _encoded(maps: Maps) -> Tensor:
-    """RAW numbers [T, 9, H, W] of maps, the inverse of `decoded` where that saturates not."""
+    """RAW numbers [T, 9, H, W] of maps, the inverse of `decoded` but at the ends of ranges."""
     logit = torch.logit
     diffuse, specular = (maps.diffuse.clamp(1e-4, 1) ** (1 / 2.2), maps.specular.clamp(1e-4, 1).sqrt())
     roughness = logit(((maps.roughness - 0.05) / 0.95).clamp(0.01, 0.99))

@@ -13,10 +13,10 @@ from torch.nn.functional import normalize
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.several.app import SeveralPhotos
+from metapp.extensions.several.app import SeveralPhotos, Texels
 from metapp.extensions.viewer.pages.flat import Lit, surface_view
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
@@ -44,10 +44,12 @@ def stationary() -> tuple[SvbrdfStationary, Params, Task]:
 
 @functools.cache
 def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
-    """A random field's maps of several photographs, which the fit places elsewhere than they say."""
-    app = SeveralPhotos(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="photo")
-    theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    theta["flash"] = 0.02 * torch.randn(4, PHOTOS, generator=seeded(1))
+    """Random maps of several photographs, which the fit places elsewhere than they say."""
+    app = SeveralPhotos(Texels(SIDE, SIDE), protocol="photo")
+    theta = {
+        "maps": 0.2 * torch.randn(9, SIDE, SIDE, generator=seeded()),
+        "flash": torch.randn(4, PHOTOS, generator=seeded(1)),
+    }
     maps = rock(64, tiles=False).maps
     assert maps is not None
     task = svbrdf_task("rock", pack(maps))
