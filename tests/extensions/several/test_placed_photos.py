@@ -134,9 +134,9 @@ def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
     assert result.document["tasks"][0]["counts"] == {"photos": 3}
     made = Path(result.document["out"]) / "leaf"
     assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in made.iterdir()}
-    refused = metapp("general", APP, folder, "--out", folder.parent / "runs").error
+    refused = metapp("general", APP, folder, "--observe", "reference", "--out", folder.parent / "runs").error
     assert "leaf: a flash photo, expected a material's maps" in refused
-    assert "--observe photo" in refused
+    assert "leave --observe reference out" in refused
 
 
 def pipe(path: Path) -> None:
