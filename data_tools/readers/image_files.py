@@ -254,17 +254,17 @@ def _read_heif(path: Path) -> Pixels:
     try:
         with silent():
             source = pillow_heif.open_heif(path)
-        width, height = source.size
+            width, height = source.size
+            values = np.asarray(source) if width * height <= _MAX_PIXELS else np.empty(0)
     except Exception as error:  # whatever libheif says
-        raise ValueError(_damaged(path, error)) from None
+        reason = (str(error) or type(error).__name__).splitlines()[0][:80].replace(str(path), "").strip(" :.")
+        raise ValueError(
+            f"{path}: a HEIF picture that cannot be decoded ({reason}), expected a whole one; copy or download it "
+            "again."
+        ) from None
     check_size(width, height, path)
     if source.mode not in ("RGB", "RGBA"):
         raise ValueError(f"{path}: a HEIF picture of mode {source.mode}, expected RGB; export it as JPEG or PNG.")
-    try:
-        with silent():
-            values = np.asarray(source)
-    except Exception as error:
-        raise ValueError(_damaged(path, error)) from None
     return _tagged(values, source.info, source.info.get("exif"), path)
 
 
@@ -391,11 +391,6 @@ def is_heif(path: Path) -> bool:
 def can_read() -> bool:
     """True if pillow-heif is installed."""
     return importlib.util.find_spec("pillow_heif") is not None
-
-
-def _damaged(path: Path, error: Exception) -> str:
-    reason = (str(error) or type(error).__name__).splitlines()[0][:80].replace(str(path), "").strip(" :.")
-    return f"{path}: a HEIF picture that cannot be decoded ({reason}), expected a whole one; copy or download it again."
 
 
 @contextlib.contextmanager
