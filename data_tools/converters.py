@@ -125,11 +125,11 @@ class Maps(Converter):
 
     Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, if there are any, specular or
     metallic, also packed (arm, orm, metallicRoughness); any case and format. Variants (COL_VAR1) and tiles (1001) are
-    materials of their own. Colours of 8 or 16 bit are sRGB. Of each map the central square is taken, scaled to
-    --size, and the photograph under a flash is rendered. A bad material is skipped with a warning.
+    materials of their own. Of each map the central square is taken, scaled to --size, and the photograph under a
+    flash is rendered. A bad material is skipped with a warning.
 
-    A colour without such a word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's: its gloss is how
-    strongly a highlight shines, which is converted to a roughness.
+    A colour without such a word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's, whose gloss is
+    converted to a roughness.
 
     Examples:
       metapp data maps materials --out svbrdf

@@ -71,12 +71,12 @@ def _readable(
         try:
             task = source.task()
             if not skip(source, task):
+                check_task(run, task)
                 noted += bool(task.note)
                 if task.note and noted <= NOTED:
                     say(f"{Path(source.place).name}: {task.note}")
                 elif task.note and noted == NOTED + 1:
                     say("further inputs are cut and scaled likewise")
-                check_task(run, task)
                 yield source, task
         except (ValueError, OSError) as error:
             yield source, BadInput(str(named(error, Path(source.place))))

@@ -146,7 +146,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert compared.code == 0
     assert "no picture" in compared.err
     assert [side["label"] for side in compared.document["runs"]] == ["general", "predicted"]
-    assert compared.document["measures"]["normals, degrees"]["means"][1] == record["normal"]
+    assert compared.document["runs"][1]["measures"]["normals, degrees"]["mean"] == record["normal"]
     assert "normals, degrees: " in " ".join(metapp("compare", ours, judged["out"]).out.split())
     assert "1_a_0" in metapp(*call, "--recipe", "quick").out
     assert metapp(*convert).code == 0

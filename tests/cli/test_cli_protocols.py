@@ -322,7 +322,7 @@ def test_meta_is_compared_where_overfit_is_no_floor() -> None:
     errors = {"general": 1.0, "overfit": 0.5, "quickft": 0.978, "meta": 0.88}
     rows = [
         {"paradigm": name, "error": error, "shared_error": error, "few": False, "seconds": 1.0}
-        | {"paper_error": None, "paper_seconds": None}
+        | {"rule": "tied", "paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
     assert "gap closed 0.24" in closing(app_by(SVBRDF), rows)

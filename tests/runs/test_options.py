@@ -35,13 +35,13 @@ def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert Run.of(fit_options(name, recipe="quick")).options.recipe == "quick"
 
 
-OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "stops", "shutter", "scene-root"}
+OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "stops", "shutter", "scene-root", "layer"}
 SHOWN = {
     "brdf": {"export", "conserve"},
-    "texture": {"export", "size", "detail"},
-    "svbrdf_stationary": {"export", "size", "detail", "fov"},
-    "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops"},
-    "illumination": {"observe", "size", "fov", "shutter"},
+    "texture": {"export", "size", "detail", "layer"},
+    "svbrdf_stationary": {"export", "size", "detail", "fov", "layer"},
+    "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops", "layer"},
+    "illumination": {"observe", "size", "fov", "shutter", "layer"},
     "transport": {"render", "scene-root"},
 }
 UNUSED = {
