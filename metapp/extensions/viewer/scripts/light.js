@@ -229,6 +229,7 @@ class LightViewer extends ShapeViewer {
 
   draw() {
     if (this.inSpace) return super.draw();
+    this.element.classList.remove("waiting");
     const { settings } = this, u = this.looking.uniforms, { field } = settings;
     u.zoom.value = Math.tan(field / 2 * DEGREE); u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
     this._columns(this.looking, (fit, { part, width, height }) => {
