@@ -24,7 +24,7 @@ class ShapeViewer extends DrawnViewer {
 
   async open() {
     const [{ thumbnail }] = this.fits;  // a still picture, until there is something to see
-    if (thumbnail) { this.element.classList.add("waiting"); this.element.style.backgroundImage = `url(${thumbnail})`; }
+    if (thumbnail) { this.element.classList.add("waiting"); this.element.style.setProperty("--still", `url(${thumbnail})`); }
     this.renderer = this._renderer();
     if (!this.renderer.extensions.has("EXT_color_buffer_float")) throw new Error("WebGL 2 lacks EXT_color_buffer_float here");
     this.renderer.domElement.addEventListener("webglcontextlost", () => this.lost?.());
