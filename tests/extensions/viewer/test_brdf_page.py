@@ -180,7 +180,8 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page
 def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
     """Fit and reference, and the wipe has both; the numbers of their difference are those of metapp's pictures."""
     page = open_page(views("nbrdf", task=material()), width=960)
-    assert "url(" in page.page.evaluate("metapp.viewer.element.style.getPropertyValue('--still')")  # a still picture meanwhile
+    still = "metapp.viewer.element.style.getPropertyValue('--still')"  # a picture meanwhile
+    assert "url(" in page.page.evaluate(still)
     controls = page.page.evaluate("(({ scrollWidth, clientWidth }) => [scrollWidth, clientWidth])(page.form)")
     assert controls[0] == controls[1] > 0
     page.sized(96, 96)
