@@ -44,13 +44,7 @@ class Encoder(NamedTuple):
     def init(self, rng: Generator) -> Params:
         """Random parameters; finer levels add nothing at first."""
         encoder: Params = {}
-        layer = functools.partial(add_layer, encoder, rng)
-
-        def block(name: str, inputs: int, outputs: int) -> None:
-            layer(f"{name}.first", outputs, inputs, 3, 3)
-            layer(f"{name}.second", outputs, outputs, 3, 3, gain=0.7)
-            layer(f"{name}.mean", outputs, outputs, gain=0.5)
-
+        layer, block = (functools.partial(add, encoder, rng) for add in (add_layer, add_block))
         block("down0", INPUTS, self.channels(0))
         for level in range(1, LEVELS):
             block(f"down{level}", self.channels(level - 1), self.channels(level))
@@ -114,6 +108,13 @@ def twice(x: Tensor) -> Tensor:
 def pointwise(encoder: Params, name: str, x: Tensor) -> Tensor:
     """A layer of `add_layer` that reads each pixel of maps [T, inputs, H, W] by itself."""
     return conv2d(x, encoder[f"{name}.kernel"][..., None, None], encoder[f"{name}.shift"])
+
+
+def add_block(encoder: Params, rng: Generator, name: str, inputs: int, outputs: int) -> None:
+    """Add the random parameters of a `block` from `inputs` to `outputs` channels."""
+    add_layer(encoder, rng, f"{name}.first", outputs, inputs, 3, 3)
+    add_layer(encoder, rng, f"{name}.second", outputs, outputs, 3, 3, gain=0.7)
+    add_layer(encoder, rng, f"{name}.mean", outputs, outputs, gain=0.5)
 
 
 def block(encoder: Params, name: str, x: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, leaky_relu
 
 from metapp.appearance.flash import positions, towards
-from metapp.apps.svbrdf_nonstationary.encoder import SLOPE, block, pointwise, twice
+from metapp.apps.svbrdf_nonstationary.encoder import SLOPE, add_block, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import RAW
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, convolved
@@ -53,19 +53,13 @@ def init(rng: Generator) -> Params:
     """Random parameters of the network."""
     params: Params = {}
     layer = functools.partial(add_layer, params, rng)
-
-    def add_block(name: str, inputs: int, outputs: int) -> None:
-        layer(f"{name}.first", outputs, inputs, 3, 3)
-        layer(f"{name}.second", outputs, outputs, 3, 3, gain=0.7)
-        layer(f"{name}.mean", outputs, outputs, gain=0.5)
-
     known = 2 * STEM + TEXEL_INPUTS
     layer("stem.first", STEM, PHOTO_INPUTS, 3, 3)
     layer("stem.second", STEM, STEM)
     for level, (inputs, outputs) in enumerate(zip((known, *WIDTHS), WIDTHS)):  # noqa: B905
-        add_block(f"down{level}", inputs, outputs)
+        add_block(params, rng, f"down{level}", inputs, outputs)
     for level in reversed(range(len(WIDTHS) - 1)):
-        add_block(f"up{level}", WIDTHS[level + 1] + WIDTHS[level], WIDTHS[level])
+        add_block(params, rng, f"up{level}", WIDTHS[level + 1] + WIDTHS[level], WIDTHS[level])
     layer("maps", sum(RAW) + 2, WIDTHS[0] + known, gain=0.1)
     layer("deviation", len(RAW), WIDTHS[0] + known, gain=0.1)
     return params
