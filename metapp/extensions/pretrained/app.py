@@ -135,6 +135,10 @@ class FromFeatures(SvbrdfNonstationary):
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
         return with_decoder(self.read(reader_of(encoder), condition["photo"], place, patch or None), encoder | beside)
 
+    def finish(self, theta: Params) -> Params:
+        """Without the deviations, which training alone reads."""
+        return {key: value for key, value in theta.items() if key != "deviation"}
+
     def maps_from(self, raw: Tensor) -> Maps:
         """Slopes s are s |s|^2 / (|s|^2 + SHALLOW^2) times STEEPER.
 
