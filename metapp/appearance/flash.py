@@ -80,6 +80,16 @@ def tilt(normal: Tensor) -> Tensor:
     return (normal[..., :2, :, :].square().sum(-3, keepdim=True) + 1e-6).sqrt()
 
 
+def mean_tilt_degrees(normal: Tensor) -> float:
+    """Mean angle in degrees between normals [..., 3, H, W] and the patch's, to hundredths.
+
+    >>> mean_tilt_degrees(torch.tensor([[0.6, 0.0], [0.0, 0.0], [0.8, 1.0]])[..., None])
+    18.43
+    """
+    across, up = normal.split((2, 1), -3)
+    return round(float(torch.atan2(across.norm(dim=-3, keepdim=True), up).rad2deg().mean()), 2)
+
+
 def camera_distance() -> float:
     """Height from which a camera of field of view FOV_RAD sees exactly the patch."""
     return 1 / math.tan(FOV_RAD / 2)

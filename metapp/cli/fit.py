@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import shlex
-from collections.abc import Callable, Sequence
+import statistics
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,6 +35,7 @@ SUMMARIES = {
     "meta": "A few steps of a learned rule from a learned initialisation.",
 }
 NARROWEST = 50  # columns of a table, so that titles stay on a line
+GUIDE = "docs/guides/svbrdf-nonstationary.md"
 LISTED = 20  # tasks in the table of a run that lists what failed
 
 
@@ -104,7 +106,7 @@ def _show(execution: Execution, *, json: bool) -> None:
         if not json:
             rate = execution.tasks_per_second if len(records) > 1 else None
             out().print(table_of(run.app, run.paradigm.name, records, rate=rate, most=LISTED))
-        for line in execution.remarks:
+        for line in (*execution.remarks, *_of_relief(execution)):
             say(line)
         if execution.skipped:
             line = f"{execution.skipped} of {len(records)} inputs have such a fit already, and are skipped"
@@ -121,6 +123,17 @@ def _show(execution: Execution, *, json: bool) -> None:
         say(f"{what}: {one_line(failure.reason)}")
     if json:
         print_json(execution.document())
+
+
+def _of_relief(execution: Execution) -> Iterator[str]:
+    """A line about normals that fits found in photographs, and that one photograph hardly shows them."""
+    records = execution.records
+    if tilts := [record["mean_tilt_degrees"] for record in records if "mean_tilt_degrees" in record]:
+        several = all(record.get("counts", {}).get("photos", 1) > 1 for record in records)
+        few = f"; one photo tells little of it, several photos of one place tell most: {GUIDE}"
+        mean = f"mean tilt {statistics.median(tilts):.1f} degrees"
+        mean += f", median of {len(tilts)}" if len(tilts) > 1 else ""
+        yield f"relief: {mean}{'' if several else few}"
 
 
 def table_of(

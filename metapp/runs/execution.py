@@ -87,7 +87,7 @@ class Execution:
         """The object that --json prints."""
         settings, records = self.fits.settings, self.records
         stated = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
-        fields = ("name", "error", "photo_error", "seconds", "counts", "note", "warning", "folder")
+        fields = ("name", "error", "photo_error", "mean_tilt_degrees", "seconds", "counts", "note", "warning", "folder")
         return {
             **{key: settings[key] for key in (*stated, *self.run.app.conditions()) if key in settings},
             **summary(records),

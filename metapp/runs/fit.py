@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 # entries of records that are no errors
-NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded"}
+NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
 NO_ERRORS |= {"source", "content", "origin", "settings", "folder", "batch"}
 
 

@@ -1,5 +1,7 @@
 """`metapp ... illumination` and `metapp ... svbrdf_nonstationary` end to end, on references and on photographs."""
 
+import re
+import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -247,6 +249,18 @@ def test_maps_have_the_size_asked_for(metapp: Callable, shot: Path) -> None:
         assert {(spec.width, spec.height) for spec in specs} == {(side, side)}
     misuse = metapp("overfit", SVBRDF, shot, "--size", "32x64").misuse
     assert "--size 32x64: svbrdf_nonstationary expects square maps of 32 to 4096 px" in misuse
+
+
+def test_the_mean_tilt_is_said_once_for_a_run(metapp: Callable, shot: Path) -> None:
+    few = "one photo tells little of it, several photos of one place tell most: docs/guides/svbrdf-nonstationary.md"
+    result = metapp("overfit", SVBRDF, shot, "--json")
+    tilt = result.document["tasks"][0]["mean_tilt_degrees"]
+    assert tilt > 0
+    assert f"relief: mean tilt {tilt:.1f} degrees; {few}\n" in result.err
+    assert "relief" not in metapp("overfit", SVBRDF, shot, "--quiet").err
+    shutil.copy(shot, shot.with_stem("other"))
+    (line,) = re.findall("relief: .*", metapp("overfit", SVBRDF, shot.parent).err)
+    assert re.fullmatch(rf"relief: mean tilt \d+\.\d degrees, median of 2; {re.escape(few)}", line)
 
 
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:

@@ -11,7 +11,17 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera, expose, positions, render, statistics, tilt, unpack
+from metapp.appearance.flash import (
+    Maps,
+    camera,
+    expose,
+    mean_tilt_degrees,
+    positions,
+    render,
+    statistics,
+    tilt,
+    unpack,
+)
 from metapp.appearance.highlight import clipped_highlight
 from metapp.appearance.surface import Surface, map_pictures, photograph
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
@@ -238,6 +248,15 @@ class SvbrdfNonstationary(CodedApp):
         the photo clips, 0 if it does not.
         """
         return self.errors_of(self.maps_of(theta, tasks.data["photo"][tasks.rows]), tasks)
+
+    @torch.no_grad()
+    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
+        """`mean_tilt_degrees` of normals where fits see photographs alone."""
+        if self.protocol != "photo":
+            return {}
+        photo = _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+        fit = self.maps_of({key: value[None] for key, value in theta.items()}, photo)
+        return {"mean_tilt_degrees": mean_tilt_degrees(fit.normal)}
 
     def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
         """Of maps [T, C, H, W] of the field's size."""

@@ -19,6 +19,7 @@ from metapp.appearance.flash import (
     expose,
     flash_position,
     height_from_normal,
+    mean_tilt_degrees,
     normal_from_height,
     positions,
     relightings,
@@ -268,6 +269,11 @@ class SvbrdfStationary(ExemplarApp):
             return doubts
         pairs = zip(doubts, tasks.data["image"][tasks.rows], strict=True)
         return [clauses + clipped_highlight(image) for clauses, image in pairs]
+
+    @torch.no_grad()
+    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
+        """`mean_tilt_degrees` of normals."""
+        return {"mean_tilt_degrees": mean_tilt_degrees(self._material(theta)[0].normal)}
 
     def _relit(self, maps: Maps, references: Tensor) -> Tensor:
         errors = []

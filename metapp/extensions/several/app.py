@@ -184,9 +184,9 @@ class SeveralPhotos(SvbrdfNonstationary):
             {"photo": small[:, 0], "photos": small, "places": places} | self.described(pooled(fine, size))
         )
 
-    def remarks(self, task: Task, theta: Params) -> dict[str, dict[str, int]]:
-        """The number of photographs."""
-        return {"counts": {"photos": 1 + len(task.data.get("others", ()))}}
+    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
+        """The same, and the number of photographs."""
+        return super().remarks(task, theta) | {"counts": {"photos": 1 + len(task.data.get("others", ()))}}
 
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """A highlight that clips in all photographs."""

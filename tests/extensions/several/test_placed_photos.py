@@ -132,6 +132,7 @@ def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
     assert result.code == 0, result.err
     assert f"{APP}: recipe several, since every input has several photos\n" in result.err
     assert result.document["tasks"][0]["counts"] == {"photos": 3}
+    assert re.search(r"^relief: mean tilt \d+\.\d degrees$", result.err, re.MULTILINE)
     made = Path(result.document["out"]) / "leaf"
     assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in made.iterdir()}
     refused = metapp("general", APP, folder, "--observe", "reference", "--out", folder.parent / "runs").error
