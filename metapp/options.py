@@ -159,7 +159,7 @@ class AppOptions:
         return recipe
 
     def recorded(self) -> dict[str, object]:
-        """The options that errors of fits depend on, as JSON holds them."""
+        """The options that errors of fits depend on, or that later exports follow, as JSON holds them."""
         return {name: _as_json(value) for name, value in sorted(self.given(INPUT, FIT).items())}
 
 

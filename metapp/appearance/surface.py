@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, expose, height_from_normal, positions, relightings, render
@@ -61,6 +62,14 @@ class Surface(NamedTuple):
         maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
         maps = {name: part.movedim(0, -1) for name, part in maps.items()} | {"roughness": roughness[0]}
         return maps if self.height is None else maps | {"height": self.height[0]}
+
+
+def with_relief(maps: Maps, factor: float) -> Maps:
+    """Maps [..., C, H, W] with the slopes of normals times a factor; 0: flat."""
+    if factor == 1:
+        return maps
+    across, up = maps.normal.split((2, 1), -3)
+    return maps._replace(normal=normalize(torch.cat([factor * across, up], -3), dim=-3))
 
 
 def from_metallic(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:

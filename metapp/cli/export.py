@@ -45,6 +45,10 @@ def command(
         typer.Option("--out", callback=check_folder, help="Folder to write to; default: TASK/KIND, of files KIND."),
     ] = None,
     size: Annotated[str | None, typer.Option(metavar="HxW|N", help="Rows x columns of maps and textures.")] = None,
+    relief: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Factor of the slopes of normals of svbrdf_*; default: the fit's, else 1."),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -56,13 +60,13 @@ def command(
     """
     from metapp.runs.outputs.recorded import export_run, holds_runs
 
+    own = {name: value for name, value in (("size", size), ("relief", relief)) if value is not None}
     if form in registry().file_exports and not holds_runs(source):
-        if inputs or data or size:
+        if inputs or data or own:
             raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
         folder = out or Path(form)
         tasks = [file.stem for file in registry().file_exports[form].load()(source, form, folder, quiet)]
     else:
-        own = {"size": size} if size else {}
         folder, tasks = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
         say(f"written as {form}: {folder}")

@@ -127,12 +127,13 @@ def _show(execution: Execution, *, json: bool) -> None:
 
 def _of_relief(execution: Execution) -> Iterator[str]:
     """A line about normals that fits found in photographs, and that one photograph hardly shows them."""
-    records = execution.records
+    records, own = execution.records, execution.run.options.own.given()
     if tilts := [record["mean_tilt_degrees"] for record in records if "mean_tilt_degrees" in record]:
         several = all(record.get("counts", {}).get("photos", 1) > 1 for record in records)
         few = f"; one photo tells little of it, several photos of one place tell most: {GUIDE}"
         mean = f"mean tilt {statistics.median(tilts):.1f} degrees"
         mean += f", median of {len(tilts)}" if len(tilts) > 1 else ""
+        mean += ", without --relief" if "relief" in own else ""
         yield f"relief: {mean}{'' if several else few}"
 
 

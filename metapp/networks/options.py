@@ -95,13 +95,33 @@ class ExemplarOptions(PictureOptions):
 
 
 @dataclass(frozen=True)
-class FlashExemplarOptions(ExemplarOptions, CameraOptions):
-    """Size and detail of maps that tile, and the camera of the flash photo."""
+class ReliefOptions(AppOptions):
+    """The option of applications whose fits are normals."""
+
+    relief: Annotated[
+        float,
+        Option(
+            "Factor of slopes of normals in files, not of errors; default: 1.",
+            "FACTOR",
+            low=0,
+            high=10,
+            panel=OUTPUT,
+        ),
+    ] = 1.0
+
+    def recorded(self) -> dict[str, object]:
+        """With the factor, by which later exports and pages show the fit, too."""
+        return super().recorded() | ({"relief": self.relief} if self.relief != 1 else {})
 
 
 @dataclass(frozen=True)
-class FlashOptions(CameraOptions):
-    """Size of maps, camera and exposure of flash photos."""
+class FlashExemplarOptions(ReliefOptions, ExemplarOptions, CameraOptions):
+    """Size, detail and relief of maps that tile, and the camera of the flash photo."""
+
+
+@dataclass(frozen=True)
+class FlashOptions(ReliefOptions, CameraOptions):
+    """Size and relief of maps, camera and exposure of flash photos."""
 
     size: Annotated[tuple[int, int] | None, size("square maps up to 4096; default: the photo's, up to 2048")] = None
 

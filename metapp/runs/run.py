@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,7 +73,8 @@ class Run:
         rule = _rule_name(options, recipe)
         app = app_of(options.app, recipe, options.observe, rule=rule if kind.name == "meta" else "")
         try:
-            app = replace(app, size=getattr(options.own, "size", None))
+            files = options.own.given(OUTPUT)
+            app = replace(app, **{each.name: files[each.name] for each in fields(app) if each.name in files})
         except ValueError as error:
             raise BadOption(str(error)) from None
         built = kind(app, recipe, rule)

@@ -116,9 +116,10 @@ def test_a_photo_is_at_no_distance_from_itself(
     photos = torch.stack([task.data["image"] for task in sources]).float()[:, None] / 255
 
     def show(pictures: Tensor) -> None:
-        monkeypatch.setattr(
-            app, "photograph", lambda maps, light, view: pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
-        )
+        def shown(app: SvbrdfStationary, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+            return pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
+
+        monkeypatch.setattr(SvbrdfStationary, "photograph", shown)
 
     show(photos)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
@@ -147,13 +148,13 @@ def test_the_light_is_where_the_highlight_is(
     torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
     torch.testing.assert_close(lights[:, 2], camera()[2].expand(3))
     app, used = TINY, []
-    photograph = app.photograph
+    photograph = SvbrdfStationary.photograph
 
-    def spied(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+    def spied(app: SvbrdfStationary, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
         used.append((light, view))
-        return photograph(maps, light, view)
+        return photograph(app, maps, light, view)
 
-    monkeypatch.setattr(app, "photograph", spied)
+    monkeypatch.setattr(SvbrdfStationary, "photograph", spied)
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
@@ -222,6 +223,25 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
         for axis in (0, 1):
             differences = (files[name] - files[name].roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[::4]
             assert 0.5 < differences[0] / differences[1:].mean() < 1.6, name
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0, 2.0])
+def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor: float) -> None:
+    """In files, surfaces and previews, but the fit that is compared with the photo stays; by 1 nothing changes."""
+    theta = {key: value[0] for key, value in TINY.init(seeded(), 1).items()}
+    plain, app = TINY, replace(TINY, relief=factor)
+    before, after = plain.surface(theta, sources[0]).linear_maps(), app.surface(theta, sources[0]).linear_maps()
+    torch.testing.assert_close(after["height"], factor * before["height"])
+    slopes = [maps["normal"][..., :2] / maps["normal"][..., 2:] for maps in (before, after)]
+    torch.testing.assert_close(slopes[1], factor * slopes[0])
+    shown = app.pictures(theta, sources[0])["normal"].pixels
+    torch.testing.assert_close(shown, after["normal"] * 0.5 + 0.5)
+    fits = [each.preview(theta, sources[0]) for each in (plain, app)]
+    same = {name for name, picture in fits[0].items() if torch.equal(picture, fits[1][name])}
+    moved = {"normal", "height", *(f"lit_from_{name}" for name in relightings())}
+    assert same >= fits[0].keys() - moved
+    assert ("normal" in same) == (factor == 1)
+    assert app.remarks(sources[0], theta) == plain.remarks(sources[0], theta) != {"mean_tilt_degrees": 0}
 
 
 def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:

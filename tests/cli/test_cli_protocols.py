@@ -263,6 +263,33 @@ def test_the_mean_tilt_is_said_once_for_a_run(metapp: Callable, shot: Path) -> N
     assert re.fullmatch(rf"relief: mean tilt \d+\.\d degrees, median of 2; {re.escape(few)}", line)
 
 
+def test_exports_have_slopes_times_a_factor(metapp: Callable, shot: Path) -> None:
+    """That of the command, else the fit's; its errors are without it."""
+
+    def normals(run: str, *words: str) -> np.ndarray:
+        assert metapp("export", run, "exr", shot, "--out", "made", *words).code == 0
+        (file,) = Path("made").rglob("*_normal_gl.exr")
+        pixels: np.ndarray = 2 * oiio.ImageBuf(str(file)).get_pixels(oiio.FLOAT) - 1
+        return pixels
+
+    common = ("overfit", SVBRDF, shot, "--json")
+    result = metapp(*common, "--relief", "2")
+    one, two = metapp(*common).document, result.document
+    assert f"relief: mean tilt {two['tasks'][0]['mean_tilt_degrees']:.1f} degrees, without --relief; " in result.err
+    same = ("name", "photo_error", "mean_tilt_degrees")
+    assert [one["tasks"][0][key] for key in same] == [two["tasks"][0][key] for key in same]
+    plain, twice = normals(one["out"]), normals(two["out"])
+    np.testing.assert_array_equal(normals(one["out"], "--relief", "1"), plain)
+    np.testing.assert_array_equal(normals(two["out"], "--relief", "1"), plain)
+    np.testing.assert_array_equal(normals(one["out"], "--relief", "2"), twice)
+    np.testing.assert_allclose(twice[..., :2] / twice[..., 2:], 2 * plain[..., :2] / plain[..., 2:], atol=1e-4)
+    assert (normals(two["out"], "--relief", "0") == (0, 0, 1)).all()
+    shown = oiio.ImageBuf(str(Path(two["out"], "photo", "normal.png"))).get_pixels(oiio.FLOAT)
+    np.testing.assert_allclose(2 * shown - 1, twice, atol=1.01 / 255)
+    for factor in ("-1", "nan"):
+        assert "expected 0 to 10" in metapp("export", one["out"], "exr", "--relief", factor).misuse
+
+
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}

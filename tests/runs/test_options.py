@@ -36,11 +36,12 @@ def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
 
 
 OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "stops", "shutter", "scene-root", "layer"}
+OWN |= {"relief"}
 SHOWN = {
     "brdf": {"export", "conserve"},
     "texture": {"export", "size", "detail", "layer"},
-    "svbrdf_stationary": {"export", "size", "detail", "fov", "layer"},
-    "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops", "layer"},
+    "svbrdf_stationary": {"export", "size", "detail", "fov", "layer", "relief"},
+    "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops", "layer", "relief"},
     "illumination": {"observe", "size", "fov", "shutter", "layer"},
     "transport": {"render", "scene-root"},
 }
@@ -92,6 +93,9 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("texture", {"recipe": "full", "detail": 512, "train": True}, "leave --train out"),
     ("texture", {"detail": 0}, "--detail 0: expected 256 or more"),
     ("texture", {"size": "1000000x1000000"}, "--size 1000000x1000000: texture expects multiples of 32 from 64 to"),
+    *(("svbrdf_stationary", {"relief": factor}, f"--relief {factor}: expected 0 to 10")
+      for factor in (-0.5, float("nan"), 11.0)),
+    ("texture", {"relief": 2.0}, "--relief: texture has no such option, only svbrdf_nonstationary, svbrdf_stationary"),
     ("transport", {"render": 0}, "--render 0: expected 1 to 4,096"),
 )  # fmt: skip
 

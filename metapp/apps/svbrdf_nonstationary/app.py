@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import torch
@@ -23,7 +23,7 @@ from metapp.appearance.flash import (
     unpack,
 )
 from metapp.appearance.highlight import clipped_highlight
-from metapp.appearance.surface import Surface, map_pictures, photograph
+from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
@@ -90,11 +90,13 @@ class SvbrdfNonstationary(CodedApp):
         encoder_width: channels of the encoder's level of 64 texels.
         encoder_size: side of the photograph that the encoder reads, 0 for the network's.
         encoder_finer: channels of the encoder's levels above that.
+        relief: factor of the slopes of normals that are written and shown; errors are without it.
     """
 
     encoder_width: int = 16
     encoder_size: int = 0
     encoder_finer: tuple[int, ...] = ()
+    relief: float = field(default=1.0, kw_only=True)
 
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
@@ -251,7 +253,7 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """`mean_tilt_degrees` of normals where fits see photographs alone."""
+        """`mean_tilt_degrees` of normals as fitted, without `relief`, where fits see photographs alone."""
         if self.protocol != "photo":
             return {}
         photo = _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
@@ -292,7 +294,7 @@ class SvbrdfNonstationary(CodedApp):
         target = {}
         if "maps" in task.data:
             target = {"reference": _sheet(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))}
-        return target | {"fit": _sheet(fit)}
+        return target | {"fit": _sheet(with_relief(fit, self.relief))}
 
     @torch.no_grad()
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -302,7 +304,7 @@ class SvbrdfNonstationary(CodedApp):
         eye = camera()
         shown = photograph(fit, eye, eye) if seen is None else seen.pictures[0]
         tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
-        tiles |= _linear_pictures(fit)
+        tiles |= _linear_pictures(with_relief(fit, self.relief))
         if "maps" in task.data:
             target = _linear_pictures(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))
             tiles |= {f"reference {name}": picture for name, picture in target.items()}
@@ -333,7 +335,7 @@ class SvbrdfNonstationary(CodedApp):
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The maps, of the size asked for, else of the photograph's, and pictures under three other lights."""
-        return map_pictures(self._whole(theta, task))
+        return map_pictures(with_relief(self._whole(theta, task), self.relief))
 
     def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
         """The same of maps [1, C, H, W], of their size."""
@@ -341,11 +343,11 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def surface(self, theta: Params, task: Task) -> Surface:
-        maps = self._whole(theta, task)
+        maps = with_relief(self._whole(theta, task), self.relief)
         return Surface(maps.diffuse, False, maps)
 
     def _whole(self, theta: Params, task: Task) -> Maps:
-        """The maps [C, H, W] of the size of files."""
+        """The maps [C, H, W] of the size of files, as fitted."""
         one = {key: value[None] for key, value in theta.items()}
         side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
         whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, side)))

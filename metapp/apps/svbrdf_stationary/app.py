@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
@@ -27,7 +28,7 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.appearance.highlight import clipped_highlight, evenly_lit, gloss
-from metapp.appearance.surface import Surface, map_pictures
+from metapp.appearance.surface import Surface, map_pictures, with_relief
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.exemplar import ExemplarApp
@@ -50,13 +51,19 @@ RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
 
 
+@dataclass(frozen=True)
 class SvbrdfStationary(ExemplarApp):
     """One flash photograph of a flat stationary material a task.
 
     The light depends on the place, so statistics are compared window by window: those of a window of the
     picture with those of the same window of the photo. The generator does not know the place, which keeps highlights
     out of the maps.
+
+    Attributes:
+        relief: factor of the slopes of normals and of heights that are written and shown; errors are without it.
     """
+
+    relief: float = field(default=1.0, kw_only=True)
 
     name = "svbrdf_stationary"
     title = "svBRDF stat."
@@ -272,7 +279,7 @@ class SvbrdfStationary(ExemplarApp):
 
     @torch.no_grad()
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """`mean_tilt_degrees` of normals."""
+        """`mean_tilt_degrees` of normals as fitted, without `relief`."""
         return {"mean_tilt_degrees": mean_tilt_degrees(self._material(theta)[0].normal)}
 
     def _relit(self, maps: Maps, references: Tensor) -> Tensor:
@@ -295,7 +302,8 @@ class SvbrdfStationary(ExemplarApp):
         maps, height = self._material(theta)
         fit = self.photograph(maps, light[0], light[0])
         displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
-        displayed |= {name: picture.pixels for name, picture in map_pictures(maps, height, falloff=FALLOFF).items()}
+        pictures = map_pictures(with_relief(maps, self.relief), self.relief * height, falloff=FALLOFF)
+        displayed |= {name: picture.pixels for name, picture in pictures.items()}
         displayed["height"] = stretched(displayed["height"])[0]
         return {name: srgb_to_linear(picture).expand(-1, -1, 3) for name, picture in displayed.items()}
 
@@ -324,7 +332,9 @@ class SvbrdfStationary(ExemplarApp):
         return Surface(maps.diffuse, True, maps, height)
 
     def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        return self.once(theta, task, lambda: self._material(theta, self.picture_size))
+        """Maps and height as files show them."""
+        maps, height = self.once(theta, task, lambda: self._material(theta, self.picture_size))
+        return with_relief(maps, self.relief), self.relief * height
 
     def _material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
         """Maps of one material and their height, without leading axes, of a size or the exemplar's."""

@@ -182,6 +182,8 @@ def export_run(
         for record in records:
             settings, name = record["settings"], record["name"]
             app, theta = Run.of_settings(settings, options=options).app, read_params(record["folder"])
+            if options:
+                settings = settings | {"options": settings.get("options", {}) | options}
             write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)
