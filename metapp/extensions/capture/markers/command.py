@@ -116,10 +116,16 @@ def rectify(
     skipped = [*(line for _, lines in in_paths for line in lines), *skipped]
     for line in skipped:
         say(f"warning: skipped: {line}")
-    right, up = options.flash or (0.0, 0.0)
+    (right, up), first = options.flash or (0.0, 0.0), cameras[0].sighting
+    if not first.sheet:
+        say(f"no markers: {len(cameras)} photos registered by their own features; lengths are in sides of the square")
+        if right or up:
+            raise ValueError(
+                "--flash: cm, but no photo shows the marker sheet, which tells how long they are; omit it."
+            )
     if (right or up) and len({sighting.height > sighting.width for sighting, *_ in cameras}) > 1:
         say("warning: some photos are upright, some across: --flash is right and up in each as it is shown.")
-    lights_cm, first = [camera.beside_cm(right, up) for camera in cameras], cameras[0].sighting
+    lights_cm, unit = [camera.beside_cm(right, up) for camera in cameras], "cm" if first.sheet else "sides"
     size = min(options.size, int(first.opening_cm * first.scales()[0]))  # no finer than the one with most detail
     with progress("pictures", len(cameras), quiet=quiet) as bar:
         write_set(cameras, lights_cm, size, folder, bar.advance)
@@ -127,23 +133,25 @@ def rectify(
         {
             "file": f"{number:02}.png",
             "source": str(camera.sighting.path),
-            "markers": len(camera.sighting.markers),
+            "markers" if first.sheet else "points": len(camera.sighting.markers),
             "error_px": camera.error_px,
             "tilt_degrees": camera.tilt_degrees,
-            "camera_cm": camera.place_cm.tolist(),
-            "light_cm": light_cm.tolist(),
+            "camera": camera.place_cm.tolist(),
+            "light": light_cm.tolist(),
         }
         for number, (camera, light_cm) in enumerate(zip(cameras, lights_cm, strict=True))
     ]
     if not quiet:
         for photo in photos:
-            found = f"{Path(photo['source']).name}, {photo['markers']} markers, error {photo['error_px']:.2f} px"
-            away = f"camera {math.hypot(*photo['camera_cm']):.1f} cm away, {photo['tilt_degrees']:.0f} degrees aside"
+            found = ", ".join(f"{photo[key]} {key}" for key in ("markers", "points") if key in photo)
+            found = f"{Path(photo['source']).name}, {found}, error {photo['error_px']:.2f} px"
+            away = f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['tilt_degrees']:.0f} degrees aside"
             say(f"{photo['file']}: {found}, {away}")
         if focal_mm:
-            say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the markers, as EXIF has none")
-        side = f"{first.opening_cm:g} cm, {size} px"
-        say(f"{folder}: {len(photos)} photos of {side} a side; look at what was found: {folder / FOUND}")
+            by = "markers" if first.sheet else "points"
+            say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the {by}, as EXIF has none")
+        side = f"{first.opening_cm:g} cm, {size}" if first.sheet else f"{size}"
+        say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / FOUND}")
     if as_json:
-        sizes = {"side_cm": first.opening_cm, "size": size, "focal_mm": focal_mm or None}
+        sizes = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
         print_json({"out": str(folder), **sizes, "photos": photos, "skipped": skipped})

@@ -1,4 +1,4 @@
-"""Photographs of the marker sheet, rectified to the opening.
+"""Photographs of the marker sheet, or of a material without one, rectified to the opening, or a square.
 
 They are written to a folder that the format `placed` reads.
 """
@@ -17,8 +17,18 @@ from numpy.typing import NDArray
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
+from metapp.extensions.capture.markers.plane import cameras_on_plane
+from metapp.extensions.capture.markers.registration import register
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
-from metapp.extensions.capture.markers.sighting import MAX_ERROR, Camera, Sighting, camera_of, common_focal, find_sheet
+from metapp.extensions.capture.markers.sighting import (
+    MAX_ERROR,
+    Camera,
+    NoMarkers,
+    Sighting,
+    cameras_on_sheet,
+    common_focal,
+    find_sheet,
+)
 from metapp.extensions.capture.photos import FOUND, opencv, write_found
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
@@ -30,10 +40,10 @@ def find_cameras(
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
 ) -> tuple[list[Camera], float, list[str]]:
-    """Find sheet and camera in photographs.
+    """Find sheet and camera in photographs; without any marker, the material's own features.
 
     Args:
-        paths: the photographs, of one sheet.
+        paths: the photographs, of one sheet or of one material.
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
         ruler_cm: measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
@@ -46,33 +56,22 @@ def find_cameras(
         ValueError: fewer than two can be used; they show sheets of several sizes; no focal length is known, and none
             can be found; OpenCV is not installed.
     """
-    opencv()
-    sightings: list[Sighting] = []
-    cameras, skipped = [], []
-    for path in paths:
-        try:
-            sightings.append(find_sheet(path, fov_rad, ruler_cm))
-        except (ValueError, OSError) as error:
-            skipped.append(str(error))
-        done(path.name)
-    for sighting in sightings[1:]:
-        if sighting.opening_cm != sightings[0].opening_cm:
-            raise ValueError(
-                f"{sighting.path}: a sheet with an opening of {sighting.opening_cm:g} cm, expected "
-                f"{sightings[0].opening_cm:g} cm as in {sightings[0].path.name}; give photos of one material in one "
-                "sheet."
-            )
-    without = [sighting for sighting in sightings if not sighting.focal_mm]
-    found_mm = common_focal(without) if without else 0.0
-    for sighting in sightings:
-        focal_mm = sighting.focal_mm or found_mm
-        camera, limit_px = camera_of(sighting, focal_mm), MAX_ERROR * sighting.opening_cm * sighting.scales()[1]
+    sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done)
+    unknown, cameras_of = [sighting for sighting in sightings if not sighting.focal_mm], cameras_on_sheet
+    if not sightings and len(plain) > 1:
+        sightings, lost = register(list(plain), fov_rad)
+        skipped, cameras_of = [*(line for line in skipped if line not in plain.values()), *lost], cameras_on_plane
+        unknown = [] if all(sighting.focal_mm for sighting in sightings) else sightings
+    found_mm, cameras = common_focal(unknown, cameras_of) if unknown else 0.0, []
+    for camera in cameras_of(sightings, found_mm) if sightings else []:
+        sighting = camera.sighting
+        limit_px = MAX_ERROR * sighting.opening_cm * sighting.scales()[1]
         if camera.error_px <= limit_px:
             cameras.append(camera)
         else:
             skipped.append(
-                f"{sighting.path}: markers are {camera.error_px:.1f} px from where a lens of {focal_mm:.0f} mm sees "
-                f"them, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
+                f"{sighting.path}: points are {camera.error_px:.1f} px from where a lens of {sighting.focal_mm:.0f} mm "
+                f"sees them, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
             )
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
@@ -81,6 +80,31 @@ def find_cameras(
             "one material; take more from other places, with the whole sheet in view."
         )
     return sorted(cameras, key=lambda camera: camera.tilt_degrees), found_mm, skipped
+
+
+def _sheets(
+    paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object]
+) -> tuple[list[Sighting], dict[Path, str], list[str]]:
+    """Sightings of one sheet; the lines of photographs without a marker; those of all that show no whole sheet."""
+    opencv()
+    sightings: list[Sighting] = []
+    plain, skipped = {}, []
+    for path in paths:
+        try:
+            sightings.append(find_sheet(path, fov_rad, ruler_cm))
+        except (ValueError, OSError) as error:
+            skipped.append(str(error))
+            if isinstance(error, NoMarkers):
+                plain[path] = str(error)
+        done(path.name)
+    for sighting in sightings[1:]:
+        if sighting.opening_cm != sightings[0].opening_cm:
+            raise ValueError(
+                f"{sighting.path}: a sheet with an opening of {sighting.opening_cm:g} cm, expected "
+                f"{sightings[0].opening_cm:g} cm as in {sightings[0].path.name}; give photos of one material in one "
+                "sheet."
+            )
+    return sightings, plain, skipped
 
 
 def write_set(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.readers.image_files import read_pixels
+from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import FRAME_MM
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats, corners_cm, dictionary, opening_of
 from metapp.extensions.capture.photos import display, opencv
@@ -33,6 +33,7 @@ class Sighting(NamedTuple):
         markers: corners of those found [M, 4, 2], px.
         points_cm, points_px: corners [N, 2] that lie in one plane, on the sheet (x right, y up) and in the photograph.
         to_px: [3, 3], takes points of the sheet to the photograph.
+        sheet: False without one: the opening is a square that all photographs show, and lengths are in its sides.
     """
 
     path: Path
@@ -44,6 +45,12 @@ class Sighting(NamedTuple):
     points_cm: Floats
     points_px: Floats
     to_px: Floats
+    sheet: bool = True
+
+    def lens(self) -> Floats:
+        """From directions, x right, y down, z forward, to the photograph, [3, 3]."""
+        focal = self.focal_mm / FRAME_MM * math.hypot(self.height, self.width)
+        return np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height - 1) / 2], [0, 0, 1]])
 
     def corners_px(self) -> Floats:
         """Corners of the opening in the photograph [4, 2], round it from the lower left one."""
@@ -56,6 +63,10 @@ class Sighting(NamedTuple):
         corners = self.corners_px()
         sides = np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1) / self.opening_cm
         return float(sides.min()), float(sides.max())
+
+
+class NoMarkers(ValueError):
+    """A photograph without a marker of a sheet."""
 
 
 class Camera(NamedTuple):
@@ -78,10 +89,18 @@ class Camera(NamedTuple):
         result: Floats = self.place_cm + right * self.axes[0] - up * self.axes[1]
         return result
 
+    def to_px(self) -> Floats:
+        """From points of the sheet to the photograph, [3, 3]."""
+        result: Floats = self.sighting.lens() @ np.column_stack([self.axes[:, :2], -self.axes @ self.place_cm])
+        return result
+
     @property
     def tilt_degrees(self) -> float:
         """Angle between the direction to the camera and the sheet's normal."""
         return math.degrees(math.acos(self.place_cm[2] / float(np.linalg.norm(self.place_cm))))
+
+
+CamerasOf = Callable[[Sequence[Sighting], float], list[Camera]]
 
 
 def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> Sighting:
@@ -107,7 +126,7 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> 
     numbers = np.ravel(numbers).tolist() if found else []
     opening = opening_of(numbers)
     if opening is None:
-        raise ValueError(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
+        raise NoMarkers(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
     on_sheet, scale = corners_cm(opening), ruler_cm / RULER_CM
     markers = {number: px[0].astype(float) for number, px in zip(numbers, found, strict=True) if number in on_sheet}
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
@@ -124,14 +143,20 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> 
         found = f"{len(markers)} marker{'s' * (len(markers) != 1)}, on one side of the opening alone or too few"
         raise ValueError(f"{path}: {found}, expected {FEWEST} to 12 all round; {_REMEDY}.")
     to_px, _ = cv2.findHomography(points_cm, points_px)
-    # the inverse of `data_tools.readers.photos.field_of_view`
-    focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
-    focal_mm, every = FRAME_MM * focal or pixels.focal_mm, np.stack(list(markers.values()))
-    sighting = Sighting(path, height, width, focal_mm, side, every, points_cm, points_px, to_px)
+    every = np.stack(list(markers.values()))
+    sighting = Sighting(path, height, width, focal_of(pixels, fov_rad), side, every, points_cm, points_px, to_px)
     corners = sighting.corners_px()
     if (corners < -0.5).any() or (corners > np.array([width, height]) - 0.5).any():
         raise ValueError(f"{path}: the opening is not wholly in the picture, expected all of it; {_REMEDY}.")
     return sighting
+
+
+def focal_of(pixels: Pixels, fov_rad: float) -> float:
+    """The focal length in mm, as of 35 mm film, of a field of view along the shorter side; 0: as EXIF says, if so."""
+    height, width = pixels.values.shape[:2]
+    # the inverse of `data_tools.readers.photos.field_of_view`
+    focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
+    return FRAME_MM * focal or pixels.focal_mm
 
 
 def camera_of(sighting: Sighting, focal_mm: float) -> Camera:
@@ -142,18 +167,21 @@ def camera_of(sighting: Sighting, focal_mm: float) -> Camera:
         focal_mm: as of 35 mm film, > 0.
     """
     cv2 = opencv()
-    height, width = sighting.height, sighting.width
-    focal = focal_mm / FRAME_MM * math.hypot(height, width)
-    lens = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-    points = np.pad(sighting.points_cm, ((0, 0), (0, 1)))
+    sighting = sighting._replace(focal_mm=focal_mm)
+    lens, points = sighting.lens(), np.pad(sighting.points_cm, ((0, 0), (0, 1)))
     _, turn, shift = cv2.solvePnP(points, sighting.points_px, lens, None)
     off = cv2.projectPoints(points, turn, shift, lens, None)[0][:, 0] - sighting.points_px
     axes = cv2.Rodrigues(turn)[0]
     error_px = float(np.sqrt((off**2).sum(-1).mean()))
-    return Camera(sighting._replace(focal_mm=focal_mm), -axes.T @ shift[:, 0], axes, error_px)
+    return Camera(sighting, -axes.T @ shift[:, 0], axes, error_px)
 
 
-def common_focal(sightings: Sequence[Sighting]) -> float:
+def cameras_on_sheet(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
+    """Cameras of photographs of the sheet, of a focal length where they do not state theirs."""
+    return [camera_of(each, each.focal_mm or focal_mm) for each in sightings]
+
+
+def common_focal(sightings: Sequence[Sighting], cameras_of: CamerasOf = cameras_on_sheet) -> float:
     """The focal length in mm, as of 35 mm film, by which photographs of one lens fit best.
 
     Raises:
@@ -163,9 +191,8 @@ def common_focal(sightings: Sequence[Sighting]) -> float:
 
     def error(log_focal: Floats) -> float:
         """Mean square error, in fractions of the photograph's diagonal."""
-        focal_mm = float(np.exp(log_focal).item())
-        shares = [camera_of(each, focal_mm).error_px / math.hypot(each.height, each.width) for each in sightings]
-        return float(np.mean(np.square(shares)))
+        cameras = cameras_of(sightings, float(np.exp(log_focal).item()))
+        return float(np.mean([(each.error_px / math.hypot(*each.sighting[1:3])) ** 2 for each in cameras]))
 
     found = brute(error, [tuple(np.log(_FOCALS_MM))], Ns=25)
     worse = min(error(found + math.log(_OFF)), error(found - math.log(_OFF)))

@@ -1,0 +1,82 @@
+"""The plane of a material without markers: the places of cameras and the square that all photographs show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from data_tools.readers.photos import FRAME_MM
+from metapp.extensions.capture.markers.registration import through
+from metapp.extensions.capture.markers.sheet import Floats
+from metapp.extensions.capture.markers.sighting import Camera, Sighting, camera_of
+
+_TRIED = 40  # matches of a photograph by which the plane is looked for
+_SLOPE = 0.6  # of the plane to the reference, at most
+
+
+def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
+    """Cameras above the plane by which photographs fit best, on the largest square that all of them show.
+
+    Args:
+        sightings: as `register` returns them.
+        focal_mm: as of 35 mm film, of photographs that do not state it.
+
+    Returns:
+        Cameras, with lengths in sides of this square.
+
+    Raises:
+        ValueError: there is none.
+    """
+    from scipy.optimize import brute
+
+    known = [each._replace(focal_mm=each.focal_mm or focal_mm) for each in sightings]
+    few = [each._replace(points_cm=each.points_cm[:_TRIED], points_px=each.points_px[:_TRIED]) for each in known]
+
+    def error(slopes: Floats) -> float:
+        """Mean error, in fractions of the photograph's diagonal; a little more of a tilted reference."""
+        seen = _on_plane(few[1:], _to_plane(slopes, few[0].focal_mm))
+        shares = [camera.error_px / math.hypot(camera.sighting.height, camera.sighting.width) for camera in seen]
+        return float(np.mean(shares) + 1e-5 * np.square(slopes).sum())
+
+    slopes = brute(error, [(-_SLOPE, _SLOPE)] * 2, Ns=7)
+    cameras = _on_plane(known, _to_plane(slopes, known[0].focal_mm))
+    return _on_plane([camera.sighting for camera in cameras], _to_square(cameras))
+
+
+def _to_plane(slopes: Floats, focal_mm: float) -> Floats:
+    """From points of the reference, [3, 3], to a plane of such slopes at distance 1, below the camera its origin."""
+    normal = np.array([*slopes, 1.0]) / math.hypot(*slopes, 1.0)
+    right = np.array([normal[2], 0.0, -normal[0]]) / math.hypot(normal[0], normal[2])
+    return np.stack([right, np.cross(normal, right), -normal]) @ np.diag([1.0, 1.0, -focal_mm / FRAME_MM])
+
+
+def _to_square(cameras: Sequence[Camera]) -> Floats:
+    """From the plane, [3, 3], to the largest square along its axes that all photographs show, of side 1."""
+    from scipy.optimize import linprog
+
+    rows = []
+    for sighting, *_ in cameras:
+        to_px = sighting.to_px * np.sign(sighting.to_px[2] @ [*sighting.points_cm[0], 1.0])
+        for row, size in zip(to_px[:2], (sighting.width, sighting.height), strict=True):
+            rows += [row, (size - 1) * to_px[2] - row]
+    edges = np.stack(rows)
+    half = np.abs(edges[:, :2]).sum(1)
+    free = (None, None)
+    found = linprog([0, 0, -1], np.column_stack([-edges[:, :2], half]), edges[:, 2], bounds=[free, free, (0, None)])
+    x, y, reach = found.x if found.success else (0.0, 0.0, 0.0)
+    if reach <= 0:
+        raise ValueError(
+            f"{cameras[0].sighting.path}: no part is in all {len(cameras)} photos, expected one; aim at one place."
+        )
+    return np.array([[1, 0, -x], [0, 1, -y], [0, 0, 2 * reach]])
+
+
+def _on_plane(sightings: Sequence[Sighting], to_plane: Floats) -> list[Camera]:
+    """The cameras by which photographs are seen when their points are moved so, and the homographies of these."""
+    cameras = []
+    for sighting in sightings:
+        camera = camera_of(sighting._replace(points_cm=through(to_plane, sighting.points_cm)), sighting.focal_mm)
+        cameras.append(camera._replace(sighting=camera.sighting._replace(to_px=camera.to_px())))
+    return cameras

@@ -1,0 +1,198 @@
+"""Photographs of a flat material without markers, registered by the material's own features.
+
+Features are SIFT's (Lowe 2004), homographies MAGSAC++'s (Barath et al. 2020). A flash beside the lens shades relief
+anew in each photograph, so that few features look alike: many are compared, and a homography is judged by other means,
+the share of small pieces of both pictures that are most alike in the same place.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_tools.readers.image_files import read_pixels
+from metapp.extensions.capture.markers.sheet import Floats
+from metapp.extensions.capture.markers.sighting import Sighting, focal_of
+from metapp.extensions.capture.photos import display, opencv
+
+PRINT = "print a frame of markers: metapp data markers sheet.pdf"
+
+_LONGER_PX = 1600  # side of the pictures that are registered, at most
+_LEVELS, _FEATURES, _GUIDED = (1.0, 0.5, 0.25), 2500, 5000  # scales, features of each; of one scale, near a first guess
+_LIKE = 0.9, 0.8  # distance of the best match over that of the second, at most: anywhere, and near a first guess
+_TRIES, _FEWEST = 4, 10  # homographies of two photographs that are tried, matches of each
+_NEAR = 0.025  # of the shorter side, how far off a first guess is
+_PIECES_PX, _PIECE, _REACH, _OFF = 256, 32, 8, 2  # shorter side of pictures that are judged, pieces, search, errors, px
+_AGREE, _SEEN, _RIGHT = (
+    0.35,
+    0.35,
+    0.35,
+)  # least shares: of pieces that agree, the reference in view, and matches that fit
+_KEPT = 400  # matches of a photograph
+_NOISE = 0.008  # of white: less contrast is not raised to that of the rest
+
+Features = tuple[NDArray[np.float32], NDArray[np.float32]]  # places [N, 2] in px, descriptors [N, 128] of length 1
+Match = tuple[Floats, Floats, Floats]  # [3, 3] from px of a photograph to the reference's, matches [N, 2] in px of both
+
+
+class View(NamedTuple):
+    """A photograph to register, and its `picture` [height, width]: grey, of like mean and contrast everywhere."""
+
+    sighting: Sighting
+    picture: NDArray[np.float32]
+    features: Features
+
+
+def register(paths: Sequence[Path], fov_rad: float = 0.0) -> tuple[list[Sighting], list[str]]:
+    """Find points that photographs of one material share with a reference, the first that another one fits.
+
+    Args:
+        paths: the photographs.
+        fov_rad: as of `find_sheet`.
+
+    Returns:
+        Sightings, the reference first, whose `points_cm` are those of the reference, px from its middle over its
+        diagonal, y up; a line for each photograph that does not fit.
+
+    Raises:
+        ValueError: no two fit; as `read_pixels`.
+    """
+    views = [_view(path, fov_rad) for path in paths]
+    for first, reference in enumerate(views[:-1]):
+        fine = _features(reference.picture, _LEVELS[:1], _GUIDED)
+        every = np.asarray(fine[0], np.float64)
+        placed: dict[int, Match] = {first: (np.eye(3), every, every)}
+        for other in [*range(first + 1, len(views))] * 2:  # one that fits no earlier photograph may fit a later one
+            for number in [] if other in placed else list(placed):
+                guesses = [placed[number][0] @ each for each in _guesses(views[other], views[number])]
+                match = _best(views[other], reference, fine, guesses)
+                if match:
+                    placed[other] = match
+                    break
+        if len(placed) > 1:
+            lost = [view.sighting.path for number, view in enumerate(views) if number not in placed]
+            why = f"too few features in common with {reference.sighting.path.name}, expected an overlap; {PRINT}."
+            return [_sighted(views[i], reference, match) for i, match in placed.items()], [f"{x}: {why}" for x in lost]
+    raise ValueError(f"{paths[0]}: none of {len(paths)} photos has features in common with another one; {PRINT}.")
+
+
+def _view(path: Path, fov_rad: float) -> View:
+    cv2, pixels, none = opencv(), read_pixels(path), np.zeros((0, 2))
+    grey = display(pixels).mean(-1).astype(np.float32)
+    height, width = grey.shape
+    sighting = Sighting(path, height, width, focal_of(pixels, fov_rad), 1.0, none, none, none, np.eye(3), False)
+    scale = min(1.0, _LONGER_PX / max(height, width))
+    grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    near = functools.partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=min(grey.shape) / 40)
+    rest = grey - near(grey)
+    picture = (rest / (np.sqrt(near(rest * rest)) + _NOISE)).clip(-3, 3)
+    return View(sighting, picture, _features(picture, _LEVELS, _FEATURES))
+
+
+def _features(picture: NDArray[np.float32], levels: Sequence[float], count: int) -> Features:
+    """So many of SIFT's features at most of each scale, described as RootSIFT does."""
+    cv2, places, descriptors = opencv(), [np.zeros((0, 2), np.float32)], [np.zeros((0, 128), np.float32)]
+    sift = cv2.SIFT_create(count, contrastThreshold=0.01, edgeThreshold=20)
+    for level in levels:
+        small = cv2.resize(picture, None, fx=level, fy=level, interpolation=cv2.INTER_AREA)
+        small = small / max(float(small.std()), 0.1) if level < 1 else cv2.GaussianBlur(small, (0, 0), 1.0)
+        points, described = sift.detectAndCompute(((small + 3) * 42.5).clip(0, 255).astype(np.uint8), None)
+        if points:
+            places.append((np.array([point.pt for point in points], np.float32) + 0.5) / level - 0.5)
+            descriptors.append(np.sqrt(described / np.maximum(described.sum(1, keepdims=True), 1e-6)))
+    return np.concatenate(places), np.concatenate(descriptors)
+
+
+def _pairs(one: Features, other: Features, like: float, near: float) -> tuple[Floats, Floats]:
+    """Places [M, 2] of features that are most alike of those within so many px of each other."""
+    if not len(one[0]) or not len(other[0]):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    alike, rows = one[1] @ other[1].T, np.arange(len(one[0]))
+    squares = (one[0] ** 2).sum(1)[:, None] + (other[0] ** 2).sum(1) - 2 * one[0] @ other[0].T
+    alike[squares > near * near] = 0.0
+    best, back = alike.argmax(1), alike.argmax(0)
+    value = alike[rows, best]
+    alike[rows, best] = 0.0
+    kept = (back[best] == rows) & (1 - value < like * like * (1 - alike.max(1))) & (value > 0.5)
+    return one[0][kept].astype(np.float64), other[0][best[kept]].astype(np.float64)
+
+
+def _homography(own: Floats, on_reference: Floats, off_px: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """The homography that most matches fit, [3, 3], and which of them do, [N]."""
+    to, kept = np.eye(3), None
+    if len(own) >= _FEWEST:
+        to, kept = opencv().findHomography(own, on_reference, opencv().USAC_MAGSAC, off_px, None, 20_000, 0.9999)
+    return (to, kept[:, 0] > 0) if kept is not None and to is not None else (np.eye(3), np.zeros(len(own), bool))
+
+
+def _guesses(view: View, other: View) -> Iterable[Floats]:
+    """Homographies to another photograph, that of most matches first: repetitions may outnumber the right one."""
+    own, there = _pairs(view.features, other.features, _LIKE[0], math.inf)
+    for _ in range(_TRIES):
+        to, kept = _homography(own, there, 3.0)
+        if kept.sum() < _FEWEST:
+            break
+        yield to
+        far = np.linalg.norm(through(to, own) - there, axis=1) > 12
+        own, there = own[far], there[far]
+
+
+def _best(view: View, reference: View, fine: Features, guesses: Iterable[Floats]) -> Match | None:
+    """The guess by which most of two photographs agrees, refined twice by fine features near it."""
+    size = reference.picture.shape[::-1]
+    to = max(guesses, key=lambda to: math.prod(_agreement(view, reference, to)), default=np.zeros((3, 3)))
+    for _ in range(2):
+        agree, seen = _agreement(view, reference, to) if to.any() else (0.0, 0.0)
+        if agree < _AGREE or seen < _SEEN:
+            return None
+        warped = opencv().warpPerspective(view.picture, to, size, flags=opencv().INTER_CUBIC)
+        there, moved = _pairs(fine, _features(warped, _LEVELS[:1], _GUIDED), _LIKE[1], _NEAR * min(size))
+        own = through(np.asarray(np.linalg.inv(to), np.float64), moved)
+        to, kept = _homography(own, there, 2.0)
+    agree, seen = _agreement(view, reference, to)
+    fits = agree >= _AGREE and seen >= _SEEN and kept.sum() >= max(3 * _FEWEST, _RIGHT * len(kept))
+    return (to, own[kept], there[kept]) if fits else None
+
+
+def _agreement(view: View, reference: View, to: Floats) -> tuple[float, float]:
+    """Shares of pieces of the reference: of those in view, that are most alike in the same place; of all, in view."""
+    cv2, scale, margin = opencv(), _PIECES_PX / min(reference.picture.shape), _PIECE + 2 * _REACH
+    small = cv2.resize(reference.picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    warp = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2], [0, 0, 1]]) @ to
+    smooth = cv2.GaussianBlur(view.picture, (0, 0), max(0.5 / scale, 0.1))
+    warped, inside = (cv2.warpPerspective(each, warp, small.shape[::-1]) for each in (smooth, np.ones_like(smooth)))
+    total, seen, good = 0, 0, 0
+    for top in range(0, small.shape[0] - margin, _PIECE // 2):
+        for left in range(0, small.shape[1] - margin, _PIECE // 2):
+            wide, total = np.s_[top : top + margin, left : left + margin], total + 1
+            if inside[wide].min() > 0.99:
+                piece = small[wide][_REACH:-_REACH, _REACH:-_REACH]
+                place = cv2.minMaxLoc(cv2.matchTemplate(warped[wide], piece, cv2.TM_CCOEFF_NORMED))[3]
+                seen, good = seen + 1, good + (max(abs(each - _REACH) for each in place) <= _OFF)
+    return good / max(seen, 1), seen / max(total, 1)
+
+
+def _sighted(view: View, reference: View, match: Match) -> Sighting:
+    """The matches of a photograph, in px of the whole photograph, and on the reference; marks of them are diamonds."""
+    chosen = np.random.default_rng(0).permutation(len(match[1]))[:_KEPT]
+    own, there = (
+        (points[chosen] + 0.5) * each.sighting.width / each.picture.shape[1] - 0.5
+        for points, each in zip(match[1:], (view, reference), strict=True)
+    )
+    height, width = reference.sighting.height, reference.sighting.width
+    points = (there - [(width - 1) / 2, (height - 1) / 2]) * [1, -1] / math.hypot(height, width)
+    diamond = np.array([[-1, 0], [0, -1], [1, 0], [0, 1]]) * max(view.sighting.height, view.sighting.width) / 250
+    return view.sighting._replace(markers=own[:, None] + diamond, points_cm=points, points_px=own)
+
+
+def through(homography: Floats, points: Floats) -> Floats:
+    """Points [N, 2] that a homography moves."""
+    moved = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ homography.T
+    result: Floats = moved[:, :2] / moved[:, 2:]
+    return result
