@@ -117,12 +117,12 @@ def rectify(
     for line in skipped:
         say(f"warning: skipped: {line}")
     (right, up), first = options.flash or (0.0, 0.0), cameras[0].sighting
-    if not first.sheet:
+    if (right or up) and not first.sheet:
+        raise ValueError(
+            "--flash: cm, but no photo shows the marker sheet, which tells how long they are; leave it out."
+        )
+    if not first.sheet and not quiet:
         say(f"no markers: {len(cameras)} photos registered by their own features; lengths are in sides of the square")
-        if right or up:
-            raise ValueError(
-                "--flash: cm, but no photo shows the marker sheet, which tells how long they are; omit it."
-            )
     if (right or up) and len({sighting.height > sighting.width for sighting, *_ in cameras}) > 1:
         say("warning: some photos are upright, some across: --flash is right and up in each as it is shown.")
     lights_cm, unit = [camera.beside_cm(right, up) for camera in cameras], "cm" if first.sheet else "sides"

@@ -12,22 +12,16 @@ from metapp.extensions.capture.markers.registration import through
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting, camera_of
 
-_TRIED = 40  # matches of a photograph by which the plane is looked for
+_TRIED = 25  # matches of a photograph by which the plane is looked for
 _SLOPE = 0.6  # of the plane to the reference, at most
 
 
 def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
-    """Cameras above the plane by which photographs fit best, on the largest square that all of them show.
+    """Cameras above the plane by which photographs fit best; lengths are in distances of the first from it.
 
     Args:
         sightings: as `register` returns them.
         focal_mm: as of 35 mm film, of photographs that do not state it.
-
-    Returns:
-        Cameras, with lengths in sides of this square.
-
-    Raises:
-        ValueError: there is none.
     """
     from scipy.optimize import brute
 
@@ -40,20 +34,16 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
         shares = [camera.error_px / math.hypot(camera.sighting.height, camera.sighting.width) for camera in seen]
         return float(np.mean(shares) + 1e-5 * np.square(slopes).sum())
 
-    slopes = brute(error, [(-_SLOPE, _SLOPE)] * 2, Ns=7)
-    cameras = _on_plane(known, _to_plane(slopes, known[0].focal_mm))
-    return _on_plane([camera.sighting for camera in cameras], _to_square(cameras))
+    slopes = brute(error, [(-_SLOPE, _SLOPE)] * 2, Ns=5)
+    return _on_plane(known, _to_plane(slopes, known[0].focal_mm))
 
 
-def _to_plane(slopes: Floats, focal_mm: float) -> Floats:
-    """From points of the reference, [3, 3], to a plane of such slopes at distance 1, below the camera its origin."""
-    normal = np.array([*slopes, 1.0]) / math.hypot(*slopes, 1.0)
-    right = np.array([normal[2], 0.0, -normal[0]]) / math.hypot(normal[0], normal[2])
-    return np.stack([right, np.cross(normal, right), -normal]) @ np.diag([1.0, 1.0, -focal_mm / FRAME_MM])
+def on_square(cameras: Sequence[Camera]) -> list[Camera]:
+    """Cameras above the largest square along the plane's axes that all photographs show; lengths are in its sides.
 
-
-def _to_square(cameras: Sequence[Camera]) -> Floats:
-    """From the plane, [3, 3], to the largest square along its axes that all photographs show, of side 1."""
+    Raises:
+        ValueError: there is none.
+    """
     from scipy.optimize import linprog
 
     rows = []
@@ -61,16 +51,23 @@ def _to_square(cameras: Sequence[Camera]) -> Floats:
         to_px = sighting.to_px * np.sign(sighting.to_px[2] @ [*sighting.points_cm[0], 1.0])
         for row, size in zip(to_px[:2], (sighting.width, sighting.height), strict=True):
             rows += [row, (size - 1) * to_px[2] - row]
-    edges = np.stack(rows)
+    edges, free = np.stack(rows), (None, None)
     half = np.abs(edges[:, :2]).sum(1)
-    free = (None, None)
     found = linprog([0, 0, -1], np.column_stack([-edges[:, :2], half]), edges[:, 2], bounds=[free, free, (0, None)])
     x, y, reach = found.x if found.success else (0.0, 0.0, 0.0)
     if reach <= 0:
         raise ValueError(
             f"{cameras[0].sighting.path}: no part is in all {len(cameras)} photos, expected one; aim at one place."
         )
-    return np.array([[1, 0, -x], [0, 1, -y], [0, 0, 2 * reach]])
+    to_square = np.array([[1, 0, -x], [0, 1, -y], [0, 0, 2 * reach]])
+    return _on_plane([camera.sighting for camera in cameras], to_square)
+
+
+def _to_plane(slopes: Floats, focal_mm: float) -> Floats:
+    """From points of the reference, [3, 3], to a plane of such slopes at distance 1, below the camera its origin."""
+    normal = np.array([*slopes, 1.0]) / math.hypot(*slopes, 1.0)
+    right = np.array([normal[2], 0.0, -normal[0]]) / math.hypot(normal[0], normal[2])
+    return np.stack([right, np.cross(normal, right), -normal]) @ np.diag([1.0, 1.0, -focal_mm / FRAME_MM])
 
 
 def _on_plane(sightings: Sequence[Sighting], to_plane: Floats) -> list[Camera]:

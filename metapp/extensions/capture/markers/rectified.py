@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.markers.plane import cameras_on_plane
+from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
 from metapp.extensions.capture.markers.registration import register
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import (
@@ -62,17 +62,11 @@ def find_cameras(
         sightings, lost = register(list(plain), fov_rad)
         skipped, cameras_of = [*(line for line in skipped if line not in plain.values()), *lost], cameras_on_plane
         unknown = [] if all(sighting.focal_mm for sighting in sightings) else sightings
-    found_mm, cameras = common_focal(unknown, cameras_of) if unknown else 0.0, []
-    for camera in cameras_of(sightings, found_mm) if sightings else []:
-        sighting = camera.sighting
-        limit_px = MAX_ERROR * sighting.opening_cm * sighting.scales()[1]
-        if camera.error_px <= limit_px:
-            cameras.append(camera)
-        else:
-            skipped.append(
-                f"{sighting.path}: points are {camera.error_px:.1f} px from where a lens of {sighting.focal_mm:.0f} mm "
-                f"sees them, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
-            )
+    found_mm = common_focal(unknown, cameras_of) if unknown else 0.0
+    every = cameras_of(sightings, found_mm) if sightings else []
+    every = every if cameras_of is cameras_on_sheet else on_square(every)
+    cameras = [camera for camera in every if not _fault_of(camera)]
+    skipped += [line for line in map(_fault_of, every) if line]
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
@@ -105,6 +99,15 @@ def _sheets(
                 "sheet."
             )
     return sightings, plain, skipped
+
+
+def _fault_of(camera: Camera) -> str:
+    """The line why points do not lie where a camera sees them; "" if they do."""
+    path, limit_px = camera.sighting.path, MAX_ERROR * camera.sighting.opening_cm * camera.sighting.scales()[1]
+    if camera.error_px <= limit_px:
+        return ""
+    seen = f"{camera.error_px:.1f} px from where a lens of {camera.sighting.focal_mm:.0f} mm sees them"
+    return f"{path}: points are {seen}, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
 
 
 def write_set(

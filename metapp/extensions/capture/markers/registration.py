@@ -34,7 +34,7 @@ _AGREE, _SEEN, _RIGHT = (
     0.35,
     0.35,
 )  # least shares: of pieces that agree, the reference in view, and matches that fit
-_KEPT = 400  # matches of a photograph
+_KEPT = 1000  # matches of a photograph
 _NOISE = 0.008  # of white: less contrast is not raised to that of the rest
 
 Features = tuple[NDArray[np.float32], NDArray[np.float32]]  # places [N, 2] in px, descriptors [N, 128] of length 1

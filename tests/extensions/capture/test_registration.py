@@ -1,0 +1,122 @@
+"""Photographs of a material without the marker sheet: places of cameras, and what is refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.extensions.capture.marker_photos import Camera, cv2, tilted  # isort: skip
+
+from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
+from metapp.extensions.capture.markers.rectified import find_cameras
+from metapp.extensions.capture.markers.registration import register
+from metapp.extensions.capture.markers.sighting import Sighting, common_focal
+from metapp.extensions.several.photos import read_task
+from tests.pictures import write
+
+VIEW = {"focal_mm": 26, "height": 320, "width": 360}
+CAMERAS = {
+    "a": Camera((0.5, -0.4, 26.0), (0.4, 0.2), 3.0, **VIEW),
+    "b": tilted(24, 40, 24, roll=20, **VIEW),
+    "c": tilted(20, 160, 30, roll=-100, **VIEW),
+}
+REMEDY = "print a frame of markers: metapp data markers sheet.pdf"
+
+
+def material(seed: int) -> np.ndarray:
+    """sRGB [1200, 1200, 3] in [0, 1] of details of all sizes, 60 cm a side."""
+    rng, values = np.random.default_rng(seed), np.full((1200, 1200), 0.45, np.float32)
+    for count in (30, 90, 270, 540):
+        part = rng.normal(0, 0.06, (count, count)).astype(np.float32)
+        values += cv2.resize(part, (1200, 1200), interpolation=cv2.INTER_CUBIC)
+    return np.repeat(values[..., None], 3, -1).clip(0, 1)
+
+
+def take(path: Path, camera: Camera, values: np.ndarray) -> Path:
+    """A photograph, brightest in its middle, with noise."""
+    to_cm = np.array([[0.05, 0, -30 + 0.025], [0, -0.05, 30 - 0.025], [0, 0, 1]])
+    seen = cv2.warpPerspective(values, camera.to_px() @ to_cm, (camera.width, camera.height), flags=cv2.INTER_AREA)
+    y, x = np.mgrid[-1 : 1 : camera.height * 1j, -1 : 1 : camera.width * 1j]
+    seen = seen * (1 - 0.2 * (x**2 + y**2))[..., None] + np.random.default_rng(1).normal(0, 0.01, seen.shape)
+    return write(path, (seen.clip(0, 1) * 255).round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=camera.focal_mm)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Photographs of CAMERAS of one material, not to write to."""
+    folder = tmp_path_factory.mktemp("photos")
+    for name, camera in CAMERAS.items():
+        take(folder / f"{name}.png", camera, material(1))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sightings(photos: Path) -> list[Sighting]:
+    """What all of them share with the first."""
+    found, lines = register([photos / f"{name}.png" for name in CAMERAS])
+    assert lines == []
+    return found
+
+
+@pytest.mark.parametrize("focal", [True, False])
+def test_places_and_the_square_are_found(sightings: list[Sighting], focal: bool) -> None:
+    focal_mm = 26.0
+    if not focal:
+        sightings = [sighting._replace(focal_mm=0.0) for sighting in sightings]
+        focal_mm = common_focal(sightings, cameras_on_plane)
+        assert focal_mm == pytest.approx(26, rel=0.02)
+    cameras = on_square(cameras_on_plane(sightings, focal_mm))
+    assert [camera.sighting.path.stem for camera in cameras] == list(CAMERAS)
+    corners = []
+    for camera in cameras:
+        to_cm = np.linalg.inv(CAMERAS[camera.sighting.path.stem].to_px())
+        corners.append(cv2.perspectiveTransform(camera.sighting.corners_px()[None], to_cm)[0])
+    side = np.linalg.norm(corners[0] - np.roll(corners[0], 1, 0), axis=1).mean()
+    assert side > 7
+    np.testing.assert_allclose(corners, np.broadcast_to(corners[0], np.shape(corners)), atol=side / 256)
+    right = (corners[0][1] - corners[0][0] + corners[0][2] - corners[0][3]) / 2
+    axes = np.array([[*right, 0], [-right[1], right[0], 0], [0, 0, side]]) / side
+    for camera in cameras:
+        place = np.array(CAMERAS[camera.sighting.path.stem].place) - [*corners[0].mean(0), 0]
+        found = camera.place_cm * side
+        assert np.linalg.norm(axes @ place - found) < (0.01 if focal else 0.03) * np.linalg.norm(place)
+
+
+def test_photographs_without_markers_become_a_folder_that_a_fit_reads(metapp: Callable, photos: Path) -> None:
+    other = take(Path("other.png"), CAMERAS["b"], material(2))
+    paths = [photos / "a.png", other, photos / "b.png"]
+    result = metapp("data", "rectify", *paths, "--out", "leaf", "--json")
+    assert "no markers: 2 photos registered by their own features" in result.err
+    assert f"warning: skipped: {other}: too few features in common with a.png, expected an overlap; {REMEDY}." in (
+        result.err
+    )
+    assert result.done["unit"] == "sides"
+    assert "00.png: a.png, 1000 points, error" in result.err
+    assert Path("leaf/found/01.png").exists()
+    places = read_task(Path("leaf")).data["places"]
+    assert places.shape == (2, 2, 3)
+    assert (places[:, 0] == places[:, 1]).all()
+
+
+def test_a_flash_beside_the_lens_needs_the_sheet(metapp: Callable, photos: Path) -> None:
+    paths = [photos / "a.png", photos / "b.png"]
+    refusal = metapp("data", "rectify", *paths, "--out", "leaf", "--flash", "1,0").refusal
+    assert "--flash: cm, but no photo shows the marker sheet" in refusal
+    assert not Path("leaf").exists()
+
+
+def blank(path: Path, seed: int) -> Path:
+    values = 128 + np.random.default_rng(seed).normal(0, 3, (300, 400, 3))
+    return write(path, values.round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=26)
+
+
+def test_what_shares_nothing_is_refused_in_a_line(tmp_path: Path) -> None:
+    for name, make in (
+        ("wall", lambda path, seed: blank(path, seed)),
+        ("unrelated", lambda path, seed: take(path, CAMERAS["a"], material(seed))),
+    ):
+        paths = [make(tmp_path / f"{name}{seed}.png", seed) for seed in (3, 4)]
+        line = f"{paths[0]}: none of 2 photos has features in common with another one; {REMEDY}."
+        with pytest.raises(ValueError, match=line.partition("(")[0].replace(".", r"\.")):
+            find_cameras(paths)
