@@ -1,4 +1,4 @@
-"""The commands of `metapp data` for photographs of a printed marker sheet."""
+"""The commands of `metapp data` for photographs of a flat material, with a printed marker sheet or without."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class RectifyOptions:
     size: Annotated[
         int, Option("Greatest side of the pictures; never finer than the first photo.", "PX", low=64, high=4096)
     ] = 1024
-    fov: Annotated[float, fov("EXIF's, else as the markers fit best")] = 0.0
+    fov: Annotated[float, fov("EXIF's, else as markers or points fit best")] = 0.0
     flash: Annotated[
         tuple[float, ...],
         Option(
@@ -85,19 +85,20 @@ class RectifyOptions:
 @takes(RectifyOptions)
 def rectify(
     options: RectifyOptions,
-    paths: Annotated[
-        list[Path], typer.Argument(metavar="PHOTO...", help="Photographs with the sheet in view, or folders of them.")
-    ],
+    paths: Annotated[list[Path], typer.Argument(metavar="PHOTO...", help="Photographs, or folders of them.")],
     folder: Out,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Rectify photographs of a material in a marker sheet, and find the positions of camera and flash.
+    """Rectify hand-held flash photographs of a flat material, and find the positions of camera and flash.
 
-    Writes square pictures 00.png, 01.png, ... of the sheet's opening, that from nearest to straight above first,
-    camera_pos.txt, light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`.
-    Pictures in its folder found/ show the markers found. Photos whose markers are missing or do not fit are
-    skipped, each with a line. Needs OpenCV, which metapp's extra `capture` installs.
+    Of photos that show a marker sheet, rectifies the sheet's opening. Where none shows a marker, photos are registered
+    by the material's own features: the first from about straight above, the others up to 30 degrees aside, all
+    aimed at one place; the square is the largest that all show, and lengths are in its sides.
+    Writes square pictures 00.png, 01.png, ..., that from nearest to straight above first, camera_pos.txt,
+    light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder
+    found/ show the markers or points found. Photos that do not fit are skipped, each with a line. Needs OpenCV,
+    which metapp's extra `capture` installs.
 
     Examples:
       metapp data rectify photos/ --out leaf
