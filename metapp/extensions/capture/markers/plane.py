@@ -14,6 +14,7 @@ from metapp.extensions.capture.markers.sighting import Camera, Sighting, camera_
 
 _TRIED = 25  # matches of a photograph by which the plane is looked for
 _SLOPE = 0.6  # of the plane to the reference, at most
+_ABOVE = 0.003  # weight of these slopes squared: two photographs fit two planes
 
 
 def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
@@ -32,7 +33,7 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
         """Mean error, in fractions of the photograph's diagonal; a little more of a tilted reference."""
         seen = _on_plane(few[1:], _to_plane(slopes, few[0].focal_mm))
         shares = [camera.error_px / math.hypot(camera.sighting.height, camera.sighting.width) for camera in seen]
-        return float(np.mean(shares) + 1e-5 * np.square(slopes).sum())
+        return float(np.mean(shares) + _ABOVE * np.square(slopes).sum())
 
     slopes = brute(error, [(-_SLOPE, _SLOPE)] * 2, Ns=5)
     return _on_plane(known, _to_plane(slopes, known[0].focal_mm))

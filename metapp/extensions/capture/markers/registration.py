@@ -66,8 +66,7 @@ def register(paths: Sequence[Path], fov_rad: float = 0.0) -> tuple[list[Sighting
     views = [_view(path, fov_rad) for path in paths]
     for first, reference in enumerate(views[:-1]):
         fine = _features(reference.picture, _LEVELS[:1], _GUIDED)
-        every = np.asarray(fine[0], np.float64)
-        placed: dict[int, Match] = {first: (np.eye(3), every, every)}
+        placed: dict[int, Match] = {first: (np.eye(3), np.zeros((0, 2)), np.zeros((0, 2)))}
         for other in [*range(first + 1, len(views))] * 2:  # one that fits no earlier photograph may fit a later one
             for number in [] if other in placed else list(placed):
                 guesses = [placed[number][0] @ each for each in _guesses(views[other], views[number])]
@@ -76,6 +75,8 @@ def register(paths: Sequence[Path], fov_rad: float = 0.0) -> tuple[list[Sighting
                     placed[other] = match
                     break
         if len(placed) > 1:
+            shared = np.concatenate([match[2] for match in placed.values()])
+            placed[first] = (np.eye(3), shared, shared)
             lost = [view.sighting.path for number, view in enumerate(views) if number not in placed]
             why = f"too few features in common with {reference.sighting.path.name}, expected an overlap; {PRINT}."
             return [_sighted(views[i], reference, match) for i, match in placed.items()], [f"{x}: {why}" for x in lost]
