@@ -25,7 +25,7 @@ PRINT = "print a frame of markers: metapp data markers sheet.pdf"
 
 _LONGER_PX = 1600  # side of the pictures that are registered, at most
 _LEVELS, _FEATURES, _GUIDED = (1.0, 0.5, 0.25), 2500, 5000  # scales, features of each; of one scale, near a first guess
-_LIKE = 0.9, 0.8  # distance of the best match over that of the second, at most: anywhere, and near a first guess
+_LIKE = 0.9, 0.75  # distance of the best match over that of the second, at most: anywhere, and near a first guess
 _TRIES, _FEWEST = 4, 10  # homographies of two photographs that are tried, matches of each
 _NEAR = 0.025  # of the shorter side, how far off a first guess is
 _PIECES_PX, _PIECE, _REACH, _OFF = 256, 32, 8, 2  # shorter side of pictures that are judged, pieces, search, errors, px
