@@ -29,11 +29,8 @@ _LIKE = 0.9, 0.75  # distance of the best match over that of the second, at most
 _TRIES, _FEWEST = 4, 10  # homographies of two photographs that are tried, matches of each
 _NEAR = 0.025  # of the shorter side, how far off a first guess is
 _PIECES_PX, _PIECE, _REACH, _OFF = 256, 32, 8, 2  # shorter side of pictures that are judged, pieces, search, errors, px
-_AGREE, _SEEN, _RIGHT = (
-    0.35,
-    0.35,
-    0.35,
-)  # least shares: of pieces that agree, the reference in view, and matches that fit
+_AGREE, _SEEN = 0.35, 0.35  # least shares of pieces that agree, and of the reference in view
+_RIGHT = 0.5  # least share of matches near a first guess that fit
 _KEPT = 1000  # matches of a photograph
 _NOISE = 0.008  # of white: less contrast is not raised to that of the rest
 
