@@ -40,7 +40,7 @@ def baselines(registry: Registry) -> None:
 
 
 def capture(registry: Registry) -> None:
-    """Light and materials captured by hand: a mirror ball in several photos, flat materials in a sheet of markers."""
+    """Light and materials captured by hand: a mirror ball in several photos, flat materials in hand-held photos."""
     here = f"{_HERE}.capture"
     registry.formats["ball"] = Format(f"{here}.ball.reading", app="illumination", inputs="LDR photos of a ball")
     registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge")
