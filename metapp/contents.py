@@ -39,8 +39,10 @@ APPLICATIONS = {
         options="metapp.apps.transport.options:TransportOptions",
     ),
 }
-SMALLER = ("paper-64", "paper-128")  # further recipes, of --observe reference
-SMALLER_APPLICATIONS = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
+FURTHER_RECIPES = {  # of --observe reference
+    **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64", "paper-128")),
+    **dict.fromkeys(("brdf", "illumination", "transport"), ("paper-long",)),
+}
 SYNTHETIC = {
     "brdf": "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)",
     "texture": "photos of 20 kinds of flat materials; 0.2 MB (240 + 20)",
@@ -95,8 +97,8 @@ def register(registry: Registry) -> None:
     for app, entry in APPLICATIONS.items():
         registry.applications[app] = entry
         for protocol in entry.protocols or ("",):
-            smaller = SMALLER if app in SMALLER_APPLICATIONS and protocol in ("", "reference") else ()
-            for name in ("quick", "full", "paper", *smaller):
+            further = FURTHER_RECIPES[app] if protocol in ("", "reference") else ()
+            for name in ("quick", "full", "paper", *further):
                 place = ".".join(filter(None, ("RECIPES", protocol, name)))
                 registry.recipes[app, protocol, name] = RecipeEntry(f"metapp.apps.{app}.recipes:{place}")
         registry.synthetic[app] = Entry(f"data_tools.synthetic.{app}", SYNTHETIC[app])

@@ -48,6 +48,7 @@ class OuterLoop:
         rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
         warmup: outer steps of linear warm-up.
         final: the rate's last value over its first, reached by a half cosine.
+        hold: share of the steps before this decay begins.
         decay: weight decay (L2) of the outer Adam.
         validate_every: outer steps between two validations.
         augment: train on augmented tasks.
@@ -58,6 +59,7 @@ class OuterLoop:
     rates: dict[str, float]
     warmup: int = 0
     final: float = 1.0
+    hold: float = 0.0
     decay: float = 0.0
     validate_every: int = 250
     augment: bool = True
@@ -157,3 +159,12 @@ def as_published(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     )
     meta = {"meta-sgd": replace(training, **changes)}
     return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", app=app)
+
+
+def decayed(published: Recipe) -> Recipe:
+    """The recipe of the paper at ten times the outer rate, which decays to 0 in the last quarter of the outer steps.
+
+    At the published constant rate, step sizes and initialisation still move after 10^6 outer steps.
+    """
+    training = published.training("meta-sgd")
+    return replace(published, meta={"meta-sgd": replace(training, rates={"": 1e-3}, hold=0.75, final=0.0)})

@@ -7,7 +7,7 @@ from dataclasses import replace
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf
-from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, as_published
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, as_published, decayed
 
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
 # clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
@@ -82,4 +82,4 @@ PAPER = replace(
     finetune_steps=10_000,
 )
 
-RECIPES = {"paper": PAPER, "quick": QUICK, "full": FULL, "anisotropic": ANISOTROPIC}
+RECIPES = {"paper": PAPER, "paper-long": decayed(PAPER), "quick": QUICK, "full": FULL, "anisotropic": ANISOTROPIC}

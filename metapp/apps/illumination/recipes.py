@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.illumination.app import Illumination
-from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, decayed
 from metapp.networks.field import LocalField
 from metapp.networks.recipes import by_protocol
 
@@ -62,3 +62,4 @@ RECIPES = by_protocol(
     full=Illumination(LocalField(128, 256, rows=32, columns=64)),
     paper=Illumination(LocalField(64, 128, hidden=64)),  # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
 )
+RECIPES["reference"]["paper-long"] = decayed(RECIPES["reference"]["paper"])

@@ -17,14 +17,17 @@ from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Params
 
 
-def half_cosine(first: float, steps: int, final: float = 1.0, warmup: int = 0) -> Tensor:
-    """Rates [steps]: linear warm-up to `first`, then half a cosine down to `first * final`.
+def half_cosine(first: float, steps: int, final: float = 1.0, warmup: int = 0, hold: float = 0.0) -> Tensor:
+    """Rates [steps]: linear warm-up to `first`, constant for a share `hold` of the steps, then half a cosine down.
+
+    The last rate is near `first * final`.
 
     >>> half_cosine(1.0, 3, final=0.0)
     tensor([1.0000, 0.7500, 0.2500])
     """
     i = torch.arange(max(steps, 1), dtype=torch.float32)
-    progress = ((i - warmup) / max(steps - warmup, 1)).clamp(0, 1)
+    decay = max(warmup, round(hold * steps))  # the first step of the decay
+    progress = ((i - decay) / max(steps - decay, 1)).clamp(0, 1)
     rates = final + (1 - final) * 0.5 * (1 + torch.cos(math.pi * progress))
     return first * rates * ((i + 1) / (warmup + 1)).clamp(max=1)
 
@@ -47,7 +50,7 @@ def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
     alpha = {"beta1": _one(0.9, device), "beta2": _one(0.999, device)}
     for key in params:
         prefix = max((part for part in training.rates if key.startswith(part)), key=len)
-        rates = half_cosine(training.rates[prefix], training.steps, training.final, training.warmup)
+        rates = half_cosine(training.rates[prefix], training.steps, training.final, training.warmup, training.hold)
         alpha[f"rate.{key}"] = rates.to(device)
     return UpdateRule(alpha, adam_state, AdamStep(1e-8, training.decay))
 
