@@ -35,7 +35,6 @@ SUMMARIES = {
     "meta": "A few steps of a learned rule from a learned initialisation.",
 }
 NARROWEST = 50  # columns of a table, so that titles stay on a line
-GUIDE = "docs/guides/svbrdf-nonstationary.md"
 LISTED = 20  # tasks in the table of a run that lists what failed
 
 
@@ -130,7 +129,7 @@ def _of_relief(execution: Execution) -> Iterator[str]:
     records, own = execution.records, execution.run.options.own.given()
     if tilts := [record["mean_tilt_degrees"] for record in records if "mean_tilt_degrees" in record]:
         several = all(record.get("counts", {}).get("photos", 1) > 1 for record in records)
-        few = f"; one photo tells little of it, several photos of one place tell most: {GUIDE}"
+        few = "; one photo tells little of it, several photos of one place tell most: metapp data rectify --help"
         mean = f"mean tilt {statistics.median(tilts):.1f} degrees"
         mean += f", median of {len(tilts)}" if len(tilts) > 1 else ""
         mean += ", without --relief" if "relief" in own else ""

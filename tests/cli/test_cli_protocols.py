@@ -252,7 +252,7 @@ def test_maps_have_the_size_asked_for(metapp: Callable, shot: Path) -> None:
 
 
 def test_the_mean_tilt_is_said_once_for_a_run(metapp: Callable, shot: Path) -> None:
-    few = "one photo tells little of it, several photos of one place tell most: docs/guides/svbrdf-nonstationary.md"
+    few = "one photo tells little of it, several photos of one place tell most: metapp data rectify --help"
     result = metapp("overfit", SVBRDF, shot, "--json")
     tilt = result.document["tasks"][0]["mean_tilt_degrees"]
     assert tilt > 0
