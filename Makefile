@@ -139,8 +139,11 @@ report: setup  ## all tables as Markdown, with the figures: runs/report/index.md
 paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains everything, then tables and report
 	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.apps import app_names; print(*app_names())')
 
+# PAPER=paper-long: at ten times the outer rate, which decays
+PAPER ?= paper
+
 paper-brdf: setup  ## the paper's recipe on neural fits of MERL: make paper-brdf DATA=<folder with nbrdf/merl>; two hours of one core
-	bash tools/paper_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
+	bash tools/paper_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" "$(PAPER)"
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
 	bash tools/real_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(SEEDS)

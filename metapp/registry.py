@@ -356,7 +356,7 @@ def recipe_names(app: str) -> list[str]:
     """The recipes of an application under all its protocols.
 
     >>> recipe_names("illumination")
-    ['quick', 'full', 'paper']
+    ['quick', 'full', 'paper', 'paper-long']
     """
     return list(dict.fromkeys(name for other, _, name in registry().recipes if other == app))
 
