@@ -199,6 +199,8 @@ def several(registry: Registry) -> None:
     registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
         f"{here}.recipe:SEVERAL", help="several photos", kind="places", checkpoints=f"{here}.checkpoints"
     )
+    registry.parts["newton"] = Entry(f"{here}.newton:Newton")
+    registry.rules["gauss-newton"] = "newton+loss"
 
 
 def shaders(registry: Registry) -> None:

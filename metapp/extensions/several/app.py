@@ -122,7 +122,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of logs of photographs, of flashes that moved, and of the prior if there is one: sums over texels, [T]."""
-        learned = learned or {key: value[0].to(theta["maps"]) for key, value in self.loss_parameters(1).items()}
+        learned = self.settings(learned, theta["maps"])
         photos = batch["photos"]
         short = _logs(photos) - _logs(radiance_of(decoded(theta["maps"]), flashes_of(theta["flash"], batch["places"])))
         short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
@@ -133,6 +133,12 @@ class SeveralPhotos(SvbrdfNonstationary):
             off = _rounded((theta["maps"] - mean) * (-deviation).exp(), photos.new_ones(())).mean((2, 3))
             loss = loss + (off * learned["prior"].exp()).sum(1) / photos.shape[1]
         return loss * (photos.shape[-2] * photos.shape[-1])
+
+    def settings(self, learned: Params, like: Tensor) -> Params:
+        """The learned parameters of the loss [T, ...], or those before training."""
+        return learned or {
+            key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
+        }
 
     def loss_parameters(self, steps: int) -> Params:
         """Logs of the rounding of |d|, and of the weights of the prior, of each number, and of moved flashes."""

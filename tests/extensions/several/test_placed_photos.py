@@ -185,9 +185,10 @@ def test_bad_folders_are_refused_in_a_line(folder: Path, change: Callable[[Path]
 
 def test_its_general_ships_with_the_adam_and_the_rule_for_it() -> None:
     folder = Path(str(resources.files(checkpoints))) / "several"
-    names = ("general-photo", "meta-encoder-photo", "quickft-photo")
+    names = ("gauss-newton-photo", "general-photo", "quickft-photo")
     assert sorted(path.stem for path in folder.glob("*.safetensors")) == list(names)
-    general, *others = (shipped_path(APP, name, "several", "photo") for name in names)
+    rule, general, quickft = (shipped_path(APP, name, "several", "photo") for name in names)
+    others = (rule, quickft)
     assert [path.parent for path in (general, *others)] == [folder] * 3
     encoder = load_checkpoint(general)[0].encoder
     for path in others:

@@ -15,7 +15,7 @@ from metapp.extensions.several import encoder as reader
 from metapp.extensions.several.app import SeveralPhotos, Texels, _encoded, drawn_photos, flashes_of, radiance_of
 from metapp.extensions.several.recipe import SEVERAL
 from metapp.learning.app import stack
-from metapp.learning.learn import MetaParameters, descend, final_item
+from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import PARADIGMS
 from metapp.rules import rule_of
@@ -147,7 +147,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
     recipe = replace(SEVERAL, app=app, steps=3, overfit_steps=5, finetune_steps=4)
     encoder = app.init_encoder(Generator().manual_seed(0))
     random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
-    alpha = rule_of("meta-encoder").alpha(app, random, 3, recipe.quickft)
+    alpha = rule_of(SEVERAL.rule).alpha(app, random, 3, recipe.quickft)
     phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
     batch = app.condition(tasks, Generator())
     for name, kind in PARADIGMS.items():
@@ -206,22 +206,6 @@ def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: Seve
     assert torch.equal(one.normal, other.normal)
     assert ((other.diffuse / one.diffuse)[..., ::2] > 1.1).all()
     assert ((other.diffuse / one.diffuse)[..., 1::2] < 0.95).all()
-
-
-def test_learned_rates_of_one_flash_serve_all(app: SeveralPhotos, tasks: Tasks) -> None:
-    """A learned rule that is a plain Adam moves flashes of several photos, each by itself."""
-    recipe = replace(SEVERAL, app=app)
-    meta = PARADIGMS["meta"](app, recipe).unguarded(1)
-    random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
-    alpha = rule_of("meta-encoder").alpha(app, random, 1, recipe.quickft)
-    assert alpha["rate.flash"].shape == (1, FLASH)
-    theta = general(app, tasks)
-    moved = final_item(
-        descend(theta, meta.rule(MetaParameters(alpha=alpha), theta, 1), tasks, meta.loss, steps=1, rng=Generator())
-    ).theta
-    change = (moved["flash"] - theta["flash"]).abs()
-    assert change.amin() > 0
-    assert change.amax() <= recipe.quickft.rate * 1.001
 
 
 def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
