@@ -33,6 +33,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import draws_of, varied
 from metapp.extensions.several import encoder as reader
+from metapp.extensions.several.height import levelled
 from metapp.learning.pictures import Picture, Visible
 from metapp.learning.rules import append_axes
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -75,7 +76,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         return FINEST_PX
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """The same, and `photos`, linear, and `places`: tasks of different numbers of photographs cannot be stacked.
+        """The same, and `photos`, linear, on the surface, and `places`: tasks of different numbers are not stacked.
 
         Raises:
             ValueError: another number of places than of photographs.
@@ -87,8 +88,8 @@ class SeveralPhotos(SvbrdfNonstationary):
                 f"{task.name}: {len(photos)} photos and {len(task.data.get('places', ()))} places, expected as many; "
                 "convert it again."
             )
-        size = (self.network.height, self.network.width)
-        return super().prepare(task) | {"photos": adaptive_avg_pool2d(linear(photos), size), "places": places}
+        small = adaptive_avg_pool2d(linear(photos), (self.network.height, self.network.width))
+        return super().prepare(task) | {"photos": levelled(small, places), "places": places}
 
     def known(self, tasks: Tasks) -> Params:
         """The closed form's maps of one roughness, by which all photographs look most alike, and their flashes."""

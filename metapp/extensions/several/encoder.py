@@ -41,12 +41,17 @@ class Reading(NamedTuple):
         texels: [T, TEXEL_INPUTS, H, W].
         maps: RAW numbers of the closed form, [T, 9, H, W].
         gains: logs of exposures, about a mean of 0, [T, N].
+        grey, tangents, level, weights: of photometric stereo, as `photometric_stereo` takes and gives them.
     """
 
     photos: Tensor
     texels: Tensor
     maps: Tensor
     gains: Tensor
+    grey: Tensor
+    tangents: Tensor
+    level: Tensor
+    weights: Tensor
 
 
 def init(rng: Generator) -> Params:
@@ -184,9 +189,9 @@ def read(photos: Tensor, places: Tensor) -> Reading:
         gains = gains + _centred((y / (level[:, None] * lambertian)).log().flatten(2).median(2).values)
     scale = torch.exp(-_spread(gains) - gloss)
     colour, grey = colour * scale, grey * scale
-    _, slopes, weight, unknown = photometric_stereo(grey, tangents, valid, noise)
+    level, slopes, weights, unknown = photometric_stereo(grey, tangents, valid, noise)
     lambertian = (1 + (slopes[:, None] * tangents).sum(2, keepdim=True)).clamp_min(0.05)
-    weight = weight / weight.sum(1, keepdim=True)
+    weight = weights / weights.sum(1, keepdim=True)
     body = (weight * colour / lambertian).sum(1)
     apart = (colour / (body[:, None] * lambertian)).log().clamp(-3, 3)
     grey_apart = apart.mean(2, keepdim=True)
@@ -221,4 +226,5 @@ def read(photos: Tensor, places: Tensor) -> Reading:
     ]
     shade = torch.logit((albedo ** (1 / 2.2)).clamp(0.02, 0.98))
     maps = torch.cat([slopes, shade, torch.zeros_like(length), torch.zeros_like(albedo)], 1)
-    return Reading(torch.cat(of_photos, 2), torch.cat(of_texels, 1), maps, gains)
+    stereo = (grey, tangents, level, weights)
+    return Reading(torch.cat(of_photos, 2), torch.cat(of_texels, 1), maps, gains, *stereo)
