@@ -15,7 +15,7 @@ from metapp.appearance.flash import positions
 from metapp.extensions.several.encoder import read
 
 FINEST_PX = 128  # coarser photographs do not tell
-STEPS, SURE = 6, 18.0  # changes of the height; deviations, of a first change, that it must exceed
+STEPS, SURE = 8, 18.0  # changes of the height; deviations, of a first change, that it must exceed
 FARTHEST = 4.0  # texels that a height may be off
 RESIDUAL, RIDGE, EDGE, BLOCKS = 0.1, 1e-3, 4, 16  # of a texel's level; of slopes; texels; parts of a side
 

@@ -1,5 +1,6 @@
 """Photographs of a material without the marker sheet: places of cameras, and what is refused."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -83,6 +84,16 @@ def test_places_and_the_square_are_found(sightings: list[Sighting], focal: bool)
         assert np.linalg.norm(axes @ place - found) < (0.01 if focal else 0.03) * np.linalg.norm(place)
 
 
+def test_a_photograph_that_fits_no_plane_with_the_others_leaves_these_as_they_are(photos: Path) -> None:
+    whole = cv2.imread(str(take(Path("whole.png"), CAMERAS["b"], material(1))))
+    odd = write(Path("odd.png"), cv2.resize(whole, None, fx=1.4, fy=1.0)[..., ::-1], Exif_FocalLengthIn35mmFilm=26)
+    paths = [photos / f"{name}.png" for name in CAMERAS]
+    (expected, *_), (cameras, _, skipped) = find_cameras(paths), find_cameras([*paths, odd])
+    assert [line.partition(":")[0] for line in skipped] == ["odd.png"]
+    assert "px from where a lens of" in skipped[0]
+    np.testing.assert_allclose([camera.place_cm for camera in cameras], [camera.place_cm for camera in expected])
+
+
 def test_photographs_without_markers_become_a_folder_that_a_fit_reads(metapp: Callable, photos: Path) -> None:
     other = take(Path("other.png"), CAMERAS["b"], material(2))
     paths = [photos / "a.png", other, photos / "b.png"]
@@ -92,7 +103,7 @@ def test_photographs_without_markers_become_a_folder_that_a_fit_reads(metapp: Ca
         result.err
     )
     assert result.done["unit"] == "sides"
-    assert "00.png: a.png, 1000 points, error" in result.err
+    assert re.search(r"00.png: a.png, 1000 points, the reference, .*\n01.png: b.png, \d+ points, error 0", result.err)
     assert Path("leaf/found/01.png").exists()
     places = read_task(Path("leaf")).data["places"]
     assert places.shape == (2, 2, 3)

@@ -145,7 +145,8 @@ def rectify(
     if not quiet:
         for photo in photos:
             found = ", ".join(f"{photo[key]} {key}" for key in ("markers", "points") if key in photo)
-            found = f"{Path(photo['source']).name}, {found}, error {photo['error_px']:.2f} px"
+            off = f"error {photo['error_px']:.2f} px" if first.sheet or photo["error_px"] > 1e-6 else "the reference"
+            found = f"{Path(photo['source']).name}, {found}, {off}"
             away = f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['tilt_degrees']:.0f} degrees aside"
             say(f"{photo['file']}: {found}, {away}")
         if focal_mm:

@@ -57,16 +57,16 @@ def find_cameras(
             can be found; OpenCV is not installed.
     """
     sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done)
-    unknown, cameras_of = [sighting for sighting in sightings if not sighting.focal_mm], cameras_on_sheet
     if not sightings and len(plain) > 1:
         sightings, lost = register(list(plain), fov_rad)
-        skipped, cameras_of = [*(line for line in skipped if line not in plain.values()), *lost], cameras_on_plane
-        unknown = [] if all(sighting.focal_mm for sighting in sightings) else sightings
-    found_mm = common_focal(unknown, cameras_of) if unknown else 0.0
-    every = cameras_of(sightings, found_mm) if sightings else []
-    every = every if cameras_of is cameras_on_sheet else on_square(every)
-    cameras = [camera for camera in every if not _fault_of(camera)]
-    skipped += [line for line in map(_fault_of, every) if line]
+        skipped = [*(line for line in skipped if line not in plain.values()), *lost]
+    cameras, found_mm = _cameras(sightings)
+    while any(map(_fault_of, cameras)):  # the plane and the square are those of the others
+        odd = max(cameras, key=lambda camera: camera.error_px if _fault_of(camera) else 0.0)
+        skipped.append(_fault_of(odd))
+        sightings = [each for each in sightings if each.path != odd.sighting.path]
+        cameras = [each for each in cameras if each is not odd]
+        cameras, found_mm = _cameras(sightings) if len(cameras) > 1 else (cameras, found_mm)
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
@@ -74,6 +74,15 @@ def find_cameras(
             "one material; take more from other places, with the whole sheet in view."
         )
     return sorted(cameras, key=lambda camera: camera.tilt_degrees), found_mm, skipped
+
+
+def _cameras(sightings: Sequence[Sighting]) -> tuple[list[Camera], float]:
+    """Cameras above the sheet, or the square without one, and the focal length found where some state none, else 0."""
+    plane, unknown = not all(each.sheet for each in sightings), [each for each in sightings if not each.focal_mm]
+    cameras_of = cameras_on_plane if plane else cameras_on_sheet
+    found_mm = common_focal(sightings if plane else unknown, cameras_of) if unknown else 0.0
+    cameras = cameras_of(sightings, found_mm)
+    return on_square(cameras) if plane else cameras, found_mm
 
 
 def _sheets(
