@@ -14,8 +14,8 @@ from torch.nn.functional import adaptive_avg_pool2d, grid_sample
 from metapp.appearance.flash import positions
 from metapp.extensions.several.encoder import read
 
-FINEST_PX = 128  # coarser photographs do not tell
-STEPS, SURE = 8, 18.0  # changes of the height; deviations, of a first change, that it must exceed
+FINEST_PX, FEWEST = 128, 4  # coarser or fewer photographs do not tell
+STEPS, SURE = 8, 24.0  # changes of the height; deviations, of a first change, that it must exceed
 FARTHEST = 4.0  # texels that a height may be off
 RESIDUAL, RIDGE, EDGE, BLOCKS = 0.1, 1e-3, 4, 16  # of a texel's level; of slopes; texels; parts of a side
 
@@ -24,7 +24,7 @@ RESIDUAL, RIDGE, EDGE, BLOCKS = 0.1, 1e-3, 4, 16  # of a texel's level; of slope
 def levelled(photos: Tensor, places: Tensor) -> Tensor:
     """Photographs [N, 3, H, W], linear, as they are on the surface, from places [N, 2, 3]; the first stays."""
     height, result = photos.new_zeros(()), photos
-    if min(photos.shape[-2:]) < FINEST_PX:
+    if min(photos.shape[-2:]) < FINEST_PX or len(photos) < FEWEST:
         return photos
     for step in range(STEPS):
         change, deviation = _change(result, places)

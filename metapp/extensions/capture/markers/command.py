@@ -126,7 +126,8 @@ def rectify(
         say(f"no markers: {len(cameras)} photos registered by their own features; lengths are in sides of the square")
     if (right or up) and len({sighting.height > sighting.width for sighting, *_ in cameras}) > 1:
         say("warning: some photos are upright, some across: --flash is right and up in each as it is shown.")
-    lights_cm, unit = [camera.beside_cm(right, up) for camera in cameras], "cm" if first.sheet else "sides"
+    lights_cm = [camera.beside_cm(right, up) for camera in cameras]
+    unit, marks = ("cm", "markers") if first.sheet else ("sides", "points")
     size = min(options.size, int(first.opening_cm * first.scales()[0]))  # no finer than the one with most detail
     with progress("pictures", len(cameras), quiet=quiet) as bar:
         write_set(cameras, lights_cm, size, folder, bar.advance)
@@ -134,7 +135,7 @@ def rectify(
         {
             "file": f"{number:02}.png",
             "source": str(camera.sighting.path),
-            "markers" if first.sheet else "points": len(camera.sighting.markers),
+            marks: len(camera.sighting.markers),
             "error_px": camera.error_px,
             "tilt_degrees": camera.tilt_degrees,
             "camera": camera.place_cm.tolist(),
@@ -144,14 +145,12 @@ def rectify(
     ]
     if not quiet:
         for photo in photos:
-            found = ", ".join(f"{photo[key]} {key}" for key in ("markers", "points") if key in photo)
             off = f"error {photo['error_px']:.2f} px" if first.sheet or photo["error_px"] > 1e-6 else "the reference"
-            found = f"{Path(photo['source']).name}, {found}, {off}"
+            found = f"{Path(photo['source']).name}, {photo[marks]} {marks}, {off}"
             away = f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['tilt_degrees']:.0f} degrees aside"
             say(f"{photo['file']}: {found}, {away}")
         if focal_mm:
-            by = "markers" if first.sheet else "points"
-            say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the {by}, as EXIF has none")
+            say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the {marks}, as EXIF has none")
         side = f"{first.opening_cm:g} cm, {size}" if first.sheet else f"{size}"
         say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / FOUND}")
     if as_json:

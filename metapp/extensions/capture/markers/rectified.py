@@ -61,12 +61,10 @@ def find_cameras(
         sightings, lost = register(list(plain), fov_rad)
         skipped = [*(line for line in skipped if line not in plain.values()), *lost]
     cameras, found_mm = _cameras(sightings)
-    while any(map(_fault_of, cameras)):  # the plane and the square are those of the others
-        odd = max(cameras, key=lambda camera: camera.error_px if _fault_of(camera) else 0.0)
+    while odd := max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None):
         skipped.append(_fault_of(odd))
         sightings = [each for each in sightings if each.path != odd.sighting.path]
-        cameras = [each for each in cameras if each is not odd]
-        cameras, found_mm = _cameras(sightings) if len(cameras) > 1 else (cameras, found_mm)
+        cameras, found_mm = _cameras(sightings)
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
@@ -78,8 +76,8 @@ def find_cameras(
 
 def _cameras(sightings: Sequence[Sighting]) -> tuple[list[Camera], float]:
     """Cameras above the sheet, or the square without one, and the focal length found where some state none, else 0."""
-    plane, unknown = not all(each.sheet for each in sightings), [each for each in sightings if not each.focal_mm]
-    cameras_of = cameras_on_plane if plane else cameras_on_sheet
+    plane = len(sightings) > 1 and not sightings[0].sheet
+    cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]
     found_mm = common_focal(sightings if plane else unknown, cameras_of) if unknown else 0.0
     cameras = cameras_of(sightings, found_mm)
     return on_square(cameras) if plane else cameras, found_mm

@@ -145,17 +145,16 @@ def _best(view: View, reference: View, fine: Features, guesses: Iterable[Floats]
     """The guess by which most of two photographs agrees, refined twice by fine features near it."""
     size = reference.picture.shape[::-1]
     to = max(guesses, key=lambda to: math.prod(_agreement(view, reference, to)), default=np.zeros((3, 3)))
-    for _ in range(2):
+    for step in range(3):
         agree, seen = _agreement(view, reference, to) if to.any() else (0.0, 0.0)
         if agree < _AGREE or seen < _SEEN:
             return None
-        warped = opencv().warpPerspective(view.picture, to, size, flags=opencv().INTER_CUBIC)
-        there, moved = _pairs(fine, _features(warped, _LEVELS[:1], _GUIDED), _LIKE[1], _NEAR * min(size))
-        own = through(np.asarray(np.linalg.inv(to), np.float64), moved)
-        to, kept = _homography(own, there, 2.0)
-    agree, seen = _agreement(view, reference, to)
-    fits = agree >= _AGREE and seen >= _SEEN and kept.sum() >= max(3 * _FEWEST, _RIGHT * len(kept))
-    return (to, own[kept], there[kept]) if fits else None
+        if step < 2:
+            warped = opencv().warpPerspective(view.picture, to, size, flags=opencv().INTER_CUBIC)
+            there, moved = _pairs(fine, _features(warped, _LEVELS[:1], _GUIDED), _LIKE[1], _NEAR * min(size))
+            own = through(np.asarray(np.linalg.inv(to), np.float64), moved)
+            to, kept = _homography(own, there, 2.0)
+    return (to, own[kept], there[kept]) if kept.sum() >= max(3 * _FEWEST, _RIGHT * len(kept)) else None
 
 
 def _agreement(view: View, reference: View, to: Floats) -> tuple[float, float]:
