@@ -60,11 +60,16 @@ def find_cameras(
     if not sightings and len(plain) > 1:
         sightings, lost = register(list(plain), fov_rad)
         skipped = [*(line for line in skipped if line not in plain.values()), *lost]
-    cameras, found_mm = _cameras(sightings)
-    while odd := max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None):
+    while True:  # without the oddest photo the plane and the square are those of the others
+        plane = len(sightings) > 1 and not sightings[0].sheet
+        cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]
+        found_mm = common_focal(sightings if plane else unknown, cameras_of) if unknown else 0.0
+        cameras = on_square(cameras_of(sightings, found_mm)) if plane else cameras_of(sightings, found_mm)
+        odd = max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None)
+        if odd is None:
+            break
         skipped.append(_fault_of(odd))
         sightings = [each for each in sightings if each.path != odd.sighting.path]
-        cameras, found_mm = _cameras(sightings)
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
@@ -72,15 +77,6 @@ def find_cameras(
             "one material; take more from other places, with the whole sheet in view."
         )
     return sorted(cameras, key=lambda camera: camera.tilt_degrees), found_mm, skipped
-
-
-def _cameras(sightings: Sequence[Sighting]) -> tuple[list[Camera], float]:
-    """Cameras above the sheet, or the square without one, and the focal length found where some state none, else 0."""
-    plane = len(sightings) > 1 and not sightings[0].sheet
-    cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]
-    found_mm = common_focal(sightings if plane else unknown, cameras_of) if unknown else 0.0
-    cameras = cameras_of(sightings, found_mm)
-    return on_square(cameras) if plane else cameras, found_mm
 
 
 def _sheets(

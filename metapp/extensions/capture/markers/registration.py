@@ -29,7 +29,7 @@ _LIKE = 0.9, 0.75  # distance of the best match over that of the second, at most
 _TRIES, _FEWEST = 4, 10  # homographies of two photographs that are tried, matches of each
 _NEAR = 0.025  # of the shorter side, how far off a first guess is
 _PIECES_PX, _PIECE, _REACH, _OFF = 256, 32, 8, 2  # shorter side of pictures that are judged, pieces, search, errors, px
-_AGREE, _SEEN = 0.35, 0.35  # least shares of pieces that agree, and of the reference in view
+_LEAST = 0.35  # share of pieces that agree, and of the reference in view
 _RIGHT = 0.5  # least share of matches near a first guess that fit
 _KEPT = 1000  # matches of a photograph
 _NOISE = 0.008  # of white: less contrast is not raised to that of the rest
@@ -146,8 +146,7 @@ def _best(view: View, reference: View, fine: Features, guesses: Iterable[Floats]
     size = reference.picture.shape[::-1]
     to = max(guesses, key=lambda to: math.prod(_agreement(view, reference, to)), default=np.zeros((3, 3)))
     for step in range(3):
-        agree, seen = _agreement(view, reference, to) if to.any() else (0.0, 0.0)
-        if agree < _AGREE or seen < _SEEN:
+        if not to.any() or min(_agreement(view, reference, to)) < _LEAST:
             return None
         if step < 2:
             warped = opencv().warpPerspective(view.picture, to, size, flags=opencv().INTER_CUBIC)
@@ -191,5 +190,4 @@ def _sighted(view: View, reference: View, match: Match) -> Sighting:
 def through(homography: Floats, points: Floats) -> Floats:
     """Points [N, 2] that a homography moves."""
     moved = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ homography.T
-    result: Floats = moved[:, :2] / moved[:, 2:]
-    return result
+    return np.asarray(moved[:, :2] / moved[:, 2:], np.float64)
