@@ -1,8 +1,7 @@
 """The height of a surface over the plane by which photographs of it are registered.
 
 A flash beside the lens shades relief such that its features seem to lie nearer to the camera than they do: by them, all
-photographs are registered on a plane that is off by the same height. So are those of a thick marker sheet. Photometric
-stereo explains them best on the surface.
+photographs are registered on a plane below the surface. Photometric stereo explains them best on it.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from metapp.appearance.flash import positions
 from metapp.extensions.several.encoder import read
 
 FINEST_PX, FEWEST = 128, 4  # coarser or fewer photographs do not tell
-STEPS, SURE = 8, 24.0  # changes of the height; deviations, of a first change, that it must exceed
+STEPS, SURE = 8, 18.0  # changes of the height; deviations, of a first change, that it must exceed
 FARTHEST = 4.0  # texels that a height may be off
 RESIDUAL, RIDGE, EDGE, BLOCKS = 0.1, 1e-3, 4, 16  # of a texel's level; of slopes; texels; parts of a side
 
@@ -28,7 +27,7 @@ def levelled(photos: Tensor, places: Tensor) -> Tensor:
         return photos
     for step in range(STEPS):
         change, deviation = _change(result, places)
-        if not step and not change.abs() > SURE * deviation:
+        if not step and not change > SURE * deviation:
             return photos
         height = height + change
         result = _moved(photos, places[:, 0], height)

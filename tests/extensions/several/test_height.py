@@ -30,8 +30,8 @@ def photographs(slope: float) -> tuple[Tensor, Tensor]:
     return torch.cat(each), places[:, None].repeat(1, 2, 1)
 
 
-@pytest.mark.parametrize("texels", [-1.0, 1.5])
-def test_photographs_registered_above_or_below_the_surface_are_moved_onto_it(texels: float) -> None:
+@pytest.mark.parametrize("texels", [1.0, 1.5])
+def test_photographs_registered_below_the_surface_are_moved_onto_it(texels: float) -> None:
     photos, places = photographs(1.0)
     off = _moved(photos, places[:, 0], torch.tensor(-texels * 2 / SIDE))
     inner = ..., slice(8, -8), slice(8, -8)
