@@ -15,7 +15,7 @@ from metapp.extensions.several.encoder import read
 
 FINEST_PX, FEWEST = 128, 4  # coarser or fewer photographs do not tell
 STEPS, SURE = 8, 18.0  # changes of the height; deviations, of a first change, that it must exceed
-FARTHEST = 4.0  # texels that a height may be off
+LEAST, FARTHEST = 0.5, 4.0  # texels that a height may be off
 RESIDUAL, RIDGE, EDGE, BLOCKS = 0.1, 1e-3, 4, 16  # of a texel's level; of slopes; texels; parts of a side
 
 
@@ -31,7 +31,7 @@ def levelled(photos: Tensor, places: Tensor) -> Tensor:
             return photos
         height = height + change
         result = _moved(photos, places[:, 0], height)
-    return result if height.abs() * photos.shape[-1] / 2 < FARTHEST else photos
+    return result if LEAST < height * photos.shape[-1] / 2 < FARTHEST else photos
 
 
 def _moved(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
