@@ -43,9 +43,7 @@ COUNT = 12
 FEATURED = "brdf, features"
 KINDS = [*app_names(), FEATURED]
 OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
-# each application with its own rule, and each other rule on the fastest application, instead of all with all
 ONE_QUICK = ["brdf", *(long(kind) for kind in KINDS if kind != "brdf")]  # trainings of one application, of others long
-PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in registry().rules if rule not in OWN_RULES.values())]
 
 
 class Small(NamedTuple):
@@ -182,3 +180,10 @@ def prepared_for(paradigm: Paradigm) -> MetaParameters:
     """What its preparation would leave, untrained."""
     phi = untrained(paradigm)
     return phi._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=phi.encoder)
+
+
+# each application with its own rule, and each other rule on the fastest application, instead of all with all
+PAIRS = [
+    *OWN_RULES.items(),
+    *(("brdf", rule) for rule in applicable(Brdf(NBRDF)) if rule not in OWN_RULES.values()),
+]
