@@ -7,7 +7,7 @@ Texels see each other only through the flashes, as points do through the cameras
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -38,7 +38,7 @@ class GaussNewton(Loss):
         settings: learned parameters of the loss -> all of them, with a task axis.
     """
 
-    settings: Callable[[Params, Tensor], Params] = lambda learned, like: learned
+    settings: Callable[[Params, Tensor], Params] = field(kw_only=True)
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """The change of maps and flashes, to subtract, and the loss."""
@@ -66,7 +66,7 @@ class Newton(Part):
     def loss(self, app: App, loss: Loss) -> Loss:
         """Changes of the same loss."""
         assert isinstance(app, SeveralPhotos)
-        return GaussNewton(loss.draw, loss.value, loss.shared, app.settings)
+        return GaussNewton(loss.draw, loss.value, loss.shared, settings=app.settings)
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Length times change."""
@@ -188,7 +188,7 @@ def _change_of_flashes(
 
     columns = [derivative.flatten(3) for derivative in _derivatives(logs, flash)]
     of_photo = torch.eye(count, dtype=maps.dtype, device=maps.device)  # a photograph sees its own flash
-    of_flash = torch.einsum("knm,tncpf->tpncmf", of_photo[None], torch.stack(columns, -1)).flatten(4).flatten(2, 3)
+    of_flash = torch.einsum("nm,tncpf->tpncmf", of_photo, torch.stack(columns, -1)).flatten(4).flatten(2, 3)
     weighted = (of_flash * weight[..., None]).mT
     both = rows.mT @ weighted.mT
     eliminated = _solved(matrix, torch.cat([both, moment[..., None]], -1))
