@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Picture = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
+PHASE_PX = 1.0  # distance from a place of the same phase within which a block is in phase
 
 
 def block_of(exemplar: Picture) -> tuple[int, int]:
@@ -26,6 +27,7 @@ def quilted(
     block: int,
     overlap: int,
     tiles: bool = False,
+    frequencies: Picture | None = None,
 ) -> Picture:
     """A picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
 
@@ -36,6 +38,8 @@ def quilted(
         block: side of a square block in px.
         overlap: of neighbours, at least, in px.
         tiles: blocks agree across the edges of the picture, too.
+        frequencies: of the exemplar's lattice, [1 or 2, 2] (y, x) in cycles per px; all blocks are in phase with the
+            first one. None for blocks of any phase.
     """
     height, width = size
     places = [_places(length, block - overlap, tiles=tiles) for length in size]
@@ -44,7 +48,7 @@ def quilted(
     result = np.zeros((height + beyond, width + beyond), np.intp)  # numbers of px of the exemplar, row by row
     colours = exemplar.reshape(-1, exemplar.shape[2])
     pixels, numbers = colours.astype(float), np.arange(len(colours)).reshape(exemplar.shape[:2])
-    find = _finder(exemplar, block)
+    find = _finder(exemplar, block, frequencies)
     for i, top in enumerate(places[0]):
         for j, left in enumerate(places[1]):
             rows = (top + np.arange(block)) % len(result)
@@ -52,7 +56,7 @@ def quilted(
             there = result[np.ix_(rows, columns)]
             part = pixels[there]
             sides = (i > 0, j > 0, tiles and i == len(places[0]) - 1, tiles and j == len(places[1]) - 1)
-            y, x = find(part, _shared(block, over, sides), rng)
+            y, x = find(part, _shared(block, over, sides), (top, left), rng)
             patch = numbers[y : y + block, x : x + block]
             result[np.ix_(rows, columns)] = np.where(_taken(part, pixels[patch], over, sides), patch, there)
     return colours[result[:height, :width]]
@@ -70,29 +74,44 @@ def _places(length: int, step: int, *, tiles: bool) -> list[int]:
     return [round(i * length / count) for i in range(count)]
 
 
-Find = Callable[[Picture, Mask, np.random.Generator], tuple[int, int]]
+Find = Callable[[Picture, Mask, tuple[int, int], np.random.Generator], tuple[int, int]]
 
 
-def _finder(exemplar: Picture, block: int) -> Find:
+def _finder(exemplar: Picture, block: int, frequencies: Picture | None) -> Find:
     """Make the search for a block of the exemplar that agrees with the picture: its errors are correlations."""
     height, width, _ = exemplar.shape
     size = (height, width)
     channels = np.fft.rfft2(exemplar, axes=(0, 1))
     squares = np.fft.rfft2(np.square(exemplar).sum(2))
     rows, columns = height - block + 1, width - block + 1
+    places = np.moveaxis(np.indices((rows, columns)), 0, 2)
+    first = np.zeros(2)  # of the first block, from its place in the picture to that in the exemplar
 
-    def find(part: Picture, shared: Mask, rng: np.random.Generator) -> tuple[int, int]:
+    def find(part: Picture, shared: Mask, place: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
         if not shared.any():
-            return int(rng.integers(rows)), int(rng.integers(columns))
+            found = int(rng.integers(rows)), int(rng.integers(columns))
+            first[:] = np.subtract(found, place)
+            return found
         there = np.fft.rfft2(part * shared[..., None], size, axes=(0, 1))
         product = squares * np.conj(np.fft.rfft2(shared, size)) - 2 * (channels * np.conj(there)).sum(2)
         error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(part[shared]).sum()
         error = np.maximum(error, 1e-6)
+        if frequencies is not None:
+            in_phase = _in_phase(places - place - first, frequencies)
+            error = np.where(in_phase, error, np.inf) if in_phase.any() else error
         good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
         i, j = good[rng.integers(len(good))]
         return int(i), int(j)
 
     return find
+
+
+def _in_phase(shifts: Picture, frequencies: Picture) -> Mask:
+    """Shifts [..., 2] that are within PHASE_PX of a lattice's."""
+    cycles = shifts @ frequencies.T
+    beside = (cycles - cycles.round()) / np.linalg.norm(frequencies, axis=1)
+    result: Mask = np.square(beside).sum(-1) <= PHASE_PX**2
+    return result
 
 
 def _shared(block: int, over: list[int], sides: Sides) -> Mask:

@@ -13,16 +13,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
-from metapp.appearance.order import lattice_of, levelled
+from metapp.appearance.order import LEAST_SCORE, lattice_of, levelled, order_kept
 from metapp.appearance.quilting import quilted
 from metapp.learning.task import Params
 from metapp.networks.layers import enlarged
 
 CONTRAST = 1.5  # root mean square of layouts as networks get them
 ASTRAY = 0.1  # weight in the loss of how far pictures are from their layouts
-LEAST_SCORE = 0.3  # score of a lattice that layouts keep
+LEAST_STRETCHED = 0.3  # score of a lattice for which a picture is stretched
 MOST_STRETCH = 0.08  # most that a picture is stretched by
 LEAST_VARIANCE = 1e-3  # variance of a layout, of display values, below which it counts for less
+CANDIDATES, ENOUGH_ORDER = 8, 0.1  # quilts of a layout; difference from its source's order at which no more are made
 
 
 def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
@@ -30,40 +31,56 @@ def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
 
     It is as bright everywhere: a slow change of the exemplar would be a band where its ends meet.
     """
-    return _quilted(shrunk(exemplar, size), size)
-
-
-def shrunk(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    """The source of a layout of a size: an exemplar [3, H, W], levelled, stretched, at the layout's scale."""
-    tiling = as_tile(levelled(exemplar), exemplar.shape[1:])
-    part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], size, exemplar.shape[1:], strict=True)]
-    return interpolate(tiling[None], size=part, mode="area")[0]
+    tile, frequencies = as_tile(levelled(exemplar), exemplar.shape[1:])
+    part = [round(side * to / of) for side, to, of in zip(tile.shape[1:], size, exemplar.shape[1:], strict=True)]
+    small = interpolate(tile[None], size=part, mode="area")[0]
+    scale = frequencies.new_tensor(exemplar.shape[1:]) / frequencies.new_tensor(size)
+    return _quilted(small, size, scale * frequencies)
 
 
 def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
     """A layout [3, h, w] of another size, quilted of this one [3, H, W]; it tiles."""
-    return _quilted(as_tile(layout, size), size)
+    tile, frequencies = as_tile(layout, size)
+    return _quilted(tile, size, frequencies)
 
 
-def _quilted(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    """A picture that tiles, in blocks of half the side that share a third of theirs with their neighbours."""
-    block = max(4, min(*exemplar.shape[1:], *size) // 2)
-    numbers = np.random.default_rng(0)
-    picture = quilted(exemplar.movedim(0, -1).cpu().numpy(), size, numbers, block=block, overlap=block // 3, tiles=True)
-    return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)
+def _quilted(source: Tensor, size: tuple[int, int], frequencies: Tensor) -> Tensor:
+    """A picture that tiles, in blocks of half the side that share a third of theirs with their neighbours.
+
+    Of CANDIDATES the one whose order is nearest to that of its source [3, H, W]; every other one has blocks in phase.
+    """
+    block = max(4, min(*source.shape[1:], *size) // 2)
+    lattice, pixels = lattice_of(source), source.movedim(0, -1).cpu().numpy()
+    ordered = lattice.score > LEAST_SCORE and float(lattice.vectors.abs().max()) < min(size) // 2
+    best, least = source, math.inf
+    for seed in range(CANDIDATES if ordered else 1):
+        in_phase = frequencies.numpy() if seed % 2 == 0 and len(frequencies) else None
+        numbers = np.random.default_rng(seed)
+        made = quilted(pixels, size, numbers, block=block, overlap=block // 3, tiles=True, frequencies=in_phase)
+        picture = torch.from_numpy(made).movedim(-1, 0).to(source)
+        off = abs(1 - order_kept(lattice, picture)) if ordered else 0.0
+        best, least = (picture, off) if off < least else (best, least)
+        if least < ENOUGH_ORDER:
+            break
+    return best
 
 
-def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:
+def as_tile(exemplar: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
     """A picture [3, H, W] stretched by as little as lets its lattice, if a strong one, repeat with a tile's sides.
 
     Blocks of a regular pattern can agree across the edges of a tile of size (h, w), of the picture's scale, only where
-    the tile holds whole periods. The result is smaller by the part that the stretched picture does not reach.
+    the tile holds whole periods.
+
+    Returns:
+        The stretched picture, smaller by the part that it does not reach, or the picture as it is; the frequencies of
+        its lattice, [0 to 2, 2] (y, x) in cycles per texel, none if it was not stretched.
     """
     lattice = lattice_of(exemplar)
-    if lattice.score < LEAST_SCORE:
-        return exemplar
-    texels = torch.tensor(size, dtype=lattice.vectors.dtype)
     vectors = lattice.vectors.clone()
+    as_it_is = exemplar, vectors[:0]
+    if lattice.score < LEAST_STRETCHED:
+        return as_it_is
+    texels = torch.tensor(size, dtype=vectors.dtype)
     alone = not bool(vectors[1].any())
     if alone:  # one direction: what is across it stays
         vectors[1] = torch.stack([-vectors[0, 1], vectors[0, 0]])
@@ -73,14 +90,14 @@ def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:
         whole[1] = frequencies[1]
     change = torch.linalg.solve(frequencies, whole)  # from places in the tile to places in the picture
     if float((change - torch.eye(2, dtype=change.dtype)).abs().max()) > MOST_STRETCH:
-        return exemplar
+        return as_it_is
     change = change.flip(0, 1).to(exemplar)  # (x, y)
     grid = affine_grid(torch.cat([change, change.new_zeros(2, 1)], 1)[None], [1, *exemplar.shape], align_corners=False)
     stretched = grid_sample(exemplar[None], grid, align_corners=False)[0]
     beyond = float(change.abs().sum(1).max()) - 1
     margin = 4 * math.ceil(max(beyond, 0.0) * max(exemplar.shape[1:]) / 8)  # whole texels of the layout stay whole
     height, width = exemplar.shape[1:]
-    return stretched[:, margin : height - margin, margin : width - margin]
+    return stretched[:, margin : height - margin, margin : width - margin], whole[: 1 if alone else 2]
 
 
 def layouts(layout: Tensor, noise: Tensor, times: float) -> Tensor:

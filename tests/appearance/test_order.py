@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import order
-from metapp.appearance.quilting import quilted
+from metapp.appearance.quilting import PHASE_PX, quilted
 
 SIZE = 128
 Vectors = tuple[tuple[float, float], tuple[float, float]]
@@ -125,3 +125,22 @@ def test_what_repeats_is_quilted_without_seams(size: tuple[int, int]) -> None:
     exemplar = waves()
     made = quilted(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
     assert steepest(made) <= 1.01 * steepest(exemplar)
+
+
+def test_blocks_are_in_phase_with_the_lattice() -> None:
+    """Of an exemplar of places: all blocks lie whole periods from where the first one lies, but for PHASE_PX."""
+    side, period = 48, 8.0
+    places = np.stack([*np.indices((side, side)), np.zeros((side, side))], 2).astype(float)
+    frequencies = np.array([[1 / period, 0.0], [0.0, 1 / period]])
+    made = quilted(places, (64, 64), np.random.default_rng(0), block=16, overlap=4, frequencies=frequencies)
+    shifts = made[..., :2] - places_of(64)
+    beside = (shifts - shifts[0, 0]) / period
+    assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period <= PHASE_PX
+    free = quilted(places, (64, 64), np.random.default_rng(0), block=16, overlap=4)[..., :2] - places_of(64)
+    beside = (free - free[0, 0]) / period
+    assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period > PHASE_PX
+
+
+def places_of(side: int) -> np.ndarray:
+    """The place of each px, [side, side, 2]."""
+    return np.moveaxis(np.indices((side, side)), 0, 2)

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.order import lattice_of
+from metapp.appearance.order import lattice_of, order_kept
 from metapp.learning.task import Params
 from metapp.networks import field as fields
 from metapp.networks import layers
@@ -264,12 +264,15 @@ def across_edges(picture: Tensor) -> float:
 
 @pytest.mark.parametrize(("down", "across"), [(17.3, 22.7), (19.0, 13.1), (14.6, 27.2)])
 def test_regular_patterns_alone_are_stretched_until_they_tile(down: float, across: float) -> None:
-    tiling = as_tile(pattern(down, across), (SIZE, SIZE))
+    tiling, frequencies = as_tile(pattern(down, across), (SIZE, SIZE))
+    torch.testing.assert_close(frequencies * SIZE, (frequencies * SIZE).round())
     assert all(0.85 * SIZE <= side <= SIZE for side in tiling.shape[1:])
     whole = [SIZE / float(period) for vector in lattice_of(tiling).vectors if (period := vector.norm())]
     assert all(abs(count - round(count)) < 0.1 for count in whole)
     noise = torch.rand(3, SIZE, SIZE, generator=Generator().manual_seed(1))
-    assert as_tile(noise, (SIZE, SIZE)) is noise
+    unchanged, frequencies = as_tile(noise, (SIZE, SIZE))
+    assert unchanged is noise
+    assert not len(frequencies)
 
 
 def test_layouts_of_regular_patterns_repeat_without_a_seam() -> None:
@@ -280,3 +283,22 @@ def test_layouts_of_regular_patterns_repeat_without_a_seam() -> None:
     assert larger.shape == (3, 64, 96)
     assert across_edges(larger) < 1.5
     assert torch.equal(layout, quilted_layout(pattern(17.3, 22.7), (32, 32)))
+
+
+def checkers(side: int, turned: float) -> Tensor:
+    """A checkerboard [3, SIZE, SIZE] of squares of `side` px whose shades differ, turned by an angle in rad."""
+    y, x = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
+    rows = ((math.cos(turned) * y - math.sin(turned) * x) / side).floor().long()
+    columns = ((math.sin(turned) * y + math.cos(turned) * x) / side).floor().long()
+    shades = torch.rand(64, 64, generator=Generator().manual_seed(2))[rows % 64, columns % 64]
+    return (0.3 + 0.4 * ((rows + columns) % 2) + 0.3 * (shades - 0.5)).expand(3, -1, -1)
+
+
+@pytest.mark.parametrize(("side", "turned"), [(29, 0.0), (29, 0.06), (13, 0.1)])
+def test_layouts_keep_the_order_of_a_checkerboard(side: int, turned: float) -> None:
+    """At their own size and at twice that: there a single quilt of blocks of any phase keeps 0.2 to 0.5."""
+    exemplar = checkers(side, turned)
+    lattice = lattice_of(exemplar)
+    layout = quilted_layout(exemplar, (SIZE, SIZE))
+    assert order_kept(lattice, layout) > 0.6
+    assert order_kept(lattice, requilted(layout, (2 * SIZE, 2 * SIZE))) > 0.7

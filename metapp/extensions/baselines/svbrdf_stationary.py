@@ -37,7 +37,7 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
     """
     highlight, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
     size = (even.shape[1], even.shape[2])
-    pictures = quilts(as_tile(even, size), size, rng, tiles=True)
+    pictures = quilts(as_tile(even, size)[0], size, rng, tiles=True)
     colours, mean = pictures**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
     brightness = colours.mean(-3, keepdim=True) / mean.mean()
     one, gray = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
