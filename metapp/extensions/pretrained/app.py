@@ -31,6 +31,7 @@ from metapp.extensions.pretrained.encoder import (
     read_photos,
     unknown_deviation,
 )
+from metapp.extensions.pretrained.polish import raw_shift
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
@@ -40,7 +41,7 @@ WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the maps, in the order of PARTS; pictures 
 SHALLOW, STEEPER = 0.1, 1.5  # the slope that is halved, how many times as steep others are: by validation materials
 LIKELIHOOD = 0.03  # weight of the likelihood of the predicted errors, which moves nothing but these
 FLAT = 0.05  # of the slopes of untrained fields
-OF_PATCH = ("overview", "guess", "code", "flash")  # what is read of all of a patch
+OF_PATCH = ("overview", "highlight", "guess", "code", "flash")  # what is read of all of a patch
 DECODER = "decoder."
 BESIDE = "full."  # before the names of the parameters of General's field by "full"
 SHARE = 0.5  # of that field in diffuse colour, roughness and specular colour; it has none in slopes
@@ -131,9 +132,12 @@ class FromFeatures(SvbrdfNonstationary):
         full = full_encoder(condition["photo"].device).items()
         beside = {key.replace(DECODER, DECODER + BESIDE): value for key, value in full if key.startswith(DECODER)}
         if "inputs" not in condition:
-            return super().encode(encoder | beside, condition)
+            theta = super().encode(encoder | beside, condition)
+            return _polished(theta, self.maps_of(theta, condition["photo"]))
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in OF_PATCH if key in condition}
-        return with_decoder(self.read(reader_of(encoder), condition["photo"], place, patch or None), encoder | beside)
+        own = self.read(reader_of(encoder), condition["photo"], place, patch or None)
+        theta = with_decoder(own, encoder | beside)
+        return _polished(theta, self._made_of(theta, condition["inputs"]))
 
     def finish(self, theta: Params) -> Params:
         """Without the deviations, which training alone reads."""
@@ -196,6 +200,14 @@ def _flat(theta: Params) -> Params:
     factor = theta["out.shift"].new_tensor([FLAT] * RAW[0] + [1.0] * sum(RAW[1:]))
     last = {name: value for name, value in theta.items() if name.startswith("out.")}
     return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last.items()}
+
+
+def _polished(theta: Params, maps: Maps) -> Params:
+    """The parameters of fields with maps [T, C, h, w], their roughness shifted to that of the highlight, if sharp."""
+    shift = raw_shift(theta["shown"], maps) / (1 - SHARE)
+    roughness = torch.arange(sum(RAW), device=shift.device) == RAW[0] + RAW[1]
+    rest = {key: value for key, value in theta.items() if key != "shown"}
+    return rest | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}
 
 
 _FULL = RECIPES["photo"]["full"]

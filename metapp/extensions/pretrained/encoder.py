@@ -24,6 +24,7 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import BASE, SLOPE, block, pointwise, twice
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
+from metapp.extensions.pretrained.polish import add_polish, highlight_of, shown_roughness
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
 from metapp.runs.recipes import FULL, shipped_path
@@ -65,6 +66,7 @@ def init_decoder(rng: Generator, code: int) -> Params:
         layer(f"overview{level}.first", width, below, 3, 3)
         layer(f"overview{level}.second", width, width, 3, 3, gain=0.7)
         layer(f"overview{level}.mean", width, width, gain=0.5)
+    add_polish(decoder, rng)
     layer("code", code, WIDTHS[0], gain=0.3)
     layer("deviation", len(PARTS), WIDTHS[DEVIATION_LEVEL], gain=0.0)
     decoder["deviation.shift"] += math.log(DEVIATION)
@@ -81,8 +83,8 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
         patch: as `patch_of` makes it of all of the patch; None if the photographs show that.
 
     Returns:
-        `z`, the code [T, code, H, H] and after it that of General by "full", `flash` [T, FLASH] by that, and
-        `deviation` [T, len(PARTS), H / 4, H / 4], logs.
+        `z`, the code [T, code, H, H] and after it that of General by "full", `flash` [T, FLASH] by that,
+        `deviation` [T, len(PARTS), H / 4, H / 4], logs, and `shown` [T], the roughness by the highlight.
 
     Raises:
         ValueError: no weights of VGG-16; another side.
@@ -115,7 +117,8 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
                 result["deviation"] = pointwise(decoder, "deviation", x).float()
         assert x is not None
         code = pointwise(decoder, "code", x).float()
-    return result | {"z": torch.cat([code, _at(patch["code"], place)], 1), "flash": patch["flash"]}
+    result |= {"z": torch.cat([code, _at(patch["code"], place)], 1), "flash": patch["flash"]}
+    return result | {"shown": shown_roughness(decoder, patch["highlight"])}
 
 
 @torch.no_grad()
@@ -123,9 +126,9 @@ def patch_of(photos: Tensor) -> Params:
     """The knowledge of linear photographs [T, 3, H, W] of all of a patch, whatever window of it is looked at.
 
     Returns:
-        `overview` [T, 3, OVERVIEW, OVERVIEW]; by General of "full", S its side: `guess` [T, GUESS, S, S], roughness and
-        the logs of mean specular and diffuse reflectance, `code` [T, its code, S, S], `flash` [T, FLASH], as numbers of
-        any size.
+        `overview` [T, 3, OVERVIEW, OVERVIEW]; `highlight`, as of `highlight_of`; by General of "full", S its side:
+        `guess` [T, GUESS, S, S], roughness and the logs of mean specular and diffuse reflectance, `code`
+        [T, its code, S, S], `flash` [T, FLASH], as numbers of any size.
     """
     network = FULL_APP.network
     small = interpolate(photos, (network.height, network.width), mode="bilinear")
@@ -134,7 +137,8 @@ def patch_of(photos: Tensor) -> Params:
     shades = [(reflectance.mean(1, keepdim=True) + DARK).log() for reflectance in (maps.specular, maps.diffuse)]
     overview = interpolate(avg_pool2d(photos, STEP_PX), (OVERVIEW, OVERVIEW), mode="bilinear")
     own = {"code": network.gain * theta["z"], "flash": network.gain * theta["flash"]}
-    return own | {"overview": overview, "guess": torch.cat([maps.roughness, *shades], 1)}
+    guess = torch.cat([maps.roughness, *shades], 1)
+    return own | {"overview": overview, "highlight": highlight_of(photos), "guess": guess}
 
 
 @functools.cache
