@@ -24,6 +24,7 @@ RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, ro
 INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders read
 FLASH = 4  # numbers that describe a flash
 ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
+LEAST_ROUGHNESS = 0.05
 CLIPPED_VALUE = 0.95  # of white: what a photograph shows no more
 LEAST_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
 STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
@@ -35,9 +36,14 @@ def decoded(raw: Tensor) -> Maps:
     return Maps(
         torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
         torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
-        0.05 + 0.95 * torch.sigmoid(roughness),
+        LEAST_ROUGHNESS + (1 - LEAST_ROUGHNESS) * torch.sigmoid(roughness),
         of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1)),
     )
+
+
+def raw_roughness(roughness: Tensor) -> Tensor:
+    """The numbers that `decoded` makes this roughness of, clear of its bounds by a hundredth of the range."""
+    return torch.logit(((roughness - LEAST_ROUGHNESS) / (1 - LEAST_ROUGHNESS)).clamp(0.01, 0.99))
 
 
 def linear(photo: Tensor) -> Tensor:

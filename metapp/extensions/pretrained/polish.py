@@ -12,17 +12,14 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.flash import Maps, positions, tilt
 from metapp.appearance.highlight import RINGS, profile
+from metapp.apps.svbrdf_nonstationary.maps import raw_roughness
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, dense
 
 SIDE_PX = 256  # of the photograph whose highlight is looked at
-SPOT_PX, AROUND_PX, AROUND = (
-    5,
-    33,
-    0.3,
-)  # sides of the squares whose brightness finds the highlight; the second's weight
+SPOT_PX, AROUND_PX = 5, 33  # sides of the squares whose brightness finds the highlight
+AROUND = 0.3  # the second's weight
 DARK = 0.02  # radiance that is added before logs
-LEAST_ROUGHNESS = 0.05  # of fields
 NUMBERS = 2 * RINGS + 2
 HIDDEN = 32
 POLISHED, FLAT = 0.2, 0.017  # roughness and mean sine of tilt (1 degree) below which the highlight decides
@@ -61,5 +58,4 @@ def raw_shift(shown: Tensor, maps: Maps) -> Tensor:
     now = maps.roughness.mean((1, 2, 3))
     polished, flat = POLISHED / shown, FLAT / tilt(maps.normal).mean((1, 2, 3))
     share = torch.sigmoid(polished.log() / SOFTNESS) * torch.sigmoid(flat.log() / SOFTNESS)
-    raw = [((each - LEAST_ROUGHNESS) / (1 - LEAST_ROUGHNESS)).clamp(0.01, 0.99).logit() for each in (shown, now)]
-    return share * (raw[0] - raw[1])
+    return share * (raw_roughness(shown) - raw_roughness(now))

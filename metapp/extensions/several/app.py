@@ -30,6 +30,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     differences,
     linear,
     pooled,
+    raw_roughness,
 )
 from metapp.apps.svbrdf_nonstationary.variants import draws_of, varied
 from metapp.extensions.several import encoder as reader
@@ -297,6 +298,6 @@ def _encoded(maps: Maps) -> Tensor:
     """RAW numbers [T, 9, H, W] of maps, the inverse of `decoded` but at the ends of ranges."""
     logit = torch.logit
     diffuse, specular = (maps.diffuse.clamp(1e-4, 1) ** (1 / 2.2), maps.specular.clamp(1e-4, 1).sqrt())
-    roughness = logit(((maps.roughness - 0.05) / 0.95).clamp(0.01, 0.99))
     slopes = maps.normal[:, :2] / maps.normal[:, 2:].clamp_min(0.1)
+    roughness = raw_roughness(maps.roughness)
     return torch.cat([slopes, logit(diffuse.clamp(0.02, 0.98)), roughness, logit(specular.clamp(0.02, 0.98)) + 2], 1)

@@ -6,9 +6,9 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
 from metapp.appearance.flash import Maps
-from metapp.apps.svbrdf_nonstationary.maps import flash_of, photographed
+from metapp.apps.svbrdf_nonstationary.maps import LEAST_ROUGHNESS, flash_of, photographed
 from metapp.extensions.pretrained.encoder import init_decoder
-from metapp.extensions.pretrained.polish import LEAST_ROUGHNESS, highlight_of, raw_shift, shown_roughness
+from metapp.extensions.pretrained.polish import highlight_of, raw_shift, shown_roughness
 from metapp.learning.task import Params
 from metapp.networks.coded import reader_of
 from metapp.runs.recipes import shipped_path
