@@ -25,8 +25,9 @@ def rule_of(name: str) -> LearnedRule:
     from metapp.learning.rules import compose
 
     tables = registry()
-    parts = {part: _part(kind) for part, kind in tables.loaded("parts").items()}
-    return compose(name, parts, tables.rules, tables.compositions)
+    return compose(
+        name, list(tables.parts), lambda part: _part(tables.parts[part].load()), tables.rules, tables.compositions
+    )
 
 
 @cache  # compiled steps are found by the part

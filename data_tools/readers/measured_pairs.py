@@ -6,22 +6,18 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 
-Array = NDArray[np.float64]
-
 LEAST = 4  # pairs of directions
 FEW = 1000  # with at most this many measurements, none is held out
 LARGEST = 1e9  # of a BRDF, in 1/sr
 LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
-COMPARED, PAIRED = 20_000, 8  # measurements that tell whether phi_h counts, and neighbours of each
+COMPARED, PAIRED = 1_024, 8  # measurements that tell whether phi_h counts, and neighbours of each
 EXPLAINED = 0.1  # share of the squared differences of neighbours, from which on phi_h counts
 TOLD = 64  # measurements that tell so at least
 STEEPEST_RAD = math.radians(3)  # half vectors nearer to the normal have no azimuth to speak of
@@ -84,12 +80,10 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
     if len(angles) < TOLD:
         return False
-    from scipy.spatial import KDTree  # here: its import takes a seventh of torch's
-
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:COMPARED]
     points = _points(angles[:, :3])
-    near = KDTree(points).query(points[order.numpy()], k=1 + PAIRED)[1][:, 1:]
-    first, second = order[:, None].expand(-1, PAIRED).reshape(-1), torch.from_numpy(near).reshape(-1)
+    nearest = [torch.cdist(part, points).topk(1 + PAIRED, largest=False).indices for part in points[order].split(512)]
+    first, second = order.repeat_interleave(PAIRED), torch.cat(nearest)[:, 1:].reshape(-1)
     phi_h = angles[:, 3]
     waves = torch.stack([phi_h.cos(), phi_h.sin(), (2 * phi_h).cos(), (2 * phi_h).sin()], 1).double()
     changes, difference = waves[first] - waves[second], (values[first] - values[second]).double()
@@ -118,8 +112,8 @@ def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
     return mean(angles), mean(reflectance)
 
 
-def _points(angles: Tensor) -> Array:
+def _points(angles: Tensor) -> Tensor:
     """Angles [N, 3] as points [N, 4] whose distances say how alike they are: highlights are narrow."""
     theta_h, theta_d, phi_d = angles.double().unbind(-1)
     turn = 2 * phi_d  # by reciprocity phi_d + pi is phi_d
-    return torch.stack([2 * theta_h.sqrt(), theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
+    return torch.stack([2 * theta_h.sqrt(), theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1)

@@ -103,15 +103,15 @@ def adam_directions(
 ) -> tuple[Params, Params]:
     """Adam's directions, before any rate, and its moments after that."""
     after = {"product1": state["product1"] * beta1, "product2": state["product2"] * beta2}
+    shares = beta1, 1 - beta1, 1 - after["product1"], beta2, 1 - beta2, 1 - after["product2"]
     directions = {}
     for key, grad in grads.items():
-        b1, b2 = append_axes(beta1, grad), append_axes(beta2, grad)
-        first = after[f"m.{key}"] = b1 * state[f"m.{key}"] + (1 - b1) * grad
-        second = after[f"v.{key}"] = b2 * state[f"v.{key}"] + (1 - b2) * grad * grad
-        unbiased = second / append_axes(1 - after["product2"], grad)
+        b1, new1, sum1, b2, new2, sum2 = (append_axes(share, grad) for share in shares)
+        first = after[f"m.{key}"] = b1 * state[f"m.{key}"] + new1 * grad
+        second = after[f"v.{key}"] = b2 * state[f"v.{key}"] + new2 * grad * grad
         # the square root has no derivative at 0, where dead units are
         floor = append_axes(eps, grad) if isinstance(eps, Tensor) else eps
-        directions[key] = first / append_axes(1 - after["product1"], grad) / ((unbiased + 1e-24).sqrt() + floor)
+        directions[key] = first / sum1 / ((second / sum2 + 1e-24).sqrt() + floor)
     return directions, after
 
 

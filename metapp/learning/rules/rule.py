@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -206,7 +206,11 @@ class LearnedRule:
 
 
 def compose(
-    name: str, parts: Mapping[str, Part], rules: Mapping[str, str], compositions: Mapping[str, str]
+    name: str,
+    names: Sequence[str],
+    part_of: Callable[[str], Part],
+    rules: Mapping[str, str],
+    compositions: Mapping[str, str],
 ) -> LearnedRule:
     """The learned rule of a composition: names of parts, rules and compositions with "+" between them, in any order.
 
@@ -214,7 +218,8 @@ def compose(
 
     Args:
         name: of the composition.
-        parts: all parts by name, in the order in which they act on a step.
+        names: of all parts, in the order in which they act on a step.
+        part_of: name -> part; only those of the rule are made.
         rules, compositions: compositions by name; the name of a rule stands for it alone, that of a composition also
             within longer ones.
 
@@ -222,27 +227,28 @@ def compose(
         ValueError: a name is unknown, or the parts do not go together.
 
     >>> from metapp.learning.rules.parts import Betas, Rates
-    >>> compose("betas+rates", {"rates": Rates(), "betas": Betas()}, {}, {"adam": "rates+betas"}).name
+    >>> parts = {"rates": Rates(), "betas": Betas()}
+    >>> compose("betas+rates", list(parts), parts.get, {}, {"adam": "rates+betas"}).name
     'adam'
     """
 
     def expand(word: str) -> set[str]:
-        if word in parts:
+        if word in names:
             return {word}
         inner = {**compositions, **rules}.get(word) if "+" not in word else word
         if inner is None:
-            expected = ", ".join((*rules, *compositions, *parts))
+            expected = ", ".join((*rules, *compositions, *names))
             raise ValueError(f"rule '{name}': '{word}' is unknown, expected names of these, joined by +: {expected}.")
         return {part for each in inner.split("+") for part in expand(each)}
 
     chosen = expand(name)
     short = {word: expand(word) for word in compositions if expand(word) <= chosen}
-    rest = [part for part in parts if part in chosen.difference(*short.values())]
+    rest = [part for part in names if part in chosen.difference(*short.values())]
     usual = next((rule for rule in rules if expand(rule) == chosen), "+".join([*short, *rest]))
-    rule = LearnedRule(usual, tuple(part for key, part in parts.items() if key in chosen))
+    rule = LearnedRule(usual, tuple(part_of(part) for part in names if part in chosen))
     rates = [part.name for part in rule.parts if part.is_rate]
     if len(rates) != 1:
-        kinds = ", ".join(key for key, part in parts.items() if part.is_rate)
+        kinds = ", ".join(part for part in names if part_of(part).is_rate)
         raise ValueError(
             f"rule '{usual}': {' and '.join(rates) or 'no part'} for rates, expected one of {kinds} "
             "(adam has rates, tied has shared)."
