@@ -6,14 +6,14 @@ Texels see each other only through the flashes, as points do through the cameras
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from metapp.appearance.flash import Maps, positions, render
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE, FLASH, RAW, of_length_1
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE, FLASH, RAW, decoded
 from metapp.extensions.several.app import FLOOR, SeveralPhotos, flashes_of
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
@@ -23,6 +23,7 @@ from metapp.learning.rules.rule import Part
 from metapp.learning.task import Batch, Params
 
 NUMBERS = sum(RAW)
+SHAPE = 0, 1, 5  # slopes and roughness among a texel's numbers, on which all channels depend
 COARSE = 4  # every such row and column is enough for flashes
 DAMPING = 0.03  # of normal equations, beside the prior
 LONGEST = (0.3, 0.3, *(NUMBERS - 2) * (1.0,))  # change of a number of a texel in a step
@@ -96,13 +97,14 @@ def _rows(
     maps: Tensor, flash: Tensor, photos: Tensor, places: Tensor, texels: Tensor, settings: Params
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Derivatives [T, P, 3N, 9] of the logs of radiance in a texel's numbers, weights, and residuals [T, P, 3N]."""
-    shared, colours = _shared(maps), [_colours(maps, part) for part in (1, 3)]
-    (diffuse, along_diffuse), (specular, along_specular) = colours
-    lobes = _lobes(shared, flash, places, texels)
+    # a channel's colours depend on its own numbers alone: these can change all at once
+    (diffuse, specular), more, less = (decoded(maps + change)[:2] for change in (0, DIFFERENCE, -DIFFERENCE))
+    along_diffuse, along_specular = ((up - down) / (2 * DIFFERENCE) for up, down in zip(more, less, strict=True))
+    lobes = _lobes(maps, flash, places, texels)
     body, lobe = lobes.split(1, 2)
     slope_x, slope_y, roughness = (
         _seen(along, diffuse, specular)[:, :, None]
-        for along in _derivatives(lambda raw: _lobes(raw, flash, places, texels), shared)
+        for along in _derivatives(lambda raw: _lobes(raw, flash, places, texels), maps, SHAPE)
     )
     own = torch.eye(3, device=maps.device)[:, :, None, None]  # a channel's colours are its own
     by_diffuse = (body * ((1 - specular) * along_diffuse)[:, None])[:, :, None] * own
@@ -118,18 +120,12 @@ def _rows(
     return rows, weight, short
 
 
-def _lobes(shared: Tensor, flash: Tensor, places: Tensor, texels: Tensor) -> Tensor:
+def _lobes(maps: Tensor, flash: Tensor, places: Tensor, texels: Tensor) -> Tensor:
     """Radiance [T, N, 2, h, w] of a white body, and of a lobe that reflects all, by slopes and roughness."""
-    flashes = flashes_of(flash, places)
-    normal = of_length_1(torch.cat([shared[:, :2], torch.ones_like(shared[:, :1])], 1))
-    white = shared.new_tensor([1.0, 0.0])[:, None, None]
-    maps = Maps(white, white.flip(0), 0.05 + 0.95 * torch.sigmoid(shared[:, None, 2:]), normal[:, None])
-    return render(maps, texels, flashes.place, flashes.eye, intensity=flashes.gain)
-
-
-def _shared(maps: Tensor) -> Tensor:
-    """Slopes and roughness, RAW numbers of all channels alike, [T, 3, h, w]."""
-    return torch.cat([maps[:, :2], maps[:, 5:6]], 1)
+    flashes, material = flashes_of(flash, places), decoded(maps)
+    white = maps.new_tensor([1.0, 0.0])[:, None, None]
+    surface = Maps(white, white.flip(0), material.roughness[:, None], material.normal[:, None])
+    return render(surface, texels, flashes.place, flashes.eye, intensity=flashes.gain)
 
 
 def _seen(lobes: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:
@@ -139,25 +135,17 @@ def _seen(lobes: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:
     return radiance
 
 
-def _derivatives(function: Callable[[Tensor], Tensor], at: Tensor) -> list[Tensor]:
-    """Central differences of a function of [T, K, ...] along each of the K channels.
+def _derivatives(function: Callable[[Tensor], Tensor], at: Tensor, channels: Iterable[int]) -> list[Tensor]:
+    """Central differences of a function of [T, K, ...] along channels.
 
     Forward differentiation by torch is as fast, but its first use imports for more than a second.
     """
     results = []
-    for channel in range(at.shape[1]):
+    for channel in channels:
         along = torch.zeros_like(at)
         along[:, channel] = DIFFERENCE
         results.append((function(at + along) - function(at - along)) / (2 * DIFFERENCE))
     return results
-
-
-def _colours(maps: Tensor, part: int) -> tuple[Tensor, Tensor]:
-    """Diffuse (1) or specular (3) colour [T, 3, h, w] of RAW numbers, and its derivative."""
-    raw = maps.split(RAW, 1)[part]
-    value = torch.sigmoid(raw - (2 if part == 3 else 0))
-    power = 2 if part == 3 else 2.2
-    return value**power, power * value**power * (1 - value)
 
 
 def _normal_equations(
@@ -181,12 +169,12 @@ def _change_of_flashes(
     count = photos.shape[1]
     rows, weight, short = _rows(maps, flash, photos, places, texels, settings)
     matrix, moment = _normal_equations(rows, weight, short, maps, prior, settings)
-    shared, (diffuse, _), (specular, _) = _shared(maps), _colours(maps, 1), _colours(maps, 3)
+    diffuse, specular, *_ = decoded(maps)
 
     def logs(flash: Tensor) -> Tensor:
-        return (_seen(_lobes(shared, flash, places, texels), diffuse, specular) + FLOOR).log()
+        return (_seen(_lobes(maps, flash, places, texels), diffuse, specular) + FLOOR).log()
 
-    columns = [derivative.flatten(3) for derivative in _derivatives(logs, flash)]
+    columns = [derivative.flatten(3) for derivative in _derivatives(logs, flash, range(FLASH))]
     of_photo = torch.eye(count, dtype=maps.dtype, device=maps.device)  # a photograph sees its own flash
     of_flash = torch.einsum("nm,tncpf->tpncmf", of_photo, torch.stack(columns, -1)).flatten(4).flatten(2, 3)
     weighted = (of_flash * weight[..., None]).mT
