@@ -25,14 +25,14 @@ def extrapolated(steps: NDArray[np.float64], errors: NDArray[np.float64], until:
     return np.exp(level + slope * np.log(until))
 
 
-def panel(axes: Axes, path: Path) -> None:
-    """The curve of one checkpoint, and what it extrapolates to."""
-    info = load_checkpoint(path)[1]
+def panel(axes: Axes, path: Path, info: dict[str, Any]) -> None:
+    """The curve of one checkpoint with this header, and what it extrapolates to."""
     curve = np.array([(step, error) for step, _, error in info["curve"][1:]])
     steps, errors, planned = curve[:, 0], np.minimum.accumulate(curve[:, 1]), info["training"]["steps"]
     axes.plot(steps, curve[:, 1], color="lightgrey", linewidth=0.8)
     axes.plot(steps, errors, color=COLOURS["meta"])
-    axes.set(xscale="log", xlabel="outer steps", title=f"{info['app']}\n{info['checkpoint']}, {info['recipe']}")
+    title = f"{info['app']}, seed {info['seed']}\n{info['checkpoint']}, {info['recipe']}"
+    axes.set(xscale="log", xlabel="outer steps", title=title)
     words = f"{path}: {errors[-1]:.3f} after {steps[-1]:,.0f} steps"
     if steps[-1] < planned and errors.min() > 0:
         until = np.geomspace(steps[-1], planned, 20)
@@ -50,9 +50,11 @@ def main(picture: Path, *checkpoints: Path) -> None:
     """Draw all curves side by side."""
     with rc_context(STYLE):
         figure = Figure(figsize=(3.2 * len(checkpoints), 2.4))
-        panels = figure.subplots(1, len(checkpoints), squeeze=False)
-        for axes, path in zip(panels[0], checkpoints, strict=True):
-            panel(axes, path)
+        infos = [load_checkpoint(path)[1] for path in checkpoints]
+        alike = len({info["app"] for info in infos}) == 1
+        panels = figure.subplots(1, len(infos), squeeze=False, sharex=alike, sharey=alike)
+        for axes, path, info in zip(panels[0], checkpoints, infos, strict=True):
+            panel(axes, path, info)
         panels[0, 0].set_ylabel("validation error")
         save(figure, picture)
 

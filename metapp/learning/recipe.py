@@ -161,10 +161,10 @@ def as_published(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", app=app)
 
 
-def decayed(published: Recipe) -> Recipe:
-    """The recipe of the paper at ten times the outer rate, which decays to 0 in the last quarter of the outer steps.
+def decayed(published: Recipe, rate: float = 1e-3) -> Recipe:
+    """The recipe of the paper at a higher outer rate, which decays to 0 in the last quarter of the outer steps.
 
     At the published constant rate, step sizes and initialisation still move after 10^6 outer steps.
     """
     training = published.training("meta-sgd")
-    return replace(published, meta={"meta-sgd": replace(training, rates={"": 1e-3}, hold=0.75, final=0.0)})
+    return replace(published, meta={"meta-sgd": replace(training, rates={"": rate}, hold=0.75, final=0.0)})
