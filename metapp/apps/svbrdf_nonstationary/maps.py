@@ -21,6 +21,7 @@ from metapp.appearance.flash import (
 from metapp.learning.draws import uniform
 
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
+ROUGHNESS = RAW[0] + RAW[1]  # the place of roughness among these numbers
 INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders read
 FLASH = 4  # numbers that describe a flash
 ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain

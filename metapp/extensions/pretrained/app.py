@@ -18,7 +18,7 @@ from metapp.apps.svbrdf_nonstationary.app import (
     blots,
     field_of,
 )
-from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded, differences, inputs_of
+from metapp.apps.svbrdf_nonstationary.maps import RAW, ROUGHNESS, decoded, differences, inputs_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.extensions.pretrained.augmentation import variants
 from metapp.extensions.pretrained.encoder import (
@@ -205,7 +205,7 @@ def _flat(theta: Params) -> Params:
 def _polished(theta: Params, maps: Maps) -> Params:
     """The parameters of fields with maps [T, C, h, w], their roughness shifted to that of the highlight, if sharp."""
     shift = raw_shift(theta["shown"], maps) / (1 - SHARE)
-    roughness = torch.arange(sum(RAW), device=shift.device) == RAW[0] + RAW[1]
+    roughness = torch.arange(sum(RAW), device=shift.device) == ROUGHNESS
     rest = {key: value for key, value in theta.items() if key != "shown"}
     return rest | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.flash import Maps, positions, render
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE, FLASH, RAW, decoded
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE, FLASH, RAW, ROUGHNESS, decoded
 from metapp.extensions.several.app import FLOOR, SeveralPhotos, flashes_of
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
@@ -23,7 +23,7 @@ from metapp.learning.rules.rule import Part
 from metapp.learning.task import Batch, Params
 
 NUMBERS = sum(RAW)
-SHAPE = 0, 1, 5  # slopes and roughness among a texel's numbers, on which all channels depend
+SHAPE = 0, 1, ROUGHNESS  # slopes and roughness among a texel's numbers, on which all channels depend
 COARSE = 4  # every such row and column is enough for flashes
 DAMPING = 0.03  # of normal equations, beside the prior
 LONGEST = (0.3, 0.3, *(NUMBERS - 2) * (1.0,))  # change of a number of a texel in a step
