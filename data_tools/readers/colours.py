@@ -52,6 +52,7 @@ _CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may k
 _UNSTATED = ("", "unknown", "data", "raw", "rec709")  # say nothing of primaries, or those that are expected
 _REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _PQ_WHITE = 2.03  # in 100 cd/m^2 (ITU-R BT.2408)
+_LEAST_DOUBLED_AREA = 1e-3  # of a triangle of primaries; that of Rec.709 is 0.224
 _SAME = 1  # levels of 255 by which conversions of one space differ
 
 
@@ -61,10 +62,11 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
     Args:
         spec: the file's.
         path: the file.
-        primaries: x, y of red, green, blue, white that it states elsewhere than in `chromaticities`.
+        primaries: x, y of red, green, blue, white that it states elsewhere than in `chromaticities`; ones that cannot
+            be (`states_primaries`) count as none.
 
     Raises:
-        ValueError: floating-point values in a space that is not known, or of primaries that do not differ.
+        ValueError: floating-point values in a space that is not known.
     """
     import OpenImageIO as oiio
     from PIL import Image
@@ -74,8 +76,8 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
     if profile is not None and codes is None:  # which come first
         return _of_profile(bytes(profile), path)
     primaries = primaries or spec.getattribute("chromaticities") or ()
-    if primaries and is_float:
-        return _of_primaries(primaries, 1.0, path)
+    if is_float and states_primaries(primaries):
+        return _of_primaries(primaries, 1.0)
     if not is_float and codes is None:  # Pillow reads more of PNG and EXIF
         info, is_adobe = dict[Any, Any](), False
         with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"), Image.open(path) as image:
@@ -105,10 +107,10 @@ def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) 
     """The space that the `info` of a picture of PIL or its EXIF state, if any; `subject` begins warnings."""
     if profile := info.get("icc_profile"):
         return _of_profile(profile, subject)
-    gamma, white_first = info.get("gamma"), info.get("chromaticity")
-    if "srgb" not in info and (gamma or white_first):
-        xy = (*white_first[2:], *white_first[:2]) if white_first else _REC709_XY
-        return _of_primaries(xy, 1 / gamma if gamma else 0.0, subject)
+    gamma, white_first = info.get("gamma"), info.get("chromaticity") or ()
+    xy = (*white_first[2:], *white_first[:2])
+    if "srgb" not in info and (gamma or states_primaries(xy)):
+        return _of_primaries(xy if states_primaries(xy) else _REC709_XY, 1 / gamma if gamma else 0.0)
     return "g22_adobergb_scene" if is_adobe else None
 
 
@@ -206,21 +208,44 @@ def _converted(values: Floats, space: str) -> Floats:
     return linear / (_PQ_WHITE if space.startswith("pq_") else 1)
 
 
-def _of_primaries(xy: Sequence[float], power: float, subject: Path | str) -> Space:
-    """The space of these primaries (red, green, blue, white), encoded by a power, as of `Primaries`."""
+def states_primaries(xy: Sequence[float]) -> bool:
+    """Return whether eight numbers state a colour space: primaries that span a triangle, with white inside it.
+
+    Programs write zeros where they state nothing, such as Photoshop in each Radiance file.
+
+    Args:
+        xy: CIE 1931 chromaticities x, y of red, green, blue and white.
+
+    >>> states_primaries([0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329]), states_primaries([0.0] * 8)
+    (True, False)
+    """
+    if len(xy) != 8 or not np.isfinite(xy).all():
+        return False
+    *corners, white = np.reshape(np.array(xy, np.float64), (4, 2))
+    doubled_areas = [
+        _doubled_area(corners[first], corners[second], white) for first, second in itertools.pairwise((0, 1, 2, 0))
+    ]
+    same_side = min(doubled_areas) > 0 or max(doubled_areas) < 0
+    return same_side and abs(_doubled_area(*corners)) > _LEAST_DOUBLED_AREA and bool(white[1] > 0)
+
+
+def _doubled_area(first: Floats, second: Floats, third: Floats) -> float:
+    """Return twice the signed area of a triangle of chromaticities, positive if they run counterclockwise."""
+    (x, y), (u, v) = second - first, third - first
+    return float(x * v - y * u)
+
+
+def _of_primaries(xy: Sequence[float], power: float) -> Space:
+    """Return the space of stated chromaticities (`states_primaries`).
+
+    Args:
+        xy: CIE 1931 chromaticities x, y of red, green, blue and white.
+        power: the exponent of the encoding, 1 for linear values, 0 for the curve of sRGB.
+    """
     is_rec709 = np.abs(np.subtract(xy, _REC709_XY)).max() <= 1e-3
     if is_rec709 and power in (0, 1):
         return LINEAR if power else SRGB
     colour = colour_science()
     source = colour.RGB_Colourspace("stated", np.reshape(xy[:6], (3, 2)), np.array(xy[6:]))
-    try:
-        with np.errstate(all="ignore"):
-            matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
-        if not np.isfinite(matrix).all():
-            raise np.linalg.LinAlgError
-    except np.linalg.LinAlgError:
-        shown = ", ".join(f"{number:.3g}" for number in xy[:6])
-        raise ValueError(
-            f"{subject}: chromaticities {shown}, expected three primaries that differ; export the image again."
-        ) from None
+    matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
     return Primaries(np.asarray(matrix, np.float32), power)

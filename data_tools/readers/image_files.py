@@ -236,14 +236,20 @@ def _radiance_header(path: Path) -> tuple[Floats, list[float]]:
     if ("FORMAT", "32-bit_rle_xyze") in stated:
         raise ValueError(f"{path}: colours in XYZ, expected RGB; convert it, such as by Radiance's ra_xyze -r.")
     try:
-        numbers = [(name, np.array(text.split(), np.float32)) for name, text in stated if name != "FORMAT"]
-        factors = [np.resize(each, 3) for name, each in numbers if name != "PRIMARIES"]
-        exposure, xy = np.prod([np.ones(3, np.float32), *factors], 0), dict(numbers).get("PRIMARIES", np.empty(0))
-        if not (np.isfinite(exposure).all() and exposure.min() > 0 and xy.size in (0, 8)):
+        factors = [
+            np.resize(np.array(text.split(), np.float32), 3)
+            for name, text in stated
+            if name in ("EXPOSURE", "COLORCORR")
+        ]
+        exposure = np.prod([np.ones(3, np.float32), *factors], 0)
+        if not (np.isfinite(exposure).all() and exposure.min() > 0):
             raise ValueError
     except ValueError:
         raise ValueError(f"{path}: {stated!a:.90}, expected positive numbers; export it again.") from None
-    return exposure, xy.tolist()
+    xy: list[float] = []
+    with contextlib.suppress(ValueError):  # numbers that no program wrote state nothing, as zeros do
+        xy = [float(number) for number in dict(stated).get("PRIMARIES", "").split()]
+    return exposure, xy
 
 
 def _read_heif(path: Path) -> Pixels:

@@ -11,6 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
+from data_tools.readers.colours import states_primaries
 from data_tools.readers.latlong import read_map
 from data_tools.readers.photos import read_photo
 from metapp.appearance.colorimetry import colour_science
@@ -122,9 +123,41 @@ def test_png_and_exif_state_colours_without_a_profile(tmp_path: Path) -> None:
     Image.fromarray(values).save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=exif)
     assert off(tmp_path / "a.jpg", light_of("Adobe RGB", values)).mean() < 1
 
-    path.write_bytes(png_with(plain, {b"cHRM": bytes(32)}))
-    with pytest.raises(ValueError, match=r"a\.png: chromaticities 0, 0, .*, expected three primaries that differ"):
-        read_photo(path, SIDE)
+
+ROUND = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # primaries of Rec.709
+NOTHING_STATED = {
+    "zeros": (0.0,) * 8,
+    "equal": (0.3127, 0.329) * 4,
+    "on a line": (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329),
+    "white outside": (*ROUND, 0.9, 0.1),
+    "no white": (*ROUND, 0.0, 0.0),
+    "not finite": (float("nan"),) * 8,
+}
+
+
+@pytest.mark.parametrize("kind", NOTHING_STATED)
+def test_primaries_that_cannot_be_state_nothing(tmp_path: Path, kind: str, recwarn: pytest.WarningsRecorder) -> None:
+    xy = NOTHING_STATED[kind]
+    assert not states_primaries(xy)
+    values = picture("float32")
+    assert off(write(tmp_path / "a.exr", values, chromaticities=xy), values).max() < 1
+    path = write(tmp_path / "a.hdr", values)
+    rows = path.read_bytes()
+    for text in (" ".join(f"{number:g}" for number in xy), "unknown", "0.64 0.33"):
+        path.write_bytes(rows.replace(b"\n", f"\nPRIMARIES={text}\n".encode(), 1))
+        assert off(path, values).mean() < 1
+    levels, path = picture("uint8"), tmp_path / "a.png"
+    Image.fromarray(levels).save(path)
+    whole = [round(1e5 * number) if np.isfinite(number) else 0 for number in (*xy[6:], *xy[:6])]
+    path.write_bytes(png_with(path.read_bytes(), {b"cHRM": struct.pack(">8I", *whole)}))
+    assert torch.equal(read_photo(path, SIDE), planes(levels))
+    assert not [each for each in recwarn if issubclass(each.category, UserWarning)]
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_primaries_of_known_spaces_are_stated(name: str) -> None:
+    space = space_of(name)
+    assert states_primaries((*space.primaries.ravel(), *space.whitepoint))
 
 
 def test_code_points_of_png_are_heeded(tmp_path: Path) -> None:
@@ -158,10 +191,9 @@ def test_primaries_of_floating_point_files_are_heeded(tmp_path: Path) -> None:
     for more, scale in {"EXPOSURE=4.0\nEXPOSURE= 0.5": 2, "EXPOSURE=2\nCOLORCORR=0.5 1 2": np.array([1, 2, 4])}.items():
         path.write_bytes(rows.replace(b"\n", f"\n{more}\n".encode(), 1))
         assert off(path, values / scale).mean() < 1
-    for more, said in {"EXPOSURE=0": "expected positive numbers", "PRIMARIES=1 2": "expected positive numbers"}.items():
-        path.write_bytes(rows.replace(b"\n", f"\n{more}\n".encode(), 1))
-        with pytest.raises(ValueError, match=rf"a\.hdr: .*{said}"):
-            read_photo(path, SIDE)
+    path.write_bytes(rows.replace(b"\n", b"\nEXPOSURE=0\n", 1))
+    with pytest.raises(ValueError, match=r"a\.hdr: .*expected positive numbers"):
+        read_photo(path, SIDE)
     path.write_bytes(rows.replace(b"32-bit_rle_rgbe", b"32-bit_rle_xyze"))
     with pytest.raises(ValueError, match=r"a\.hdr: colours in XYZ, expected RGB; convert it, such as by .*ra_xyze"):
         read_photo(path, SIDE)

@@ -218,7 +218,6 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "ldr": (picture("a.jpg", 64, 64), "is an input of fits"),
     "no blue": (layout("R", "G"), "channels R, G, expected R, G, B or a gray one"),
     "encoded": (stated(oiio_ColorSpace="sRGB"), "colours in 'srgb_rec709_scene', expected a linear space"),
-    "no primaries": (stated(chromaticities=(0.0,) * 8), "chromaticities 0, 0, 0, 0, 0, 0, expected three primaries"),
     "truncated exr": (lambda folder: truncated(write(folder / "a.exr", radiance())), "a.exr: damaged or incomplete ("),
 }
 
