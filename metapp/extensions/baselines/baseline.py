@@ -54,12 +54,14 @@ class BaselineFit(NamedTuple):
         numbers: that are kept for the task.
         size: their bytes.
         picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
+        written: makes the argument of `App.answer_pictures` where files differ from what is judged; not timed.
     """
 
     answer: Callable[[], object]
     numbers: int
     size: int
     picture: Tensor | None = None
+    written: Callable[[], object] | None = None
 
 
 class Baseline(ABC):
@@ -72,6 +74,7 @@ class Baseline(ABC):
         learns: whether it is prepared on training tasks.
         stored: the tensor of tasks that holds its answers, which were made elsewhere: it has no time; "" for none.
         shared: bytes that all tasks share, without which no fit can be evaluated or made; None if not known.
+        sizes: whether its files can have a size that the user asks for (`--size`).
         chosen: settings that validation tasks have chosen.
     """
 
@@ -81,6 +84,7 @@ class Baseline(ABC):
     learns = False
     stored = ""
     shared: int | None = 0
+    sizes = False
 
     def __init__(self, app: App) -> None:
         self.app = app

@@ -12,6 +12,7 @@ import typer
 from metapp.cli.commands import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import baseline_words, parameter, parameter_of, signed
+from metapp.networks.options import ExemplarOptions
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared, options_of
 from metapp.registry import did_you_mean, protocols_of, registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
@@ -41,7 +42,9 @@ def command_of(app: str) -> Callable[..., None]:
     as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
     taken = [name for name in TAKEN if name != "observe" or protocols_of(app)]
     general = [declared(FitOptions)[name] for name in taken]
-    own = [option for option in declared(options_of(app)).values() if option.panel != OUTPUT]
+    own = [
+        option for option in declared(options_of(app)).values() if option.panel != OUTPUT or is_size(app, option.name)
+    ]
     parameters = [parameter("json", Annotated[bool, as_json], False)]
     parameters += [parameter("inputs", Annotated[list[Path] | None, files])]
     parameters += [
@@ -52,6 +55,11 @@ def command_of(app: str) -> Callable[..., None]:
 
 
 baseline = app_group(command_of, "Run a baseline without a neural network and evaluate it in the same way as fits.")
+
+
+def is_size(app: str, option: str) -> bool:
+    """Return True if an option is the size of files that tile, which methods of an application may take."""
+    return option == "size" and issubclass(options_of(app), ExemplarOptions)
 
 
 def run(options: FitOptions, method: str, *, json: bool) -> None:
@@ -70,6 +78,9 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     if method not in methods:
         names = ", ".join(methods) or f"another application: {app.name} has no method"
         raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{did_you_mean(method, methods)}")
+    if app.size and not methods[method].sizes:
+        sized = ", ".join(name for name, other in methods.items() if other.sizes) or "none"
+        raise BadOption(f"--size: {method} writes files of one size, expected a method that makes others: {sized}.")
     baseline, (sources, label) = methods[method], sources_to_fit(planned)
     tasks = read_tasks(sources)
     if baseline.learns and training_folder(planned, baseline) is None:
@@ -79,9 +90,9 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(planned, baseline, tasks, warm=False)
-        for task, (record, picture, answer) in zip(tasks, fits, strict=True):
+        for task, (record, picture, written) in zip(tasks, fits, strict=True):
             record |= {"content": content_of(task), "origin": planned.origin(options.paths)}
-            files = app.answer_pictures(answer, task)
+            files = app.answer_pictures(written(), task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     if not (options.quiet or json):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -28,7 +28,8 @@ from metapp.storage.shards import read_manifest, read_shard
 ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 
 
-Judged = tuple[Record, Params | None, object]  # the record, the picture, what was judged, as of `App.errors_of`
+# the record, the picture, and what files are made of, as of `App.answer_pictures`, by a function
+Judged = tuple[Record, Params | None, Callable[[], object]]
 
 
 def training_folder(plan: Run, baseline: Baseline) -> Path | None:
@@ -120,4 +121,10 @@ def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm:
                 "shared": baseline.shared,
                 "chosen": baseline.chosen,
             }
-            yield record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer
+            written = fitted.written or functools.partial(_as_it_is, answer)
+            yield record, None if fitted.picture is None else {PICTURE: fitted.picture}, written
+
+
+def _as_it_is(answer: object) -> object:
+    """Return what was judged, of methods whose files show it."""
+    return answer

@@ -13,6 +13,7 @@ from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
 from metapp.extensions.baselines.texture import NearestExemplar, picture_of, quilts
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
+from metapp.networks.exemplar import JUDGED_PICTURES
 from metapp.networks.layout import as_tile
 
 # Of relief: the side of a texel's surroundings and, where a texel is twice as bright as these, its height, both in
@@ -23,8 +24,14 @@ SURROUNDINGS, DEPTH, CLEAR = 33, 1.0, 0.8
 NUMBERS = 5  # beside the photo: diffuse red, green and blue, F0, roughness
 
 
-def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
-    """Maps [1, JUDGED, ...] of the material of a flash photo, of its size, which tile: pieces of it.
+def quilted_maps(
+    photo: Tensor,
+    light: Tensor,
+    rng: Generator,
+    size: tuple[int, int] | None = None,
+    count: int = JUDGED_PICTURES,
+) -> Maps:
+    """Quilt maps [1, count, ...] of the material of a flash photo, which tile: pieces of it.
 
     The photo without its light is quilted. Its mean becomes the diffuse albedo that the highlight's profile says; F0
     varies as brightness does about the profile, roughness not at all. Texels that are darker than their surroundings
@@ -34,16 +41,18 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: Generator) -> Maps:
         photo: one, [1, 3, H, W], display values in [0, 1].
         light: position of its flash, [1, 3].
         rng: chooses among pieces that fit about as well.
+        size: height and width of the maps in texels; None for the photo's.
+        count: the number of materials.
     """
     highlight, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
-    size = (even.shape[1], even.shape[2])
-    pictures = quilts(as_tile(even, size)[0], size, rng, tiles=True)
+    side, size = even.shape[1], size or (even.shape[1], even.shape[2])
+    pictures = quilts(as_tile(even, size)[0], size, rng, tiles=True, count=count)
     colours, mean = pictures**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
     brightness = colours.mean(-3, keepdim=True) / mean.mean()
     one, gray = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
-    relief = high_passed(gray, SURROUNDINGS * size[0] // 256 | 1) / gray.mean((-1, -2), keepdim=True)
+    relief = high_passed(gray, SURROUNDINGS * side // 256 | 1) / gray.mean((-1, -2), keepdim=True)
     smooth = highlight.share[0].where(highlight.contrast[0] < CLEAR, torch.ones(()))
-    texels = DEPTH * (1 - smooth) * size[0] / 256
+    texels = DEPTH * (1 - smooth) * side / 256
     return Maps(
         (colours * (highlight.diffuse[0] / mean)[:, None, None]).clamp(0, 1),
         (brightness * highlight.specular[0]).clamp(0, 1),
@@ -73,6 +82,7 @@ class QuiltedMaterial(Baseline):
         "make anything but pieces of the photo, which it repeats, nor tell what a highlight hides or how gloss varies: "
         "roughness is constant, F0 goes with brightness, colours below the highlight are a guess"
     )
+    sizes = True
 
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         """The photograph and NUMBERS are kept."""
@@ -83,4 +93,8 @@ class QuiltedMaterial(Baseline):
         maps = quilted_maps(photos, light, rng)
         kept = photos.numel()
         picture = picture_of(app.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
-        return BaselineFit(lambda: maps, kept + NUMBERS, kept + 4 * NUMBERS, picture=picture)
+
+        def written() -> Maps:
+            return quilted_maps(photos, light, rng, app.size, count=1) if app.size else maps
+
+        return BaselineFit(lambda: maps, kept + NUMBERS, kept + 4 * NUMBERS, picture=picture, written=written)

@@ -8,6 +8,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
+from metapp.appearance.order import levelled
 from metapp.appearance.quilting import block_of, quilted
 from metapp.extensions.baselines.baseline import (
     INDEX,
@@ -20,6 +21,7 @@ from metapp.extensions.baselines.baseline import (
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import JUDGED_PICTURES, ExemplarApp
+from metapp.networks.layout import as_tile
 
 AT_ONCE = 8  # training tasks whose matrices are compared
 
@@ -59,14 +61,21 @@ class Quilting(Baseline):
 
     name = "quilting"
     title = "image quilting (Efros & Freeman 2001), blocks of a quarter of the exemplar"
-    cannot = "make anything that is no copy of pieces of the exemplar, which it holds; nor does it tile"
+    cannot = "make anything that is no copy of pieces of the exemplar, which it holds"
+    sizes = True
 
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
-        """The exemplar is kept: numbers, and as many bytes."""
-        assert isinstance(self.app, ExemplarApp)
-        exemplar = self.app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
-        pictures, kept = quilts(exemplar, (exemplar.shape[1], exemplar.shape[2]), rng), exemplar.numel()
-        return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]))
+        """The exemplar is kept: numbers, and as many bytes. The file tiles; what is judged need not."""
+        app = self.app
+        assert isinstance(app, ExemplarApp)
+        exemplar = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
+        size = exemplar.shape[1], exemplar.shape[2]
+        pictures, kept = quilts(exemplar, size, rng), exemplar.numel()
+
+        def written() -> Tensor:
+            return tile_of(exemplar, app.size or size, rng)[None, None]
+
+        return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]), written=written)
 
 
 def picture_of(srgb: Tensor) -> Tensor:
@@ -74,13 +83,44 @@ def picture_of(srgb: Tensor) -> Tensor:
     return srgb_to_linear(srgb).permute(1, 2, 0)
 
 
-def quilts(exemplar: Tensor, size: tuple[int, int], rng: Generator, *, tiles: bool = False) -> Tensor:
-    """As many pictures [1, JUDGED_PICTURES, C, *size] as are judged, of blocks of an exemplar [C, H, W].
+def tile_of(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tensor:
+    """Quilt a picture [3, *size] that tiles of an exemplar [3, H, W], sRGB in [0, 1].
+
+    The exemplar loses its slow change of brightness, which would show as a band wherever two blocks meet. A strong
+    lattice is stretched so that the tile holds whole periods of it, and blocks are in phase with it.
+    """
+    source, frequencies = as_tile(levelled(exemplar).clamp(0, 1), size)
+    return quilts(source, size, rng, tiles=True, count=1, frequencies=frequencies)[0, 0]
+
+
+def quilts(
+    exemplar: Tensor,
+    size: tuple[int, int],
+    rng: Generator,
+    *,
+    tiles: bool = False,
+    count: int = JUDGED_PICTURES,
+    frequencies: Tensor | None = None,
+) -> Tensor:
+    """Quilt pictures [1, count, C, *size] of blocks of an exemplar [C, H, W].
 
     Blocks agree where they overlap and are cut where they agree most.
+
+    Args:
+        exemplar: the source of all blocks.
+        size: height and width of a picture in px.
+        rng: chooses among blocks that agree about as well.
+        tiles: blocks agree across the edges of a picture, too.
+        count: the number of pictures.
+        frequencies: of the exemplar's lattice, [0 to 2, 2] (y, x) in cycles per px, with which all blocks are in phase.
     """
     numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
     picture = exemplar.permute(1, 2, 0).numpy()
-    block, overlap = block_of(picture)
-    made = [quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles) for _ in range(JUDGED_PICTURES)]
+    block = min(block_of(picture)[0], min(size) // 2)  # a block of a tile must not meet itself
+    overlap = max(1, round(block / 6))
+    phase = None if frequencies is None or not len(frequencies) else frequencies.numpy()
+    made = [
+        quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles, frequencies=phase)
+        for _ in range(count)
+    ]
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]

@@ -43,6 +43,29 @@ def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
     assert "expected nearest, quilting." in unknown.err
 
 
+def test_quilting_writes_files_that_tile_of_the_size_asked_for(metapp: Callable) -> None:
+    """The columns at the edges of the picture go on in each other, as neighbouring columns do."""
+    photograph(Path("wall.png"), 9, 80)
+    sized = ["--method", "quilting", "--recipe", "quick", "--size", "96x128", "--json"]
+    for app, file in (("texture", "texture.png"), ("svbrdf_stationary", "diffuse.png")):
+        done = metapp("baseline", app, "wall.png", *sized)
+        assert done.code == 0, done.err
+        picture = oiio.ImageBuf(str(Path(done.document["out"], "wall", file))).get_pixels("float")[..., :3]
+        assert picture.shape[:2] == (96, 128)
+        for axis in (0, 1):
+            steps = np.abs(np.diff(picture, axis=axis, append=picture.take([0], axis=axis))).mean((1 - axis, 2))
+            assert steps[-1] < 1.5 * steps[:-1].max()
+
+
+def test_a_method_that_writes_one_size_refuses_others(metapp: Callable) -> None:
+    photograph(Path("wall.png"), 9, 80)
+    refused = metapp("baseline", "texture", "wall.png", "--method", "nearest", "--recipe", "quick", "--size", "128")
+    assert (refused.code, "--size: nearest writes files of one size" in refused.err) == (2, True)
+    assert "quilting" in refused.err
+    unknown = metapp("baseline", "brdf", "wall.png", "--size", "128")
+    assert unknown.code == 2
+
+
 @pytest.mark.usefixtures("scene")
 def test_harmonics_of_a_map_are_written_as_radiance(metapp: Callable) -> None:
     environment(Path("hall.exr"))
