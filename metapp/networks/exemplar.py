@@ -12,6 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, detail, load_features, moments, softness
+from metapp.appearance.lines import MOST_ADDED, compare_lines
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform
@@ -84,6 +85,8 @@ class ExemplarApp(App):
     finer: int = 0
     reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
     described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
+    least_lines: ClassVar[float] = 0.0  # share of the strength of an exemplar's lines below which they are broken
+    shows_seams: ClassVar[bool] = True  # whether lines that pictures add are seams, and not the light's
 
     @property
     def read_size(self) -> int:
@@ -257,17 +260,41 @@ class ExemplarApp(App):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Regular structure that the picture of tables has lost; only if networks read layouts."""
+        """Return a clause on structure that the picture of tables has lost, at most one a task.
+
+        Regular structure by its lattice; else lines that are broken, and seams. Only if networks read layouts.
+        """
         if not self.has_layout:
             return super().doubts(theta, tasks)
         described = {key: value[tasks.rows] for key, value in tasks.data.items()}
         answer = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))
         pictures = self.exemplar(described["image"].float() / 255), self.look(answer, described)[:, 0]
-        pairs = zip(*(self.evenly_lit(each, described) for each in pictures), strict=True)
-        kept = [order_kept(lattice_of(exemplar), made) for exemplar, made in pairs]
-        instead = f"`metapp baseline {self.name} INPUT --method quilting` copies it"
-        lost = "keeps {:.2f} of the photo's regular structure ({})"
-        return [[lost.format(share, instead)] if share < LEAST_ORDER else [] for share in kept]
+        exemplars, made = (self.evenly_lit(each, described) for each in pictures)
+        enlarged = self.pictures_for_lines(theta, made)
+        return [self._lost(*each) for each in zip(exemplars, made, enlarged, strict=True)]
+
+    def _lost(self, exemplar: Tensor, made: Tensor, enlarged: Tensor) -> list[str]:
+        """Return the clause on structure of an exemplar that its picture, or one of another size, has lost; or none."""
+        size = "x".join(map(str, self.picture_size))
+        instead = f"`metapp baseline {self.name} INPUT --method quilting --size {size}` copies"
+        if (share := order_kept(lattice_of(exemplar), made)) < LEAST_ORDER:
+            return [f"keeps {share:.2f} of the photo's regular structure ({instead} it)"]
+        lines = compare_lines(exemplar, enlarged)
+        if lines.kept < self.least_lines:
+            figures = f"{lines.kept:.2f} as strong, expected {self.least_lines:g} or more"
+            return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {instead} them)"]
+        if self.shows_seams and lines.added > MOST_ADDED:
+            return [f"shows seams, lines {lines.added:.1f} times as strong as the photo's ({instead} it, with fewer)"]
+        return []
+
+    def pictures_for_lines(self, theta: Params, made: Tensor) -> Tensor:
+        """Return the pictures [T, 3, h, w] whose lines are compared with the exemplars', here those of tables.
+
+        Args:
+            theta: the fits.
+            made: the pictures of tables, [T, 3, H, W], as if the light were the same everywhere.
+        """
+        return made
 
     def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.

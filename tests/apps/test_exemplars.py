@@ -1,5 +1,6 @@
 """Pictures from noise, at several octaves: what is compared at each, from coarse to fine, and that relief is kept."""
 
+import math
 import re
 from dataclasses import fields, replace
 from typing import Any
@@ -10,6 +11,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import FAINTEST_WAVE, detail
+from metapp.appearance.lines import MOST_ADDED, LinesKept
 from metapp.apps import app_of, recipes_of
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import stack
@@ -77,7 +79,8 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     theta = app.init(Generator().manual_seed(0), 2)
     unordered, (clause, *_) = app.doubts(theta, both)
     assert not any("regular structure" in other for other in unordered)
-    instead = rf"`metapp baseline {app.name} INPUT --method (\w+)` copies it"
+    size = "x".join(map(str, app.picture_size))
+    instead = rf"`metapp baseline {app.name} INPUT --method (\w+) --size {size}` copies it"
     kept = re.fullmatch(rf"keeps (\S+) of the photo's regular structure \({instead}\)", clause)
     assert kept
     assert 0 <= float(kept[1]) < LEAST_ORDER
@@ -89,6 +92,29 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     assert not any("regular structure" in other for clauses in app.doubts(theta, both) for other in clauses)
     quick = app_of(app.name, recipes_of(app.name)["quick"])
     assert quick.doubts({}, both) == [[], []]
+
+
+def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
+    app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under a flash alone lines that are added say nothing: they are of its highlight."""
+    theta, size = app.init(Generator().manual_seed(0), 3), "x".join(map(str, app.picture_size))
+    found = iter([LinesKept(0.4, 1.0), LinesKept(1.0, MOST_ADDED + 0.3), LinesKept(math.nan, math.nan)])
+    monkeypatch.setattr("metapp.networks.exemplar.compare_lines", lambda *_: next(found))
+    broken, seams, unknown = app.doubts(theta, tasks)
+    assert len(broken) == 1
+    assert broken[0].startswith("breaks lines of the photo such as joints, cracks or threads (0.40 as strong, ")
+    assert f"`metapp baseline {app.name} INPUT --method quilting --size {size}` copies them" in broken[0]
+    assert ["shows seams" in clause for clause in seams] == ([True] if app.name == "texture" else [])
+    assert not unknown
+    assert not any(";" in clause for clause in (*broken, *seams))  # which parts clauses in records
+
+
+@TEXTURE
+def test_lines_are_those_of_a_texture_as_large_as_files_are_quilted_for(app: ExemplarApp, tasks: Tasks) -> None:
+    theta = app.init(Generator().manual_seed(0), 3)
+    made = torch.zeros(3, 3, app.height, app.width)
+    assert app.pictures_for_lines(theta, made).shape == (3, 3, 2 * app.height, 2 * app.width)
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:

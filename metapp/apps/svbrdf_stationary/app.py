@@ -49,6 +49,8 @@ COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in
 EVIDENT, NARROW = (0.6, 0.8), 0.5
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
+# By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.
+LEAST_LINES = 0.85
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class SvbrdfStationary(ExemplarApp):
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
     image_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
     described = ("gram", "spectrum")
+    least_lines = LEAST_LINES
+    shows_seams = False  # a highlight of another shape than the photo's leaves rings
     tensors: ClassVar = {
         "image": TensorSpec((3, "S", "S"), "uint8"),
         "relit": TensorSpec((3, 3, "R", "R"), "uint8", optional=True),
