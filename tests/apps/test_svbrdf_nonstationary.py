@@ -237,6 +237,33 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -
     assert photo.loss(exact, white, {}).min() > 0.05
 
 
+def test_maps_are_filled_where_photos_clip_losses_are_not(
+    tasks: Tasks, exact: Params, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only of maps that people use, made of photographs; a line says how much."""
+    people = replace(PHOTO, encoder_size=SIDE)
+    clipped = tasks.data["photo"].clamp_max(0.5).clone()
+    clipped[0, :, 4:10, 4:10] = 1
+    wrong = unpack(tasks.data["maps"].clone())
+    wrong.diffuse[0, :, 4:10, 4:10] = 0
+    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: wrong)
+    filled = people.final_maps(exact, clipped)
+    assert filled.diffuse[0, :, 4:10, 4:10].min() > 0.1
+    for part, before in zip(filled, wrong, strict=True):
+        assert torch.equal(part[1:], before[1:])
+    assert PHOTO.final_maps(exact, clipped) is wrong
+    assert replace(people, protocol="reference").final_maps(exact, clipped) is wrong
+    stacked = replace(tasks, data=tasks.data | {"photo": clipped})
+    (clause,), *others = people.doubts(exact, stacked)
+    assert clause == (
+        "14 % of the photo is clipped, 14 % of the maps is filled from its surroundings (a darker exposure shows more)"
+    )
+    assert others == [[], [], []]
+    assert people.errors(exact, stacked)["diffuse"][0] < PHOTO.errors(exact, stacked)["diffuse"][0]
+    batch = {"photo": clipped}
+    torch.testing.assert_close(people.loss(exact, batch, {}), PHOTO.loss(exact, batch, {}), rtol=0, atol=0)
+
+
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
     reference, photo = REFERENCE, PHOTO
     theta = reference.init(Generator().manual_seed(0), 4)

@@ -22,7 +22,7 @@ from metapp.appearance.flash import (
     tilt,
     unpack,
 )
-from metapp.appearance.highlight import clipped_highlight
+from metapp.appearance.highlight import FILL_PX, clipped_highlight, fill_clipped, find_clipped
 from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -170,6 +170,25 @@ class SvbrdfNonstationary(CodedApp):
         """The maps [T, C, h, w] of outputs of fields, [T, sum(RAW), h, w]."""
         return decoded(raw)
 
+    @property
+    def fills(self) -> bool:
+        """True if maps are filled beneath clipped highlights: those of the size that people use, of photographs."""
+        return bool(self.read_size) and self.protocol == "photo"
+
+    def fill(self, maps: Maps, photo: Tensor) -> Maps:
+        """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] clip; see :func:`fill_clipped`.
+
+        Losses are of maps as fields make them: fits see there that the photograph is at least so bright.
+        """
+        if not self.fills:
+            return maps
+        small = adaptive_avg_pool2d(photo, min(FILL_PX, *photo.shape[-2:]))
+        return fill_clipped(maps, linear_to_srgb(small))
+
+    def final_maps(self, theta: Params, photo: Tensor) -> Maps:
+        """Return the fitted maps [T, C, h, w] of linear photographs [T, 3, h, w], filled where these clip."""
+        return self.fill(self.maps_of(theta, photo), photo)
+
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
@@ -236,10 +255,13 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """A highlight that clips; only of maps of the size that people use."""
-        if not self.read_size or self.protocol != "photo":
+        """A highlight that clips, where maps are filled; only of maps of the size that people use."""
+        if not self.fills:
             return super().doubts(theta, tasks)
-        return [clipped_highlight((255 * photo).floor()) for photo in tasks.data["photo"][tasks.rows]]
+        photos = linear_to_srgb(tasks.data["photo"][tasks.rows])
+        shares = find_clipped(photos).float().mean((1, 2, 3)).tolist()
+        effects = [f"{100 * share:.2g} % of the maps is filled from its surroundings" for share in shares]
+        return [clipped_highlight(*pair) for pair in zip(photos, effects, strict=True)]
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -249,7 +271,7 @@ class SvbrdfNonstationary(CodedApp):
         how steep normals are on average over how steep they should be; `blots`, the difference of diffuse colours where
         the photo clips, 0 if it does not.
         """
-        return self.errors_of(self.maps_of(theta, tasks.data["photo"][tasks.rows]), tasks)
+        return self.errors_of(self.final_maps(theta, tasks.data["photo"][tasks.rows]), tasks)
 
     @torch.no_grad()
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
@@ -290,7 +312,7 @@ class SvbrdfNonstationary(CodedApp):
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Four maps above their look under the flash and three other lights, beside those of the fit."""
         photo = _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
-        fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
+        fit = Maps(*(part[0] for part in self.final_maps({key: value[None] for key, value in theta.items()}, photo)))
         target = {}
         if "maps" in task.data:
             target = {"reference": _sheet(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))}
@@ -300,7 +322,7 @@ class SvbrdfNonstationary(CodedApp):
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The photograph, the fit under its flash, maps, and the fit under three other lights."""
         seen, photo = self.photographed(theta, task), _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
-        fit = Maps(*(part[0] for part in self.maps_of({key: value[None] for key, value in theta.items()}, photo)))
+        fit = Maps(*(part[0] for part in self.final_maps({key: value[None] for key, value in theta.items()}, photo)))
         eye = camera()
         shown = photograph(fit, eye, eye) if seen is None else seen.pictures[0]
         tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
@@ -318,7 +340,7 @@ class SvbrdfNonstationary(CodedApp):
         flashes = self.flashes(theta, task)
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
         photos = adaptive_avg_pool2d(linear(photos), min(SHOWN_PX, photos.shape[-1]))
-        maps = self.maps_of({key: value[None] for key, value in theta.items()}, photos[:1])
+        maps = self.final_maps({key: value[None] for key, value in theta.items()}, photos[:1])
         pictures = [photographed(maps, Flash(*(part[None] for part in flash)))[0] for flash in flashes]
         return Compared(linear_to_srgb(torch.stack(pictures).clamp(0, 1)), linear_to_srgb(photos))
 
@@ -328,7 +350,7 @@ class SvbrdfNonstationary(CodedApp):
         if "maps" not in task.data:
             return None
         data = {key: value[None] for key, value in self.prepare(task).items()}
-        fitted = self.maps_of({key: value[None] for key, value in theta.items()}, data["photo"])
+        fitted = self.final_maps({key: value[None] for key, value in theta.items()}, data["photo"])
         both = (self.judged(maps)[0] for maps in (fitted, unpack(data["maps"])))
         return Compared(*(expose(logs.exp() - RADIANCE_FLOOR) for logs in both))
 
@@ -350,7 +372,12 @@ class SvbrdfNonstationary(CodedApp):
         """The maps [C, H, W] of the size of files, as fitted."""
         one = {key: value[None] for key, value in theta.items()}
         side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
-        whole = self.once(theta, task, lambda: self.fine_maps(one, _photo_of(task, side)))
+
+        def make() -> Maps:
+            photo = _photo_of(task, side)
+            return self.fill(self.fine_maps(one, photo), photo)
+
+        whole = self.once(theta, task, make)
         return Maps(*(part[0] for part in whole))
 
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:

@@ -27,7 +27,7 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
-from metapp.appearance.highlight import clipped_highlight, evenly_lit, gloss
+from metapp.appearance.highlight import F0_BOUND, clipped_highlight, evenly_lit, gloss
 from metapp.appearance.surface import Surface, map_pictures, with_relief
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
@@ -279,7 +279,7 @@ class SvbrdfStationary(ExemplarApp):
         if not self.has_layout:
             return doubts
         pairs = zip(doubts, tasks.data["image"][tasks.rows], strict=True)
-        return [clauses + clipped_highlight(image) for clauses, image in pairs]
+        return [clauses + clipped_highlight(image.float() / 255, F0_BOUND) for clauses, image in pairs]
 
     @torch.no_grad()
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:

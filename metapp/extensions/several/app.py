@@ -7,7 +7,7 @@ as given, in half sides of the patch. A photograph without a place is one from s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
@@ -17,6 +17,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from data_tools.synthetic.svbrdf_nonstationary import held_places
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, positions, render, unpack
+from metapp.appearance.highlight import F0_BOUND, clipped_highlight
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     ACROSS,
@@ -198,7 +199,14 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """A highlight that clips in all photographs."""
-        return super().doubts(theta, replace(tasks, data=tasks.data | {"photo": tasks.data["photos"].amin(1)}))
+        if self.protocol != "photo":
+            return super().doubts(theta, tasks)
+        darkest = linear_to_srgb(tasks.data["photos"][tasks.rows].amin(1))
+        return [clipped_highlight(photo, F0_BOUND, "all photos") for photo in darkest]
+
+    def fill(self, maps: Maps, photo: Tensor) -> Maps:
+        """Return the maps as they are: what clips in one photograph is seen in another."""
+        return maps
 
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:

@@ -208,6 +208,20 @@ def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: Seve
     assert ((other.diffuse / one.diffuse)[..., 1::2] < 0.95).all()
 
 
+def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos, tasks: Tasks) -> None:
+    photos = tasks.data["photos"].clamp_max(0.5).clone()
+    photos[0, 0] = 1
+    stacked = replace(tasks, data=tasks.data | {"photos": photos, "photo": photos[:, 0]})
+    theta = general(app, stacked)
+    assert app.doubts(theta, stacked) == [[], []]
+    maps = app.maps_of(theta, photos[:, 0])
+    assert all(map(torch.equal, app.final_maps(theta, photos[:, 0]), maps))
+    photos[1, :, :, 4:8, 4:8] = 1
+    none, (clause,) = app.doubts(theta, stacked)
+    assert none == []
+    assert clause == "6.2 % of all photos is clipped, so F0 is a lower bound (a darker exposure shows more)"
+
+
 def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
     alone = Task("wall", {"photo": several(0).data["photo"]})
     for other in (several(1, 2), alone):
