@@ -139,11 +139,13 @@ class Format(Entry):
         inputs: the files in words, for help and errors; "" if fits do not take them as INPUT.
         kinds: the kinds of its files, each with the name of the module's function `tells(path) -> bool`, of which the
             first that is True counts; "" for all files. `<tells>_task(task)` does the same for objects in memory.
+        data_sets: whether its command "data NAME" takes data sets, too.
     """
 
     app: str
     inputs: str = ""
     kinds: tuple[tuple[str, str], ...] = ()
+    data_sets: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,8 @@ import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from metapp.storage.folders import holds_files_of_users
+
 Found = tuple[list[Path], list[str]]  # the sources of a path, and the line of each skipped file of a folder
 
 
@@ -72,18 +74,21 @@ def files_of(path: str | Path, endings: str | tuple[str, ...] = "") -> list[Path
 
 
 def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]:
-    """The files of a folder and of those below it, sorted, hidden ones and linked folders left out.
+    """The files of a user in a folder and in those below it, sorted, hidden ones and linked folders left out.
 
-    Their names end in one of `endings`, in capitals or not.
+    What metapp wrote is left out, too: data sets, fits, the pictures of runs and those of what was found in photos.
+    Names end in one of `endings`, in capitals or not.
     """
     found, folders = [], [str(folder)]
     while folders:  # of any depth, which recursion has not
-        with os.scandir(folders.pop()) as entries:
+        place = folders.pop()
+        takes_files, takes_folders = holds_files_of_users(place)
+        with os.scandir(place) as entries:
             for entry in entries:
                 if entry.name.startswith("."):
                     continue
                 if entry.is_dir(follow_symlinks=False):
-                    folders.append(entry.path)
-                elif entry.name.lower().endswith(endings) and entry.is_file():
+                    folders += [entry.path] * takes_folders
+                elif takes_files and entry.name.lower().endswith(endings) and entry.is_file():
                     found.append(entry.path)
     return [Path(file) for file in sorted(found, key=lambda file: file.split(os.sep))]

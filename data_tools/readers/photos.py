@@ -30,6 +30,7 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, kind_of
 
 SIZE = 256  # px, of a task's picture unless another one is asked for
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
@@ -38,11 +39,10 @@ FRAME_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film"
 _MIN_DEVIATION = 1 / 255
 _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
 
-# places of camera and flash, and the side in cm, for several photos of one flat material
-CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT = "camera_pos.txt", "light_pos.txt", "image_size.txt"
+# the side in cm of several photos of one flat material, beside the positions of camera and flash
+SIZE_TEXT = "image_size.txt"
 # texts that belong in folders of images; no fit reads the power of the light
-PLACES = (CAMERA_TEXT, LIGHT_TEXT)
-BESIDE = ("metadata.json", DESCRIPTION, *PLACES, SIZE_TEXT, "light_power.txt")
+BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
 def find(path: Path) -> Found:
@@ -75,7 +75,8 @@ def recognises(path: str | Path) -> bool:
 
 def placed_in(folder: Path) -> list[Path]:
     """A folder and those below it that say where camera or flash were, sorted, hidden ones left out."""
-    return sorted({file.parent for file in files_below(folder, PLACES) if file.name in PLACES})
+    folders = {file.parent for file in files_below(folder, (CAMERA_TEXT, LIGHT_TEXT))}
+    return sorted(folder for folder in folders if kind_of(folder) is Kind.RECTIFIED)
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0, layer: str = "") -> Task:

@@ -72,7 +72,7 @@ def command_of(paradigm: str, app: str) -> Callable[..., None]:
 
 def _inputs(app: str) -> str:
     forms = ", ".join(form.inputs for form in inputs_of(app).values())
-    return f"What to fit: {forms}; or folders of these; {TASKS}." if forms else f"No file; {TASKS}."
+    return f"What to fit: {forms}; folders of these; or a data set; {TASKS}." if forms else f"No file; {TASKS}."
 
 
 def fit(run: Run, *, json: bool) -> None:

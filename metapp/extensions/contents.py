@@ -157,7 +157,7 @@ def pretrained(registry: Registry) -> None:
         lacks=f"{here}.encoder:lacks",
         checkpoints=f"{here}.checkpoints",
     )
-    registry.formats["materials"] = Format(f"{here}.materials", app="svbrdf_nonstationary")
+    registry.formats["materials"] = Format(f"{here}.materials", app="svbrdf_nonstationary", data_sets=True)
     registry.commands["data materials"] = Entry(f"{here}.options:Materials")
 
 

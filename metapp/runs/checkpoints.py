@@ -22,6 +22,7 @@ from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest, load_checkpoint, tensor_digest
+from metapp.storage.folders import Kind, kind_of, refusal
 
 
 def with_checkpoint(run: Run) -> Run:
@@ -136,6 +137,8 @@ def _checkpoint_path(run: Run, name: str) -> Path:
     if given and given.is_dir():
         path = given / f"{checkpoint_name(run.app, name)}.safetensors"
         if not path.is_file():
+            if kind_of(given) is not Kind.FILES:
+                raise ValueError(refusal(given, f"a folder of checkpoints with {path.name}"))
             held = ", ".join(sorted(file.stem for file in given.glob("*.safetensors"))) or "no checkpoints"
             raise ValueError(
                 f"{given}: holds {held}, expected {path.name}; train it with --train, or name another one."

@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, options_of, parse
 from metapp.registry import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
 from metapp.storage.files import file_name
+from metapp.storage.folders import Kind, kind_of
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
 TASKS = "default: the test tasks of --data"
@@ -109,8 +110,37 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
         if name not in declared(FitOptions):
             raise BadOption(_unknown(name, app))
     options = parse(FitOptions, values, app=app, paradigm=paradigm, inputs=tuple(inputs), own=parse(own_kind, own))
+    paths, data = data_set_of(options.paths, options.data)
+    if len(paths) < len(options.paths):
+        options = replace(options, inputs=(), data=data)
     _check(options)
     return options
+
+
+def data_set_of(paths: Sequence[Path], data: Path | None) -> tuple[Sequence[Path], Path | None]:
+    """Take a data set among the inputs of a fit for the data set whose test tasks are fitted.
+
+    Args:
+        paths: inputs.
+        data: the data set of --data.
+
+    Returns:
+        The inputs and the data set; no inputs if one of them is a data set.
+
+    Raises:
+        BadOption: a data set beside other inputs, or beside another data set by --data.
+    """
+    found = next((path for path in paths if kind_of(path) is Kind.DATA_SET), None)
+    if found is None:
+        return paths, data
+    if len(paths) > 1:
+        raise BadOption(
+            f"{found}: a data set beside {len(paths) - 1} more INPUT, expected it alone; fit others by another "
+            "command, or join data sets by metapp data join."
+        )
+    if data and data.resolve() != found.resolve():
+        raise BadOption(f"{found}: a data set, and another by --data {data}, expected one; leave one out.")
+    return (), found
 
 
 def check_name(app: str) -> None:
@@ -188,7 +218,8 @@ def _check(options: FitOptions) -> None:
     for name in options.own.given():
         option = declared(type(options.own))[name]
         if option.panel == INPUT and not options.inputs:
-            raise BadOption(f"{option.flag}: about INPUT alone; name what to fit.")
+            remedy = f"not about the data set {options.data}; leave it out" if options.data else "name what to fit"
+            raise BadOption(f"{option.flag}: about INPUT alone; {remedy}.")
         if option.panel == FIT and options.train:
             raise BadOption(f"{option.flag}: of fits; checkpoints are trained without it, leave --train out.")
 

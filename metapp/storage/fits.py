@@ -33,9 +33,10 @@ from metapp.storage.files import (
     read_tensors,
     write_bytes,
 )
+from metapp.storage.folders import PARAMS as PARAMS
+from metapp.storage.folders import RECORD as RECORD
 
 Record = Document  # of a task
-RECORD, PARAMS = "record.json", "params.safetensors"
 FIT = ("error", "seconds")  # entries of a fit's record, beside its name
 TEXTS = ("name", "source", "content")  # entries that are texts, where a record has them
 

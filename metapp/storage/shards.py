@@ -31,9 +31,10 @@ from metapp.storage.files import (
     remove_partial,
     write_bytes,
 )
+from metapp.storage.folders import MANIFEST as MANIFEST
+from metapp.storage.folders import SHARD, Kind, kind_of, refusal
 
 SCHEMA = 1
-MANIFEST, SUFFIX = "manifest.json", ".safetensors"
 SPLITS = ("train", "test")
 AUTO = "auto"  # the split of `split_auto`
 
@@ -89,6 +90,8 @@ def read_manifest(folder: str | Path) -> Manifest:
         state = "a file" if folder.exists() else "no such folder"
         raise ValueError(f"{folder}: {state}, expected the folder of a data set; make one with `metapp data`.")
     if not path.is_file():
+        if kind_of(folder) is not Kind.FILES:
+            raise ValueError(refusal(folder, "the folder of a data set"))
         raise ValueError(
             f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
             "interrupted: convert again with `metapp data`."
@@ -130,9 +133,9 @@ def _from_json(raw: object, path: Path) -> Manifest:
     for index, record in enumerate(field(raw, "tasks", list)):
         where = f"task {index + 1}: "
         entry = Entry(**{key: field(record, key, str, where) for key in Entry._fields})
-        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SUFFIX):
+        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SHARD):
             raise ValueError(
-                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "
+                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SHARD} file in the "
                 "same folder; convert the data again."
             )
         if entry.split not in SPLITS:
@@ -214,7 +217,7 @@ def write_shard(
     partial.mkdir(parents=True)
     entries: list[Entry] = []
     held: set[str] = set()  # names of tensors
-    taken = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the name of the manifest
+    taken = {MANIFEST.replace(".json", SHARD)} if beside else set()  # its text would take the name of the manifest
     try:
         for task, split, source in tasks:
             _check_task(task, split, units, entries, source or folder)
@@ -292,7 +295,7 @@ def _publish(
     raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
     (folder / MANIFEST).unlink(missing_ok=True)
     for entry in before.tasks if before else ():
-        for suffix in (SUFFIX, beside[1] if beside else SUFFIX):
+        for suffix in (SHARD, beside[1] if beside else SHARD):
             (folder / entry.file).with_suffix(suffix).unlink(missing_ok=True)
     for file in sorted(partial.iterdir()):
         os.replace(file, folder / file.name)
@@ -324,7 +327,9 @@ def read_shard(
         raise ValueError(f"{folder}: split '{split}', expected 'train' or 'test'.")
     manifest = read_manifest(folder)
     if app is not None and manifest.app != app:
-        raise ValueError(f"{folder}: holds tasks of '{manifest.app}', expected '{app}'; name another data set.")
+        raise ValueError(
+            f"{folder}: holds tasks of '{manifest.app}', expected '{app}'; name another data set, or another APP."
+        )
     tasks = []
     for entry in manifest.tasks:
         if split in (None, entry.split):
@@ -364,7 +369,7 @@ def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = Non
         problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
     beside = manifest.notes.get("files")  # what else its command wrote there
     listed = {MANIFEST, *(map(str, beside) if isinstance(beside, list) else ())}
-    stems = {entry.file.removesuffix(SUFFIX) for entry in manifest.tasks}  # a task's text has its name
+    stems = {entry.file.removesuffix(SHARD) for entry in manifest.tasks}  # a task's text has its name
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())
@@ -376,10 +381,10 @@ def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = Non
 def _file_name(name: str, taken: Collection[str]) -> str:
     """A file name that every file system takes, and that differs from those taken even if case does not count."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
-    file, count = stem + SUFFIX, 1
+    file, count = stem + SHARD, 1
     while file.lower() in taken:
         count += 1
-        file = f"{stem}-{count}{SUFFIX}"
+        file = f"{stem}-{count}{SHARD}"
     return file
 
 

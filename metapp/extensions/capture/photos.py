@@ -14,8 +14,6 @@ from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.storage.images import write_png
 
-FOUND = "found"  # folder of pictures that show what was found
-
 _SHOWN_PX = 1200  # their longer side, at most
 
 

@@ -20,7 +20,8 @@ from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.apps import class_of
 from metapp.learning.task import Task
-from metapp.storage.shards import MANIFEST, SUFFIX, Entry, read_manifest, read_shard
+from metapp.storage.folders import SHARD, Kind, kind_of
+from metapp.storage.shards import Entry, read_manifest, read_shard
 
 APP = "svbrdf_nonstationary"
 UNITS = {
@@ -34,13 +35,14 @@ OLD = 0.3  # what colours with shading in them count
 
 def find(path: Path) -> Found:
     """One file of each set of maps, or all files of a data set; errors as of maps and `read_shard`."""
-    drawn = path.is_dir() and (path / MANIFEST).is_file()
-    return ([path / file for file in _drawn(path)], []) if drawn else material_maps.find(path)
+    if kind_of(path) is Kind.DATA_SET:
+        return [path / file for file in _drawn(path)], []
+    return material_maps.find(path)
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:
     """As of maps; of data sets as their manifests have them."""
-    drawn = {source: _drawn(source.parent)[source.name][0] for source in sources if source.suffix == SUFFIX}
+    drawn = {source: _drawn(source.parent)[source.name][0] for source in sources if source.suffix == SHARD}
     return material_maps.entries([source for source in sources if source not in drawn], folders, split) | drawn
 
 
@@ -55,7 +57,7 @@ def read_task(source: Path, size: int, normals: str, layer: str = "") -> Task:
     Raises:
         ValueError: as there, but for a missing roughness; a drawn material of another size, or a photo alone.
     """
-    if source.suffix == SUFFIX:
+    if source.suffix == SHARD:
         return _drawn_task(source, size)
     material = material_of(source)
     assert material is not None, source  # it was found by its name

@@ -20,6 +20,7 @@ from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_fil
 from metapp.runs.options import check_new_files
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import named
+from metapp.storage.folders import check_files_of_user
 
 ENDINGS = {"merl": ".binary", "bsdf": rgl.SUFFIX, "bsdf-spectral": f"{rgl.SPECTRAL}{rgl.SUFFIX}"}  # of what is written
 READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf)
@@ -35,6 +36,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         ValueError: none of these, damaged, two of one name, or an anisotropic material for a MERL table.
         BadOption: a file is there already.
     """
+    check_files_of_user(path, "a run, MERL tables, RGL files or NBRDF networks")
     found = [reader.find(path) for reader in READERS if reader.recognises(path)]
     if not found:
         problem = "another kind" if path.exists() else "no such file"

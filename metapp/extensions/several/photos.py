@@ -14,11 +14,12 @@ from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
 from data_tools.readers.listing import Found
-from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, is_photo, placed_in, read_photo
 from data_tools.readers.photos import SIZE as PX
+from data_tools.readers.photos import SIZE_TEXT, is_photo, placed_in, read_photo
 from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 
 LARGEST_CM = 1e5  # a side of a patch
 FARTHEST = 1000.0  # sides that camera and flash are away

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from metapp.registry import registry
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
+from metapp.storage.folders import Kind, check_files_of_user, kind_of, refusal
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
@@ -63,7 +64,15 @@ def convert(
 
     form = registry().formats[name]
     reader = form.load()
-    found, skipped = _find(reader.find, paths)
+    paths, expected = list(paths), f"files for metapp data {name}"
+    for path in paths:
+        check_files_of_user(path, expected, data_sets=form.data_sets)
+    try:
+        found, skipped = _find(reader.find, paths)
+    except ValueError:
+        if runs := [path for path in paths if kind_of(path) is Kind.RUNS]:  # nothing of a user beside them
+            raise ValueError(refusal(runs[0], expected)) from None
+        raise
     own = getattr(reader, "entries", entries_by_place)(list(found), {*found.values()} - {None}, split)
     entries: dict[Path, Entry] = {source: own[source] for source in found if source in own}
     _require_distinct(entries)

@@ -15,6 +15,7 @@ from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import PARTIAL, partial_path
+from metapp.storage.folders import Kind, kind_of
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
@@ -128,7 +129,7 @@ def embedded_exists(app: str) -> bool:
     if app not in embedded_apps():
         return False
     notes = _notes(app, 0, sum(split_counts(app).values()), {})
-    return (_cached(app, notes) / "manifest.json").is_file()
+    return kind_of(_cached(app, notes)) is Kind.DATA_SET
 
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:

@@ -20,6 +20,7 @@ from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
 from metapp.storage.fits import marked_name
+from metapp.storage.folders import Kind, check_files_of_user, kind_of, refusal
 
 FILES, MEMORY = "files", "memory"  # as records call data that are no data set
 
@@ -156,10 +157,13 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
     forms = inputs_of(app.name)
+    inputs = ", ".join(form.inputs for form in forms.values())
+    expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
+    check_files_of_user(path, f"an input of {app.name} ({expected})")
     readers = {name: reader for name, form in forms.items() if (reader := form.load()).recognises(path)}
     if not readers:
-        inputs = ", ".join(form.inputs for form in forms.values())
-        expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
+        if kind_of(path) is Kind.RUNS:
+            raise ValueError(refusal(path, f"an input of {app.name} ({expected})"))
         every = (form for form in registry().formats.values() if form.inputs)
         others = sorted({form.app for form in every if form.load().recognises(path)})
         fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +14,14 @@ from metapp.learning.task import Task
 from metapp.registry import did_you_mean
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_of_data
-from metapp.runs.options import check_export, check_name, fit_options
+from metapp.runs.options import check_export, check_name, data_set_of, fit_options
 from metapp.runs.outputs.files import export_fit, export_path
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.files import PARTIAL, entry_of, path_of
+from metapp.storage.files import entry_of, path_of
 from metapp.storage.fits import FIT, RECORD, read_fit, read_fits, read_params
+from metapp.storage.folders import HOLDS_FITS, Kind, kind_of, records_below, refusal
 
 # settings that plans are made of, and what they are where records lack them
 TEXTS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
@@ -51,8 +52,11 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
     if by_paradigm:
         records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
     if not records:
+        expected = "a run's folder, such as runs/brdf/meta"
+        if kind_of(run) in (Kind.DATA_SET, Kind.RECTIFIED, Kind.DIAGNOSTIC):
+            raise ValueError(refusal(run, expected))
         state = "no folders of fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-        raise ValueError(f"{run}: {state}, expected a run's folder, such as runs/brdf/meta.")
+        raise ValueError(f"{run}: {state}, expected {expected}.")
     names = [record["name"] for record in records]
     if task and task not in names:
         some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
@@ -81,19 +85,12 @@ def _check_settings(record: Document) -> None:
 
 def holds_runs(path: Path) -> bool:
     """True if `read_run` may take a folder for one of a task, of a run or of runs."""
-    return (path / RECORD).exists() or bool(_records_below(path, "*/", "*/*/", "*/*/*/"))
-
-
-def _records_below(folder: Path, *places: str) -> list[Path]:
-    """The records of tasks in a folder of runs, such as `runs` or `runs/brdf/meta`."""
-    found = [file for place in places for file in folder.glob(f"{place}{RECORD}")]
-    found = [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]  # through no link
-    return [file for file in found if not file.parent.name.startswith(PARTIAL)]
+    return kind_of(path) in HOLDS_FITS
 
 
 def _newest_run(folder: Path) -> Path:
     """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf`; else the folder itself."""
-    found = [] if any(folder.glob(f"*/{RECORD}")) else _records_below(folder, "*/*/", "*/*/*/")
+    found = records_below(folder, "*/*/", "*/*/*/") if kind_of(folder) is Kind.RUNS else []
     newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent.parent if found else folder
     if found:
         say(f"{folder}: the newest run is {newest}")
@@ -117,9 +114,10 @@ def by_settings(records: Iterable[Document]) -> list[list[Document]]:
     return list(groups.values())
 
 
-def _tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+def _tasks_as(records: list[Document], app: App, inputs: Sequence[Path], data: Path | None) -> dict[str, Task]:
     """The same of records of the same settings."""
     settings, origins = records[-1]["settings"], [record.get("origin", {}) for record in records]
+    inputs, data = data_set_of(inputs, data)
     label, places = settings["data"], [place for origin in origins for place in origin.get("inputs", [])]
     if not (inputs or data):
         places += [record.get("source", "") for record in records] if label == FILES else []

@@ -13,7 +13,7 @@ import torch
 from torch import Generator
 
 from data_tools.readers import svbrdf_inputs
-from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
+from data_tools.readers.photos import SIZE_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp import registry
 from metapp.apps import recipes_of
@@ -27,6 +27,7 @@ from metapp.runs.options import fit_options
 from metapp.runs.recipes import chosen_recipe, shipped_path
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_shard
 
 APP = "svbrdf_nonstationary"

@@ -71,7 +71,7 @@ def ball(
 
     The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
     (after Debevec & Malik 1997, the camera's curve a power of sRGB's), and the light in the ball is unwrapped. Writes
-    a data set for `metapp meta illumination --data DIR`, the map DIR/NAME.exr, whose alpha says where
+    a data set for `metapp meta illumination DIR`, the map DIR/NAME.exr, whose alpha says where
     it is seen and does not clip, and pictures of the balls that were found in DIR/found/.
 
     Examples:
@@ -79,10 +79,11 @@ def ball(
       metapp data ball IMG_1.jpg --fov 55 --rows 256 --out garden
     """
     from metapp.extensions.capture.ball.capture import capture
-    from metapp.extensions.capture.photos import FOUND
-    from metapp.storage.shards import MANIFEST
+    from metapp.storage.folders import FOUND, MANIFEST, check_files_of_user
 
     check_new(folder / MANIFEST, overwrite)
+    for path in paths:
+        check_files_of_user(path, "a photograph of a ball")
     name, fov_rad = folder.resolve().name, math.radians(options.fov)
     with progress("photos", len(paths), quiet=quiet) as bar:
         captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer)
@@ -113,8 +114,9 @@ def _write(name: str, paths: list[Path], captured: Capture, folder: Path, layer:
     import torch
 
     from data_tools.readers.image_files import read_pixels
-    from metapp.extensions.capture.photos import FOUND, write_found
+    from metapp.extensions.capture.photos import write_found
     from metapp.learning.task import Task
+    from metapp.storage.folders import FOUND
     from metapp.storage.images import write_exr
     from metapp.storage.shards import write_shard
 

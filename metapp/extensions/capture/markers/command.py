@@ -106,10 +106,12 @@ def rectify(
     """
     from data_tools.readers.photos import find
     from metapp.extensions.capture.markers.rectified import find_cameras, write_set
-    from metapp.extensions.capture.photos import FOUND
+    from metapp.storage.folders import FOUND, check_files_of_user
 
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
+    for path in paths:
+        check_files_of_user(path, "photographs of a flat material")
     in_paths = [find(path) for path in paths]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
     with progress("photos", len(names), quiet=quiet) as bar:

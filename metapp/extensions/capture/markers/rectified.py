@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
+from data_tools.readers.photos import SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
 from metapp.extensions.capture.markers.registration import register
@@ -29,8 +29,9 @@ from metapp.extensions.capture.markers.sighting import (
     common_focal,
     find_sheet,
 )
-from metapp.extensions.capture.photos import FOUND, opencv, write_found
+from metapp.extensions.capture.photos import opencv, write_found
 from metapp.storage.files import write_atomically
+from metapp.storage.folders import CAMERA_TEXT, FOUND, LIGHT_TEXT
 from metapp.storage.images import write_png
 
 

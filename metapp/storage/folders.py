@@ -1,0 +1,170 @@
+"""Kinds of folders: what a path is, decided in one place for all commands, and the line that refuses it elsewhere.
+
+A folder means one thing: a data set (it holds a manifest), a fit (a record), a run (fits), rectified photographs
+(positions of cameras or flashes), pictures of what metapp found in photographs, or else files of a user.
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import os
+from pathlib import Path
+
+from metapp.storage.files import PARTIAL, read_bytes
+
+MANIFEST, SHARD = "manifest.json", ".safetensors"  # of data sets: the list of tasks, and the suffix of a task's file
+RECORD, PARAMS = "record.json", "params.safetensors"  # of fits
+CAMERA_TEXT, LIGHT_TEXT = "camera_pos.txt", "light_pos.txt"  # of rectified photographs, either of them
+FOUND = "found"  # the folder, in a data set or beside rectified photographs, of pictures that show what was found
+
+
+class Kind(enum.Enum):
+    """The kinds of paths; each value says in words what such a path is."""
+
+    DATA_SET = "a data set"
+    FIT = "the folder of a fit"
+    RUN = "the folder of a run"
+    RUNS = "a folder of runs"
+    RECTIFIED = "a folder of rectified photos"
+    DIAGNOSTIC = "made by metapp to show its results"
+    FILES = "a folder"
+    FILE = "a file"
+    NOTHING = "no such file or folder"
+
+
+WRITTEN = (Kind.DATA_SET, Kind.FIT, Kind.RUN, Kind.DIAGNOSTIC)  # kinds that metapp writes and that are no user's files
+HOLDS_FITS = (Kind.FIT, Kind.RUN, Kind.RUNS)
+
+
+def kind_of(path: str | Path) -> Kind:
+    """Return what a path is.
+
+    A file is diagnostic if it lies directly in the folder of a run, such as `pictures.png`, or in a folder of
+    pictures that show what was found. A JSON file of another program is neither a manifest nor a record.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Path(folder, CAMERA_TEXT).write_text("0,0,16")
+    ...     kind_of(folder), kind_of(Path(folder, "none"))
+    (<Kind.RECTIFIED: 'a folder of rectified photos'>, <Kind.NOTHING: 'no such file or folder'>)
+    """
+    place = os.path.abspath(path)
+    if not os.path.isdir(place):
+        if not os.path.lexists(place):
+            return Kind.NOTHING
+        above = _kind_without_runs(os.path.dirname(place))
+        return Kind.DIAGNOSTIC if above in (Kind.RUN, Kind.DIAGNOSTIC) else Kind.FILE
+    kind = _kind_without_runs(place)
+    return Kind.RUNS if kind is Kind.FILES and records_below(Path(path), "*/*/", "*/*/*/") else kind
+
+
+def holds_files_of_users(folder: str) -> tuple[bool, bool]:
+    """Tell a walk through folders whether a folder's files, and those in folders below it, are a user's."""
+    kind = _kind_without_runs(os.path.abspath(folder))
+    return kind not in WRITTEN, kind not in WRITTEN or kind is Kind.RUN
+
+
+def refusal(path: Path, expected: str) -> str:
+    """Return the line that refuses a path: what it is, what was expected, and which command takes it."""
+    kind = kind_of(path)
+    if kind is Kind.DATA_SET:
+        app = _manifest_app(path)
+        remedy = f"fit its test tasks by metapp meta {app} {path}, or check it by metapp data check {path}"
+    elif kind in HOLDS_FITS:
+        remedy = f"metapp view, metapp export and metapp compare take it: metapp view {path}"
+    elif kind is Kind.DIAGNOSTIC:
+        remedy = "give the photos or files themselves"
+    elif kind is Kind.RECTIFIED:
+        remedy = f"fit it by metapp meta svbrdf_nonstationary {path}"
+    else:
+        remedy = "check the path"
+    return f"{path}: {kind.value}, expected {expected}; {remedy}."
+
+
+def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -> None:
+    """Refuse what metapp itself has written where files of a user are read.
+
+    Args:
+        path: of an input.
+        expected: what is read, in words.
+        data_sets: whether data sets are taken, too.
+
+    Raises:
+        ValueError: a data set, a fit, a run, or pictures that show results.
+    """
+    kind = kind_of(path)
+    if kind in WRITTEN and not (data_sets and kind is Kind.DATA_SET):
+        raise ValueError(refusal(path, expected))
+
+
+def records_below(folder: Path, *places: str) -> list[Path]:
+    """Return the records of fits in a folder, whose folders the patterns `places` name; not those behind links."""
+    found = [file for place in places for file in folder.glob(f"{place}{RECORD}")]
+    found = [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]
+    return [file for file in found if not file.parent.name.startswith(PARTIAL) and _is_fit(str(file.parent))]
+
+
+def _kind_without_runs(folder: str) -> Kind:
+    """Return the kind of a folder by its absolute path, FILES of a folder of runs, which takes a longer look."""
+    if _is_data_set(folder):
+        return Kind.DATA_SET
+    if _is_fit(folder):
+        return Kind.FIT
+    above = os.path.dirname(folder)
+    if os.path.basename(folder) == FOUND and (_is_data_set(above) or _is_rectified(above)):
+        return Kind.DIAGNOSTIC
+    if _is_run(folder):
+        return Kind.RUN
+    return Kind.RECTIFIED if _is_rectified(folder) else Kind.FILES
+
+
+def _is_data_set(folder: str) -> bool:
+    """Tell by the manifest; one that is damaged counts if files of tasks lie beside it."""
+    file = os.path.join(folder, MANIFEST)
+    if not os.path.isfile(file):
+        return False
+    manifest = _json_of(file)
+    if isinstance(manifest, dict) and manifest.keys() >= {"app", "tasks"}:
+        return True
+    return any(name.endswith(SHARD) for name in os.listdir(folder))
+
+
+def _is_fit(folder: str) -> bool:
+    """Tell by the record; one that is damaged counts if parameters lie beside it."""
+    file = os.path.join(folder, RECORD)
+    if not os.path.isfile(file):
+        return False
+    record = _json_of(file)
+    is_record = isinstance(record, dict) and "name" in record
+    return is_record or os.path.isfile(os.path.join(folder, PARAMS))
+
+
+def _is_run(folder: str) -> bool:
+    try:
+        with os.scandir(folder) as entries:
+            return any(
+                entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".") and _is_fit(entry.path)
+                for entry in entries
+            )
+    except OSError:  # that cannot be read, which whoever reads it says
+        return False
+
+
+def _is_rectified(folder: str) -> bool:
+    return any(os.path.isfile(os.path.join(folder, name)) for name in (CAMERA_TEXT, LIGHT_TEXT))
+
+
+def _json_of(file: str) -> object:
+    """Return the content of a JSON file; None of another one."""
+    try:
+        return json.loads(read_bytes(file))
+    except (ValueError, RecursionError, OSError):
+        return None
+
+
+def _manifest_app(folder: Path) -> str:
+    """Return the application that a data set's manifest names, "APP" if it names none."""
+    manifest = _json_of(str(folder / MANIFEST))
+    app = manifest.get("app") if isinstance(manifest, dict) else None
+    return app if isinstance(app, str) and app.isidentifier() else "APP"

@@ -1,0 +1,165 @@
+"""What each command does with each kind of folder: it takes it, or one line says what it is and what takes it."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from metapp.learning.task import Task
+from metapp.storage.fits import read_fits, write_fit
+from metapp.storage.shards import write_shard
+from tests.extensions.capture.ball_photos import detailed, written
+from tests.extensions.capture.ball_photos import photograph as photograph_of_ball
+from tests.pictures import photograph
+
+NETWORKS = 1
+DATA_SET, RUN, FOUND = "a data set", "of a run", "made by metapp to show"
+FOLDERS = {  # each kind: its folder, and what a refusal says of it
+    "set": DATA_SET,
+    "set/found": FOUND,
+    "set/found/0060.png": FOUND,
+    "runs/texture/meta": RUN,
+    "runs/texture/meta/bark": "of a fit",
+    "runs/texture": "a folder of runs",
+    "runs": "a folder of runs",
+}
+# commands that take a folder, {} its place, and the kinds that they take
+COMMANDS = {
+    "meta texture {} --quiet": (),
+    "general svbrdf_nonstationary {} --quiet": (),
+    "quickft brdf {} --quiet": (),
+    "meta illumination {} --quiet": (),
+    "baseline texture {} --method nearest --quiet": (),
+    "meta texture --data {} --quiet": (),
+    "evaluate texture --data {} --no-run": (),
+    "data images {} --out out --quiet": (),
+    "data merl {} --out out --quiet": (),
+    "data nbrdf {} --out out --quiet": (),
+    "data flash {} --out out --quiet": (),
+    "data maps {} --out out --quiet": (),
+    "data strips {} --out out --quiet": (),
+    "data laval {} --out out --quiet": (),
+    "data gonio {} --out out --quiet": (),
+    "data bsdf {} --out out --quiet": (),
+    "data rectify {} --out out --quiet": (),
+    "data ball {} --out out --quiet": (),
+    "data check {}": ("set",),
+    "data join {} other --out out --quiet": ("set",),
+    "export {} merl --quiet": ("runs/texture/meta", "runs/texture/meta/bark", "runs/texture", "runs"),
+    "view {} --no-open --quiet": ("runs/texture/meta", "runs/texture/meta/bark", "runs/texture", "runs"),
+    "compare {} {} --quiet": ("runs/texture/meta", "runs/texture/meta/bark", "runs/texture", "runs"),
+}
+# commands that take the data set itself, as their own application's
+TAKEN = ("meta texture", "baseline texture", "meta texture --data", "evaluate texture --data")
+FILES = ("meta", "general", "quickft", "baseline", "data images", "data ball", "data rectify")
+OTHERS = ("general svbrdf", "quickft brdf", "meta illumination")  # that refuse it by its application
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> Path:
+    """Write a folder of each kind, of textures."""
+    for name in ("set", "other"):
+        tasks = [(Task(f"{name}-bark", {"image": torch.randint(256, (3, 64, 64), dtype=torch.uint8)}), "test", "")]
+        write_shard(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
+    (tmp_path / "set/found").mkdir()
+    photograph(tmp_path / "set/found/0060.png")
+    settings = {"app": "texture", "paradigm": "meta", "rule": "basis", "recipe": "quick", "data": "files"}
+    record = {"name": "bark", "error": 1.0, "seconds": 1.0, "settings": settings}
+    kept = write_fit(tmp_path / "runs/texture/meta", record, {"w": torch.zeros(2)})
+    for place in (Path(kept["folder"]) / "texture.png", tmp_path / "runs/texture/meta/pictures.png"):
+        photograph(place)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_folders_are_taken_or_refused_by_a_line(metapp: Callable, folders: Path, command: str) -> None:
+    for place, said in FOLDERS.items():
+        if place in COMMANDS[command] or (place == "set" and command.startswith(TAKEN)):
+            continue
+        if place.endswith(".png") and ("--data" in command or not command.startswith(FILES)):
+            continue  # they take folders alone
+        done = metapp(*command.format(place, place).split())
+        line = done.error
+        if place == "set" and command.startswith(OTHERS):
+            assert "holds tasks of 'texture'" in line
+        elif "data ball" in command and "runs" in place and said == "a folder of runs":
+            assert "a folder, expected an image file" in line
+        elif "data rectify" in command and said == "a folder of runs":
+            assert "no image in this folder" in line
+        else:
+            assert f"{place}: " in line, done
+            assert said in line, done
+            assert "metapp" in line or said == FOUND, done
+    assert not (folders / "out").exists()
+
+
+def test_what_takes_a_kind_does_not_refuse_it(metapp: Callable, folders: Path) -> None:
+    assert metapp("data", "check", "set").code == 0
+    assert metapp("data", "join", "set", "other", "--out", "out").code == 0
+    for place in ("runs", "runs/texture", "runs/texture/meta", "runs/texture/meta/bark"):
+        for words in (["export", place, "png16"], ["view", place, "--no-open"]):
+            done = metapp(*words)
+            assert not any(said in done.err for said in ("expected a run's folder", DATA_SET)), done
+
+
+def test_a_data_set_as_input_is_fitted_as_by_its_option(
+    metapp: Callable, ten_materials: Path, small_spheres: None
+) -> None:
+    """The table of kinds, for fits: files and records are those of --data."""
+    shutil.copytree(ten_materials, "set")
+    given, options = ["--recipe", "quick", "--quiet", "--json"], ["--out", "by-option"]
+    by_option = metapp("meta", "brdf", "--data", "set", *given, *options).done
+    by_input = metapp("meta", "brdf", "set", *given).done
+    assert [task["error"] for task in by_input["tasks"]] == [task["error"] for task in by_option["tasks"]]
+    assert Path(by_input["out"]).name == Path(by_option["out"]).name == f"meta-{by_input['data']}-quick"
+    (one, other) = (read_fits(Path(done["out"])) for done in (by_input, by_option))
+    assert [record["origin"] for record in one] == [record["origin"] for record in other]
+    # and where it has moved, a page, an export and a comparison find it as --data or as an input
+    Path("moved").mkdir()
+    Path("set").rename("moved/set")
+    for words in (["--data", "moved/set"], ["--input", "moved/set"]):
+        done = metapp("view", by_input["out"], "--no-open", "--overwrite", "--most", "1", *words)
+        assert done.code == 0
+        assert "not at hand" not in done.err
+    compared = metapp("compare", by_input["out"], by_option["out"], "moved/set", "--overwrite")
+    assert compared.code == 0
+    assert "no picture" not in compared.err
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["set", "set2"], "set: a data set beside 1 more INPUT, expected it alone"),
+        (["set", "bark.png"], "set: a data set beside 1 more INPUT, expected it alone"),
+        (["set", "--data", "other"], "set: a data set, and another by --data other, expected one"),
+        (["set", "--layer", "beauty"], "--layer: about INPUT alone; not about the data set set"),
+    ],
+)
+def test_a_data_set_stands_alone(metapp: Callable, folders: Path, words: list[str], line: str) -> None:
+    shutil.copytree("set", "set2")
+    photograph(Path("bark.png"))
+    assert line in metapp("meta", "texture", *words).misuse
+
+
+def test_runs_among_photos_are_no_inputs(metapp: Callable, folders: Path) -> None:
+    """`metapp data images .` in the folder where runs, data sets and photographs lie."""
+    photograph(Path("bark.png"))
+    done = metapp("data", "images", ".", "--out", "out", "--size", "32", "--json").done
+    assert done["train"] + done["test"] == ["bark"]
+
+
+@pytest.mark.long
+def test_light_of_a_ball_is_filled_in_from_its_data_set(metapp: Callable, tmp_path: Path, scene: Path) -> None:
+    """`metapp data ball PHOTO --out garden; metapp meta illumination garden` fits the ball, and nothing else."""
+    from metapp.extensions.capture.ball.geometry import Ball
+
+    photo = written(tmp_path / "a.png", photograph_of_ball(Ball(80, 75, 60), 150, 160, 0.02, detailed))
+    ball = ["--ball", "80,75,60", "--rows", "64"]
+    assert metapp("data", "ball", photo, *ball, "--out", "garden", "--quiet").code == 0
+    assert Path("garden/found/a.png").is_file()
+    done = metapp("meta", "illumination", "garden", "--recipe", "quick", "--json", "--quiet").done
+    assert [task["name"] for task in done["tasks"]] == ["garden"]
+    assert done["failures"] == []
+    assert "made by metapp to show" in metapp("meta", "illumination", "garden/found", "--quiet").error

@@ -1,0 +1,121 @@
+"""Kinds of folders: what each is, whatever lies beside, and which of their files a walk takes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from data_tools.readers.listing import files_below
+from metapp.storage.folders import (
+    CAMERA_TEXT,
+    FOUND,
+    LIGHT_TEXT,
+    MANIFEST,
+    PARAMS,
+    RECORD,
+    Kind,
+    check_files_of_user,
+    kind_of,
+    refusal,
+)
+
+SET = json.dumps({"app": "texture", "schema": 1, "tasks": [], "units": {}, "notes": {}})
+FIT = json.dumps({"name": "gold", "error": None, "settings": {}})
+
+
+FOLDERS: dict[str, tuple[Kind, dict[str, str]]] = {
+    "a manifest": (Kind.DATA_SET, {MANIFEST: SET, "bark.png": ""}),
+    "a damaged manifest beside tasks": (Kind.DATA_SET, {MANIFEST: "{", "gold.safetensors": ""}),
+    "another program's manifest": (Kind.FILES, {MANIFEST: '{"name": "an app"}', "bark.png": ""}),
+    "a text called manifest": (Kind.FILES, {MANIFEST: "", "bark.png": ""}),
+    "a manifest that is a list": (Kind.FILES, {MANIFEST: "[]"}),
+    "a record": (Kind.FIT, {RECORD: FIT, "fit.png": ""}),
+    "a damaged record beside parameters": (Kind.FIT, {RECORD: "{", PARAMS: ""}),
+    "another program's record": (Kind.FILES, {RECORD: '{"track": 7}', "bark.png": ""}),
+    "fits": (Kind.RUN, {f"gold/{RECORD}": FIT, f"tin/{RECORD}": FIT, "pictures.png": ""}),
+    "runs of an application": (Kind.RUNS, {f"meta/gold/{RECORD}": FIT}),
+    "runs": (Kind.RUNS, {f"brdf/meta/gold/{RECORD}": FIT}),
+    "photos beside all runs": (Kind.FILES, {f"runs/brdf/meta/gold/{RECORD}": FIT, "bark.png": ""}),
+    "an unfinished fit": (Kind.FILES, {f".partial-1-gold/{RECORD}": FIT}),
+    "cameras": (Kind.RECTIFIED, {CAMERA_TEXT: "0,0,1", "00.png": ""}),
+    "flashes": (Kind.RECTIFIED, {LIGHT_TEXT: "0,0,1", "00.png": ""}),
+    "a name that ends alike": (Kind.FILES, {f"my_{CAMERA_TEXT}": "0,0,1"}),
+    "photos": (Kind.FILES, {"bark.png": ""}),
+    "nothing": (Kind.FILES, {}),
+}
+
+
+def written(folder: Path, files: dict[str, str]) -> Path:
+    folder.mkdir()
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_folder_is_one_thing(tmp_path: Path, name: str) -> None:
+    kind, files = FOLDERS[name]
+    assert kind_of(written(tmp_path / "folder", files)) is kind
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_pictures_that_show_results_are_told_by_their_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, relative: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    base = Path() if relative else tmp_path
+    for above, is_ours in ({MANIFEST: SET}, True), ({CAMERA_TEXT: "0,0,1"}, True), ({"a.txt": ""}, False):
+        place = f"{len(list(tmp_path.iterdir()))}"
+        written(tmp_path / place, above | {f"{FOUND}/00.png": ""})
+        kinds = [kind_of(base / place / FOUND), kind_of(base / place / FOUND / "00.png")]
+        assert kinds == ([Kind.DIAGNOSTIC] * 2 if is_ours else [Kind.FILES, Kind.FILE])
+    written(tmp_path / "run", {f"gold/{RECORD}": FIT, "pictures.png": "", "gold/fit.png": ""})
+    assert kind_of(base / "run/pictures.png") is Kind.DIAGNOSTIC
+    assert kind_of(base / "run/gold/fit.png") is Kind.FILE  # which may be an input, where it is named
+    assert kind_of(base / "none") is Kind.NOTHING
+
+
+def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
+    taken = ["bark.png", "found/sand.png", "leaf/00.png", "notes/record.json", "sub/deep/stone.png"]
+    files = dict.fromkeys(taken, "") | {"notes/record.json": '{"track": 7}', "leaf/camera_pos.txt": "0,0,1"}
+    left = {
+        "garden/manifest.json": SET, "garden/garden.exr": "", "garden/found/0060.png": "",
+        "leaf/found/00.png": "", "runs/texture/meta/pictures.png": "", "runs/texture/meta/comparison.png": "",
+        f"runs/texture/meta/bark/{RECORD}": FIT, "runs/texture/meta/bark/fit.png": "",
+        "runs/texture/meta/bark/asset/bark_color.png": "",
+    }  # fmt: skip
+    folder = written(tmp_path / "all", files | left)
+    found = [file.relative_to(folder).as_posix() for file in files_below(folder, (".png", ".json", ".exr"))]
+    assert sorted(found) == taken
+    for place in ("garden", "leaf/found", "runs/texture/meta", "runs/texture/meta/bark"):
+        assert files_below(folder / place) == []
+    asset = folder / "runs/texture/meta/bark/asset"  # an export, where it is named
+    assert files_below(asset) == [asset / "bark_color.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "command"),
+    [
+        ("a manifest", "a data set, expected maps", "metapp meta texture {}"),
+        ("a record", "the folder of a fit, expected maps", "metapp view {}"),
+        ("fits", "the folder of a run, expected maps", "metapp view {}"),
+        ("cameras", "a folder of rectified photos, expected maps", "metapp meta svbrdf_nonstationary {}"),
+        ("runs", "a folder of runs, expected maps", "metapp view {}"),
+    ],
+)
+def test_a_refusal_says_what_it_is_and_which_command_takes_it(
+    tmp_path: Path, name: str, words: str, command: str
+) -> None:
+    folder = written(tmp_path / "folder", FOLDERS[name][1])
+    line = refusal(folder, "maps")
+    assert line.startswith(f"{folder}: {words}; ")
+    assert command.format(folder) in line
+
+
+def test_a_damaged_file_beside_files_of_users_does_no_harm(tmp_path: Path) -> None:
+    (tmp_path / MANIFEST).write_bytes(b"\xff" * 9)
+    (tmp_path / RECORD).write_bytes(b"[" * 100_000)
+    (tmp_path / "bark.png").touch()
+    check_files_of_user(tmp_path, "maps")
+    assert files_below(tmp_path, ".png") == [tmp_path / "bark.png"]
