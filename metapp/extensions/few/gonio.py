@@ -119,6 +119,8 @@ def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
     if count := int((values < 0).sum()):
         found = f"{count:,} of {values.size:,} values below 0, down to {values.min():.3g} /sr"
         warnings.warn(f"{path}: {found}, expected 0 or more; taken for noise and set to 0", stacklevel=2)
+    if not values.any():
+        warnings.warn(f"{path}: reflectance 0 everywhere, expected some light reflected; is it damaged?", stacklevel=2)
     light, viewer = (torch.from_numpy(_direction(angles[:, i], angles[:, i + 1])) for i in (0, 2))
     return Pairs(light, viewer, torch.from_numpy(values @ matrix).clamp_min(0)).above()
 
