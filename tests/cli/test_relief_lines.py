@@ -1,0 +1,63 @@
+"""That one photograph cannot tell dents from bumps is said where it matters: where both readings look different."""
+
+import re
+
+import pytest
+import torch
+
+from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relightings
+from metapp.appearance.surface import photograph, with_relief
+from metapp.cli.fit import VISIBLE_TILT_DEGREES, relief_lines
+
+SIDE = 48  # px
+VISIBLE = 0.02  # of display values, the mean of pictures under three lights
+DOUBT = "one photo cannot tell dents from bumps"
+
+
+def material(seed: int) -> Maps:
+    """Draw a plain material with a relief of some power spectrum."""
+    rng = torch.Generator().manual_seed(seed)
+    frequency = torch.fft.fftfreq(SIDE) * SIDE
+    falloff = torch.hypot(frequency[:, None], frequency[None]).clamp_min(1) ** -float(
+        1 + 2 * torch.rand(1, generator=rng)
+    )
+    height = torch.fft.ifft2(torch.fft.fft2(torch.randn(SIDE, SIDE, generator=rng)) * falloff).real
+    diffuse, rough = 0.1 + 0.6 * torch.rand(3, 1, 1, generator=rng), 0.2 + 0.7 * torch.rand(1, 1, 1, generator=rng)
+    normal = normal_from_height((height / height.std())[None, None], 0.02)[0]
+    plane = torch.ones(1, SIDE, SIDE)
+    return Maps(diffuse * plane, 0.04 * plane, rough * plane, normal)
+
+
+def tilted(maps: Maps, degrees: float) -> Maps:
+    """Scale the slopes of maps to a mean tilt."""
+    low, high = 1e-3, 1e3
+    for _ in range(40):
+        factor = (low * high) ** 0.5
+        low, high = (factor, high) if mean_tilt_degrees(with_relief(maps, factor).normal) < degrees else (low, factor)
+    return with_relief(maps, low)
+
+
+def difference_of_readings(maps: Maps) -> float:
+    """Return the mean difference of display values of a relief and of its inverse under other lights."""
+    pairs = [(photograph(maps, *at), photograph(with_relief(maps, -1.0), *at)) for at in relightings().values()]
+    return sum(float((relief - inverse).abs().mean()) for relief, inverse in pairs) / len(pairs)
+
+
+@pytest.mark.parametrize("seed", range(20, 40))  # the threshold was chosen on 0 to 19
+@pytest.mark.parametrize(("times", "is_said"), [(2.0, True), (1 / 3, False)])
+def test_dents_and_bumps_are_said_where_they_look_different(seed: int, times: float, is_said: bool) -> None:
+    maps = tilted(material(seed), times * VISIBLE_TILT_DEGREES)
+    assert (difference_of_readings(maps) > VISIBLE) is is_said
+    (line,) = relief_lines([{"mean_tilt_degrees": mean_tilt_degrees(maps.normal)}])
+    assert (DOUBT in line) is is_said
+
+
+def test_it_is_one_line_for_a_run() -> None:
+    steep, flat = {"mean_tilt_degrees": 9.0}, {"mean_tilt_degrees": 0.4}
+    several = steep | {"counts": {"photos": 5}}
+    assert relief_lines([{"error": 1.0}]) == []
+    assert relief_lines([flat] * 3) == ["relief: mean tilt 0.4 degrees, median of 3, up to 0.4"]
+    (line,) = relief_lines([flat, flat, steep])
+    assert re.match(rf"relief: mean tilt 0\.4 degrees, median of 3, up to 9\.0; {DOUBT}, .*metapp data rectify", line)
+    assert relief_lines([several]) == ["relief: mean tilt 9.0 degrees"]
+    assert DOUBT not in relief_lines([several, flat], changed=True)[0]
