@@ -15,7 +15,7 @@ from metapp.storage.files import file_name
 from metapp.storage.folders import Kind, kind_of
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
-TASKS = "default: the test tasks of --data"
+TASKS = "default: tests of --data"
 UNTRAINED = ("overfit",)  # paradigms that begin at random and have nothing to train
 
 

@@ -15,6 +15,7 @@ from torch import Generator, Tensor
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.geometry import half_difference_incident, spread_angles
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
+from metapp.appearance.uniform import collapsed_fit, uniform_input
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
@@ -144,6 +145,7 @@ class Brdf(App):
             notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
         if "phi_h" in task.data and not self.network.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
+        notes += uniform_input(task.data["reflectance"].T, "reflectance in 1/sr")
         remarks: dict[str, object] = {}
         if not self.network.anisotropic:
             here = {key: value.cpu() for key, value in theta.items()}
@@ -154,6 +156,14 @@ class Brdf(App):
                 times = f"{most:.2f} of" if most < 100 else "more than 100 times"  # the exp of what was never seen
                 notes.append(f"reflects {times} the light from {angle:.0f} degrees; --conserve limits it")
         return remarks | ({"note": "; ".join(notes)} if notes else {})
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """A fit that is black or the same everywhere, where the material is not."""
+        where, target = (tasks.data[key][tasks.rows].transpose(1, 2) for key in ("where", "target"))
+        given = torch.expm1(target) / where[:, 6:7].clamp_min(1e-4)
+        pairs = zip(self.network.reflectance(theta, where).clamp_min(0), given, strict=True)
+        return [collapsed_fit(fit, material) for fit, material in pairs]
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of reflectance [T, 3, M] at the held-out samples, linear RGB in 1/sr, >= 0."""

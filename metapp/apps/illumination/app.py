@@ -14,6 +14,7 @@ from torch.nn.functional import avg_pool2d, interpolate, relu, softmax
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
+from metapp.appearance.uniform import collapsed_fit, uniform_input
 from metapp.apps.illumination import encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, raised, resampled, seen_loss
 from metapp.apps.illumination.spheres import FACED, MIRRORED, SPHERES, sphere_errors, surfaces
@@ -130,6 +131,19 @@ class Illumination(CodedApp):
         """The same as they are judged and shown, of mean luminance 1; `data` as of `prepare`, [T, ...]."""
         maps = self.radiance_of(theta)
         return of_mean_1(completed(maps, data) if "seen" in data else maps)
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """A fit that is the same everywhere, where the map that it was fitted to is not."""
+        if "map" not in tasks.data:
+            return super().doubts(theta, tasks)
+        pairs = zip(self.radiance_of(theta), tasks.data["map"][tasks.rows], strict=True)
+        return [collapsed_fit(fit, given) for fit, given in pairs]
+
+    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
+        """That the map is the same everywhere."""
+        notes = uniform_input(task.data["map"], "radiance (mean luminance 1)") if "map" in task.data else []
+        return {"note": "; ".join(notes)} if notes else {}
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the photograph, or of the map, [T]: of log radiance, the radiosity of surfaces, and its log."""

@@ -24,6 +24,7 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.highlight import FILL_PX, clipped_highlight, fill_clipped, find_clipped
 from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
+from metapp.appearance.uniform import black_fit
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
@@ -255,13 +256,19 @@ class SvbrdfNonstationary(CodedApp):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """A highlight that clips, where maps are filled; only of maps of the size that people use."""
+        """Maps that are black where the photo is not; where maps are filled, a highlight that clips."""
+        photos = tasks.data["photo"][tasks.rows]
+        maps = self.maps_of(theta, photos)
+        doubts = [
+            black_fit(colours, photo) for colours, photo in zip(maps.diffuse + maps.specular, photos, strict=True)
+        ]
         if not self.fills:
-            return super().doubts(theta, tasks)
-        photos = linear_to_srgb(tasks.data["photo"][tasks.rows])
-        shares = find_clipped(photos).float().mean((1, 2, 3)).tolist()
+            return doubts
+        shown = linear_to_srgb(photos)
+        shares = find_clipped(shown).float().mean((1, 2, 3)).tolist()
         effects = [f"{100 * share:.2g} % of the maps is filled from its surroundings" for share in shares]
-        return [clipped_highlight(*pair) for pair in zip(photos, effects, strict=True)]
+        clipped = (clipped_highlight(*pair) for pair in zip(shown, effects, strict=True))
+        return [black + highlight for black, highlight in zip(doubts, clipped, strict=True)]
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
