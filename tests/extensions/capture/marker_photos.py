@@ -29,8 +29,8 @@ class Camera(NamedTuple):
     height: int = 1200
     width: int = 1600
 
-    def to_px(self) -> np.ndarray:
-        """[3, 3], from cm on the sheet to px, pixel centres at whole numbers."""
+    def to_px(self, height: float = 0.0) -> np.ndarray:
+        """[3, 3], from cm on the sheet, or on a plane so high above it, to px, pixel centres at whole numbers."""
         forward = np.array([*self.aim, 0.0]) - self.place
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, (0.0, 1.0, 0.0))
@@ -40,7 +40,7 @@ class Camera(NamedTuple):
         axes = np.stack([cos * right + sin * down, cos * down - sin * right, forward])
         focal = self.focal_mm / FRAME_MM * math.hypot(self.height, self.width)
         lens = np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height - 1) / 2], [0, 0, 1]])
-        return lens @ np.column_stack([axes[:, :2], -axes @ self.place])
+        return lens @ np.column_stack([axes[:, :2], -axes @ (self.place - np.array([0.0, 0.0, height]))])
 
 
 def tilted(degrees: float, around: float = 0.0, distance: float = 28.0, **more: float) -> Camera:

@@ -94,7 +94,8 @@ def rectify(
 
     Of photos that show a marker sheet, rectifies the sheet's opening. Where none shows a marker, photos are registered
     by the material's own features: the first from about straight above, the others up to 30 degrees aside, all
-    aimed at one place; the square is the largest that all show, and lengths are in its sides.
+    aimed at one place; the square is the largest that all show, and lengths are in its sides. Where a table round
+    the sample is seen, which lies lower, it is the largest on the sample.
     Writes square pictures 00.png, 01.png, ..., that from nearest to straight above first, camera_pos.txt,
     light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder
     found/ show the markers or points found. Photos that do not fit are skipped, each with a line. Needs OpenCV,
@@ -105,7 +106,8 @@ def rectify(
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
     from data_tools.readers.photos import find
-    from metapp.extensions.capture.markers.rectified import find_cameras, write_set
+    from metapp.extensions.capture.markers.rectified import write_set
+    from metapp.extensions.capture.markers.sample import find_sample
     from metapp.storage.folders import FOUND, check_files_of_user
 
     if folder.is_dir() and any(folder.iterdir()):
@@ -115,7 +117,7 @@ def rectify(
     in_paths = [find(path) for path in paths]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
     with progress("photos", len(names), quiet=quiet) as bar:
-        cameras, focal_mm, skipped = find_cameras(names, math.radians(options.fov), options.ruler, bar.advance)
+        cameras, focal_mm, skipped, kept = find_sample(names, math.radians(options.fov), options.ruler, bar.advance)
     skipped = [*(line for _, lines in in_paths for line in lines), *skipped]
     for line in skipped:
         say(f"warning: skipped: {line}")
@@ -126,6 +128,8 @@ def rectify(
         )
     if not first.sheet and not quiet:
         say(f"no markers: {len(cameras)} photos registered by their own features; lengths are in sides of the square")
+    if line := _line_about_cut(kept):
+        say(f"{'' if kept else 'warning: '}{folder}: {line}")
     if (right or up) and len({sighting.height > sighting.width for sighting, *_ in cameras}) > 1:
         say("warning: some photos are upright, some across: --flash is right and up in each as it is shown.")
     lights_cm = [camera.beside_cm(right, up) for camera in cameras]
@@ -157,4 +161,15 @@ def rectify(
         say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / FOUND}")
     if as_json:
         sizes = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
-        print_json({"out": str(folder), **sizes, "photos": photos, "skipped": skipped})
+        print_json({"out": str(folder), **sizes, "kept": kept, "photos": photos, "skipped": skipped})
+
+
+def _line_about_cut(kept: float) -> str:
+    """Return the line about the share of the photographs' common square that is kept, "" where that is all."""
+    if not kept:
+        return (
+            "the square shows surfaces at several heights, and no plane in the middle, expected a sample there; go "
+            "closer, so that it fills the middle of each photo."
+        )
+    cut = f"cut to {100 * kept:.0f} % of the photographs' common square, the part in which they agree with one plane"
+    return cut if kept < 1 else ""

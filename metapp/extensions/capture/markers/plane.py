@@ -64,6 +64,21 @@ def on_square(cameras: Sequence[Camera]) -> list[Camera]:
     return _on_plane([camera.sighting for camera in cameras], to_square)
 
 
+def on_part(cameras: Sequence[Camera], middle: Sequence[float], side: float, turn_rad: float) -> list[Camera]:
+    """Return cameras above a smaller square; lengths are in its sides.
+
+    Args:
+        cameras: as :func:`on_square` returns them.
+        middle: of the smaller square, x right and y up from that of the square, in its sides.
+        side: of the smaller square, in sides of the square.
+        turn_rad: by which it is turned counter-clockwise.
+    """
+    cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+    to_axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, side]])
+    to_middle = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, 1]])
+    return _on_plane([camera.sighting for camera in cameras], to_axes @ to_middle)
+
+
 def _to_plane(slopes: Floats, focal_mm: float) -> Floats:
     """From points of the reference, [3, 3], to a plane of such slopes at distance 1, below the camera its origin."""
     normal = np.array([*slopes, 1.0]) / math.hypot(*slopes, 1.0)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -40,6 +41,7 @@ def find_cameras(
     fov_rad: float = 0.0,
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
+    parts: Mapping[Path, Floats] = MappingProxyType({}),
 ) -> tuple[list[Camera], float, list[str]]:
     """Find sheet and camera in photographs; without any marker, the material's own features.
 
@@ -48,6 +50,7 @@ def find_cameras(
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
         ruler_cm: measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
+        parts: as :func:`register` takes it.
 
     Returns:
         Cameras, the one from nearest to straight above first; the focal length in mm as of 35 mm film, if photographs
@@ -59,7 +62,7 @@ def find_cameras(
     """
     sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done)
     if not sightings and len(plain) > 1:
-        sightings, lost = register(list(plain), fov_rad)
+        sightings, lost = register(list(plain), fov_rad, parts)
         skipped = [*(line for line in skipped if line not in plain.values()), *lost]
     while True:  # without the oddest photo the plane and the square are those of the others
         plane = len(sightings) > 1 and not sightings[0].sheet

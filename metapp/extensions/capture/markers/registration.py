@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -35,23 +36,43 @@ _KEPT = 1000  # matches of a photograph
 _NOISE = 0.008  # of white: less contrast is not raised to that of the rest
 
 Features = tuple[NDArray[np.float32], NDArray[np.float32]]  # places [N, 2] in px, descriptors [N, 128] of length 1
+WHOLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # a photograph's corners, in fractions of its sides
 Match = tuple[Floats, Floats, Floats]  # [3, 3] from px of a photograph to the reference's, matches [N, 2] in px of both
 
 
 class View(NamedTuple):
-    """A photograph to register, and its `picture` [height, width]: grey, of like mean and contrast everywhere."""
+    """A photograph to register.
+
+    Attributes:
+        sighting: the photograph, without points.
+        picture: [height, width], grey, of like mean and contrast everywhere.
+        features: of the picture at several scales.
+        part: the only part by which others are registered on it, corners [4, 2] in fractions of width and height.
+    """
 
     sighting: Sighting
     picture: NDArray[np.float32]
     features: Features
+    part: Floats = WHOLE
+
+    def holds(self, places: Floats) -> NDArray[np.bool_]:
+        """Test whether places [N, 2], in fractions of width and height, are in the part."""
+        sides = np.roll(self.part, -1, 0) - self.part
+        to_places = places[:, None] - self.part
+        turns = sides[:, 0] * to_places[..., 1] - sides[:, 1] * to_places[..., 0]
+        return np.asarray((turns >= 0).all(1) | (turns <= 0).all(1))
 
 
-def register(paths: Sequence[Path], fov_rad: float = 0.0) -> tuple[list[Sighting], list[str]]:
+def register(
+    paths: Sequence[Path], fov_rad: float = 0.0, parts: Mapping[Path, Floats] = MappingProxyType({})
+) -> tuple[list[Sighting], list[str]]:
     """Find points that photographs of one material share with a reference, the first that another one fits.
 
     Args:
         paths: the photographs.
         fov_rad: as of `find_sheet`.
+        parts: of some photographs the only part by which others are registered on them, and judged: corners [4, 2] of
+            a convex one, in fractions of width and height from the upper left.
 
     Returns:
         Sightings, the reference first, whose `points_cm` are those of the reference, px from its middle over its
@@ -60,9 +81,9 @@ def register(paths: Sequence[Path], fov_rad: float = 0.0) -> tuple[list[Sighting
     Raises:
         ValueError: no two fit; as `read_pixels`.
     """
-    views = [_view(path, fov_rad) for path in paths]
+    views = [_view(path, fov_rad)._replace(part=parts.get(path, WHOLE)) for path in paths]
     for first, reference in enumerate(views[:-1]):
-        fine = _features(reference.picture, _LEVELS[:1], _GUIDED)
+        fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
         placed: dict[int, Match] = {first: (np.eye(3), np.zeros((0, 2)), np.zeros((0, 2)))}
         for other in [*range(first + 1, len(views))] * 2:  # one that fits no earlier photograph may fit a later one
             for number in [] if other in placed else list(placed):
@@ -129,9 +150,15 @@ def _homography(own: Floats, on_reference: Floats, off_px: float) -> tuple[Float
     return (to, kept[:, 0] > 0) if kept is not None and to is not None else (np.eye(3), np.zeros(len(own), bool))
 
 
+def _within(features: Features, view: View) -> Features:
+    """Return the features that lie in the part of a view."""
+    kept = view.holds((features[0] + 0.5) / view.picture.shape[::-1])
+    return features[0][kept], features[1][kept]
+
+
 def _guesses(view: View, other: View) -> Iterable[Floats]:
     """Homographies to another photograph, that of most matches first: repetitions may outnumber the right one."""
-    own, there = _pairs(view.features, other.features, _LIKE[0], math.inf)
+    own, there = _pairs(view.features, _within(other.features, other), _LIKE[0], math.inf)
     for _ in range(_TRIES):
         to, kept = _homography(own, there, 3.0)
         if kept.sum() < _FEWEST:
@@ -166,6 +193,8 @@ def _agreement(view: View, reference: View, to: Floats) -> tuple[float, float]:
     total, seen, good = 0, 0, 0
     for top in range(0, small.shape[0] - margin, _PIECE // 2):
         for left in range(0, small.shape[1] - margin, _PIECE // 2):
+            if not reference.holds((np.array([[left, top]]) + margin / 2) / small.shape[::-1]).all():
+                continue
             wide, total = np.s_[top : top + margin, left : left + margin], total + 1
             if inside[wide].min() > 0.99:
                 piece = small[wide][_REACH:-_REACH, _REACH:-_REACH]

@@ -89,9 +89,10 @@ class Camera(NamedTuple):
         result: Floats = self.place_cm + right * self.axes[0] - up * self.axes[1]
         return result
 
-    def to_px(self) -> Floats:
-        """From points of the sheet to the photograph, [3, 3]."""
-        result: Floats = self.sighting.lens() @ np.column_stack([self.axes[:, :2], -self.axes @ self.place_cm])
+    def to_px(self, height_cm: float = 0.0) -> Floats:
+        """From points of the sheet, or of a plane so high above it, to the photograph, [3, 3]."""
+        below = self.place_cm - [0, 0, height_cm]
+        result: Floats = self.sighting.lens() @ np.column_stack([self.axes[:, :2], -self.axes @ below])
         return result
 
     @property
