@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from metapp.storage.files import placeholder_line
 from metapp.storage.folders import holds_files_of_users
 
 Found = tuple[list[Path], list[str]]  # the sources of a path, and the line of each skipped file of a folder
@@ -27,6 +28,7 @@ def find_files(
         fault: of a file in a folder, the line why it is skipped; "" for a file of the format, None to say nothing.
         nothing: said of a folder without such a file.
         likely: suffixes of the format; if a folder has only bad files of these, the error names the fault of the first.
+            One that stands for another file, such as a Git LFS pointer, is skipped as that.
 
     Raises:
         ValueError: as `check`; a folder without such a file.
@@ -35,6 +37,9 @@ def find_files(
         check(path)
         return [path], []
     faults = {file: fault(file) for file in files_below(path)}
+    for file, line in faults.items():
+        if line and file.suffix.lower() in likely:
+            faults[file] = placeholder_line(file) or line
     if "" not in faults.values():
         bad = [line for file, line in faults.items() if line and file.suffix.lower() in likely]
         raise ValueError(bad[0] if bad else f"{path}: {nothing}")

@@ -28,7 +28,7 @@ from data_tools.readers import brdf_task
 from data_tools.readers.listing import Found, files_of, find_files
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.task import Params, Task
-from metapp.storage.files import open_regular, suffixed, write_atomically
+from metapp.storage.files import open_regular, placeholder_line, suffixed, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -160,6 +160,8 @@ def _problem(path: Path) -> str:
         header = np.frombuffer(stream.read(12).ljust(12, b"\0"), dtype="<i4")
     matches = bool((header == _HEADER).all())
     if size != FILE_BYTES:
+        if line := placeholder_line(path):
+            return line
         remedy = "not a MERL file" if not matches else "the file has something appended, download it again"
         if matches and size < FILE_BYTES:
             remedy = "the download is probably incomplete"

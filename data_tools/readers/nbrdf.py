@@ -26,7 +26,7 @@ from data_tools.readers import brdf_task
 from data_tools.readers.listing import Found, files_below
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
-from metapp.storage.files import open_regular, write_atomically
+from metapp.storage.files import check_readable, open_regular, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
@@ -206,6 +206,7 @@ def _missing(network: Path, files: Mapping[str, Path]) -> str:
 
 
 def _read_part(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    check_readable(path)
     try:
         # Mapped, so that a false header cannot ask for more memory than the file has; refuses objects (pickles).
         mapped = npy.open_memmap(path, mode="r")

@@ -7,6 +7,7 @@ lone surrogates.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import filecmp
@@ -24,6 +25,8 @@ import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from metapp.storage.placeholders import START_BYTES, placeholder_of
 
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
@@ -62,9 +65,33 @@ def read_bytes(path: str | Path) -> bytes:
         return file.read()
 
 
-def read_text(path: str | Path, encoding: str = "utf-8") -> str:
-    """The text of a file, its line ends as those of Unix; errors as of `open_regular`, and UnicodeDecodeError."""
-    return read_bytes(path).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+_BYTE_ORDER_MARKS = (  # those of UTF-32 first: one of them begins as that of UTF-16 does
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+def open_text(path: str | Path) -> io.TextIOWrapper:
+    """Open a text file of a user, in UTF-8 or in what its byte order mark says, with line ends of Unix, Windows or Mac.
+
+    The mark is no part of the text, and all line ends are read as those of Unix.
+
+    Raises:
+        ValueError, OSError: as `open_regular`; a placeholder, as `check_readable`.
+    """
+    check_readable(Path(path))
+    stream = open_regular(path)
+    start = stream.peek(4)
+    encoding = next((name for mark, name in _BYTE_ORDER_MARKS if start.startswith(mark)), "utf-8-sig")
+    return io.TextIOWrapper(stream, encoding)
+
+
+def read_text(path: str | Path) -> str:
+    """Read a whole text file; errors as of `open_text`, and UnicodeDecodeError."""
+    with open_text(path) as file:
+        return file.read()
 
 
 @contextlib.contextmanager
@@ -73,11 +100,12 @@ def opened_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
 
     Raises:
         OSError: it cannot be opened.
-        ValueError: it is no file.
+        ValueError: it is no file, or stands for another one.
         SafetensorError: it is damaged.
     """
     from safetensors import safe_open  # here: it imports torch
 
+    check_readable(Path(path))
     with open_regular(path) as file:
         place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"  # it takes no bytes that are not UTF-8
         with safe_open(place, "pt", device=device) as stored:
@@ -95,13 +123,25 @@ def read_tensors(path: str | Path) -> dict[str, Tensor]:
 
 
 def check_readable(path: Path) -> None:
-    """Refuse a pipe or a device, which libraries would read without an end.
+    """Refuse a pipe or a device, which libraries would read without an end, and a file that stands for another one.
 
     Raises:
-        ValueError: neither a file nor a folder, though it is there.
+        ValueError: neither a file nor a folder, though it is there; a placeholder, such as a Git LFS pointer.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ValueError(_UNENDING.format(path))
+    if line := placeholder_line(path):
+        raise ValueError(line)
+
+
+def placeholder_line(path: Path) -> str:
+    """Return the line about a file that stands for another one (`placeholder_of`); "" for all others and folders."""
+    try:
+        with open_regular(path) as file:
+            found = placeholder_of(file.read(START_BYTES))
+    except (OSError, ValueError):  # its reader says so
+        return ""
+    return f"{path}: {found}" if found else ""
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object], previous: Path | None = None) -> None:

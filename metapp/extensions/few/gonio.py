@@ -10,7 +10,6 @@ names tell; cells may be in quotes, and decimal commas stand beside another sign
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import csv
 import functools
@@ -33,7 +32,7 @@ from data_tools.readers.measured_pairs import FEW, LARGEST, Pairs, depends_on_az
 from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
-from metapp.storage.files import open_regular, write_bytes
+from metapp.storage.files import open_text, write_bytes
 
 Array = NDArray[np.float64]
 
@@ -68,7 +67,7 @@ def has_few_task(task: Task) -> bool:
 
 
 def _few_lines(file: Path) -> bool:
-    with contextlib.suppress(ValueError), _text_of(file) as text:  # of a bad table reading it tells
+    with contextlib.suppress(ValueError), open_text(file) as text:  # of a bad table reading it tells
         return sum(1 for _ in itertools.islice(_lines(file, text), FEW + 2)) <= FEW + 1  # with the line of names
     return True
 
@@ -152,7 +151,7 @@ def _rows(path: Path) -> tuple[dict[str, Array], list[int]]:
             f"{math.ceil(size / LONGEST)}."
         )
     try:
-        with _text_of(path) as text:
+        with open_text(path) as text:
             rows = list(_lines(path, text))
     except UnicodeDecodeError:
         raise ValueError(f"{path}: no text in UTF-8 or UTF-16, expected a table of numbers; save it as CSV.") from None
@@ -177,13 +176,6 @@ def _rows(path: Path) -> tuple[dict[str, Array], list[int]]:
         cells = [_cells(path, at, _words(line, separator), len(names)) for at, line in rows]
         numbers = np.array(cells, np.float64).reshape(-1, len(names))
     return dict(zip(names, numbers.T, strict=True)), [at for at, _ in rows]
-
-
-def _text_of(path: Path) -> io.TextIOWrapper:
-    """A file's text, of the encoding that its first bytes tell."""
-    stream = open_regular(path)
-    wide = stream.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    return io.TextIOWrapper(stream, "utf-16" if wide else "utf-8-sig")
 
 
 def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[tuple[int, str]]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.storage.files import read_bytes, write_bytes
+from metapp.storage.files import check_readable, read_bytes, write_bytes
 
 MAGIC = b"tensor_file\0\1\0"  # with the version
 TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
@@ -29,6 +29,7 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
     Raises:
         ValueError: it is none, is of another version, or is damaged.
     """
+    check_readable(Path(path))
     content = read_bytes(path)
     if not content.startswith(MAGIC):
         raise ValueError(f"{path}: no tensor file of version 1.0, expected one; not an RGL measurement.")

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from data_tools.readers.image_files import check_memory, check_size, error_of, reason_of, silent
 from metapp.rendering.scenes.rules import Files, snake_case
-from metapp.storage.files import open_regular
+from metapp.storage.files import open_regular, open_text, placeholder_line
 
-TEXT_BYTES = 2**24  # of a scene file or an include
+TEXT_LENGTH = 2**24  # characters of a scene file or an include
 _DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
 _VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
 _BOX_BYTES = 24
@@ -56,7 +56,7 @@ class Places(Files):
             Its absolute path without links.
 
         Raises:
-            ValueError: it is missing, too large, no regular file, or elsewhere.
+            ValueError: it is missing, too large, no regular file, elsewhere, or stands for another file.
         """
         path = self._find(name, "file")
         if not path.is_file():
@@ -64,6 +64,8 @@ class Places(Files):
         size = path.stat().st_size
         if size > _DATA_BYTES:
             raise ValueError(f"names {path!s:.200}, of {size:,} bytes, expected {_DATA_BYTES:,} at most.")
+        if line := placeholder_line(path):
+            raise ValueError(f"names {line}")
         _read_before.add(path)
         return path
 
@@ -109,24 +111,24 @@ class Places(Files):
 
 
 def read_text(path: Path) -> str:
-    """The text of a regular file; a FIFO or a device is refused at once, not waited for.
+    """Read the text of a regular file; a FIFO or a device is refused at once, not waited for.
 
     Raises:
-        ValueError: no regular file, too large, not readable, no UTF-8.
+        ValueError: no regular file, too large, not readable, no text.
     """
     try:
-        with open_regular(path) as file:
-            content = file.read(TEXT_BYTES + 1)
-    except (IsADirectoryError, ValueError):
-        raise ValueError("no regular file, expected a scene of Mitsuba 3.") from None
+        with open_text(path) as file:
+            content = file.read(TEXT_LENGTH + 1)
+    except UnicodeDecodeError:
+        raise ValueError("not text in UTF-8 or UTF-16, expected a scene of Mitsuba 3.") from None
+    except (IsADirectoryError, ValueError) as error:
+        found = placeholder_line(path).removeprefix(f"{path}: ") if isinstance(error, ValueError) else ""
+        raise ValueError(found or "no regular file, expected a scene of Mitsuba 3.") from None
     except OSError as error:
         raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
-    if len(content) > TEXT_BYTES:
-        raise ValueError(f"more than {TEXT_BYTES:,} bytes, expected a scene of Mitsuba 3; put meshes in files.")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("not text in UTF-8, expected a scene of Mitsuba 3.") from None
+    if len(content) > TEXT_LENGTH:
+        raise ValueError(f"more than {TEXT_LENGTH:,} characters, expected a scene of Mitsuba 3; put meshes in files.")
+    return content
 
 
 def check_file(kind: str, path: Path) -> None:

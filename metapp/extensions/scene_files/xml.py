@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 from xml.etree.ElementTree import Element, iterparse, tostring
 from xml.parsers import expat
 
-from metapp.extensions.scene_files.places import TEXT_BYTES, Places
+from metapp.extensions.scene_files.places import TEXT_LENGTH, Places
 from metapp.rendering.scenes.rules import (
     MOST_CHARACTERS,
     MOST_NESTED,
@@ -105,8 +105,8 @@ class _Reader:
     def document(self, text: str, places: Places, chain: tuple[str, ...], depth: int = 0) -> SceneElement:
         """The root of a document, checked; `chain` names the files that include each other, this one last."""
         self.read += len(text)
-        if self.read > TEXT_BYTES:
-            raise ValueError(f"more than {TEXT_BYTES:,} characters with all includes, expected fewer.")
+        if self.read > TEXT_LENGTH:
+            raise ValueError(f"more than {TEXT_LENGTH:,} characters with all includes, expected fewer.")
         root = parse(text)
         version = root.attrib.pop("version", "")
         if not re.fullmatch(r"\d{1,4}(\.\d{1,4}){0,2}", version):
@@ -149,8 +149,8 @@ class _Reader:
         self.parts += 1
         made = {key: self._substituted(value) for key, value in source.attrib.items()}
         self.characters += sum(map(len, made.values()))
-        if self.parts > MOST_VALUES or self.characters > TEXT_BYTES:
-            raise ValueError(f"more than {MOST_VALUES:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
+        if self.parts > MOST_VALUES or self.characters > TEXT_LENGTH:
+            raise ValueError(f"more than {MOST_VALUES:,} elements or {TEXT_LENGTH:,} characters; put meshes in files.")
         if source.tag == "string":
             made["value"] = checked_string(made.get("name", ""), made.get("value", ""), places)
         elif "filename" in made:  # of a spectrum

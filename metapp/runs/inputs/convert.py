@@ -87,6 +87,7 @@ def convert(
                 bar.name(entry.name)
                 folder = found[source]
                 try:
+                    check_readable(source)
                     task = reader.read_task(source, **options)
                 except (ValueError, OSError) as error:
                     if folder is None:

@@ -18,7 +18,7 @@ from metapp.registry import WITHOUT, inputs_of, registry
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
+from metapp.storage.files import as_text, check_readable, file_name, named, placeholder_line, safe_name
 from metapp.storage.fits import marked_name
 from metapp.storage.folders import Kind, check_files_of_user, kind_of, refusal
 
@@ -164,6 +164,8 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
     if not readers:
         if kind_of(path) is Kind.RUNS:
             raise ValueError(refusal(path, f"an input of {app.name} ({expected})"))
+        if line := _first_placeholder(path):
+            raise ValueError(line)
         every = (form for form in registry().formats.values() if form.inputs)
         others = sorted({form.app for form in every if form.load().recognises(path)})
         fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
@@ -173,7 +175,23 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
         places, skipped = reader.find(path)
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield name, places, functools.partial(reader.read_task, **_taken(reader.read_task, _arguments(run)))
+        arguments = _taken(reader.read_task, _arguments(run))
+        yield name, places, functools.partial(_read, functools.partial(reader.read_task, **arguments))
+
+
+def _first_placeholder(path: Path) -> str:
+    """Return the line about the first file in a folder that stands for another one, pages by name left out."""
+    from data_tools.readers.listing import files_below  # here: most runs need it not
+
+    files = files_below(path) if path.is_dir() else []
+    lines = (placeholder_line(file) for file in files if file.suffix.lower() not in (".htm", ".html"))
+    return next(filter(None, lines), "")
+
+
+def _read(read_task: Callable[[Path], Task], place: Path) -> Task:
+    """Read a file by a reader, which gets no file that stands for another one."""
+    check_readable(place)
+    return read_task(place)
 
 
 def _taken(read: Callable[..., Task], arguments: Mapping[str, object]) -> dict[str, object]:

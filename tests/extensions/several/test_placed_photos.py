@@ -66,6 +66,15 @@ def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
     torch.testing.assert_close(light, torch.tensor([[0.0, 0.5, 4], [-0.5, 1, 2], [0, 0, 4]]))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_texts_that_windows_wrote_are_those_of_unix(folder: Path, encoding: str) -> None:
+    before = photos.read_places(folder, 3)
+    for name in (CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT):
+        text = (folder / name).read_text().replace("\n", "\r\n")
+        (folder / name).write_bytes(text.encode(encoding))
+    assert torch.equal(photos.read_places(folder, 3), before)
+
+
 def found(path: Path) -> list[tuple[str, Path]]:
     """What each format of the application finds in a path that it recognises."""
     modules = {name: form.load() for name, form in inputs_of(APP).items()}

@@ -1,0 +1,109 @@
+"""Files that stand for another one are told from files that are themselves; texts of any encoding are read."""
+
+import codecs
+import gzip
+import io
+import re
+import tarfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from data_tools.readers import latlong, merl, photos
+from metapp.storage.files import check_readable, open_text, placeholder_line, read_text
+from tests.pictures import noise, write
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 34992012\n"
+PAGE = b"<!DOCTYPE html>\n<html><head><title>Not found</title></head></html>"
+SERVER = b'<?xml version="1.0" encoding="UTF-8"?>\n<Error><Code>AccessDenied</Code></Error>'
+
+
+def zipped() -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("gold.binary", "x")
+    return content.getvalue()
+
+
+def tarred() -> bytes:
+    content = io.BytesIO()
+    with tarfile.open(fileobj=content, mode="w") as archive:
+        archive.addfile(tarfile.TarInfo("gold.binary"))
+    return content.getvalue()
+
+
+STAND_INS = {
+    "a Git LFS pointer, expected the file itself; fetch it by git lfs pull.": POINTER,
+    "a Git LFS pointer, expected the file": b"\xef\xbb\xbf" + POINTER.replace(b"\n", b"\r\n"),
+    "a git-annex pointer": b"/annex/objects/SHA256E-s1--2c.hdr\n",
+    "an HTML page": PAGE,
+    "an HTML page, expected the file itself": b"\n<!-- a comment --> <html lang=en>",
+    "an HTML page, expected the file itself;": codecs.BOM_UTF16_LE + PAGE.decode().encode("utf-16-le"),
+    "an error message of a server": SERVER,
+    "a ZIP archive, expected what it holds; unpack it.": zipped(),
+    "a gzip archive": gzip.compress(b"x"),
+    "a tar archive": tarred(),
+    "a 7z archive": b"7z\xbc\xaf\x27\x1c\x00\x04",
+}
+
+
+@pytest.mark.parametrize(("line", "content"), STAND_INS.items(), ids=range(len(STAND_INS)))
+def test_a_file_that_stands_for_another_one_is_refused_by_every_reader(
+    tmp_path: Path, line: str, content: bytes
+) -> None:
+    readers: dict[str, Callable[[Path], object]] = {
+        "gold.binary": merl.find, "sky.hdr": latlong.read_task, "rock.jpg": photos.read_task, "camera.txt": read_text,
+    }  # fmt: skip
+    for name, read in readers.items():
+        (file := tmp_path / name).write_bytes(content)
+        for refuse in (check_readable, read):
+            with pytest.raises(ValueError, match=f"^{re.escape(f'{file}: {line}')}"):
+                refuse(file)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"x", b"#?RADIANCE\n", b'<?xml version="1.0"?>\n<scene version="3.0.0"/>', b"# version https://git-lfs\n",
+     b"<Error>", b"\x1f\x8b", b"PK", b"theta_i,phi_i\n", bytes(300)],
+)  # fmt: skip
+def test_a_file_that_is_itself_is_no_placeholder(tmp_path: Path, content: bytes) -> None:
+    (file := tmp_path / "a").write_bytes(content)
+    check_readable(file)
+    assert placeholder_line(file) == ""
+
+
+def test_every_kind_of_image_is_itself(tmp_path: Path) -> None:
+    for suffix in (".png", ".jpg", ".tif", ".exr", ".hdr", ".bmp", ".tga", ".webp", ".jp2"):
+        values = noise(40, 40).astype("float32") / 255 if suffix in (".exr", ".hdr") else noise(40, 40)
+        check_readable(write(tmp_path / f"a{suffix}", values))
+
+
+def test_a_folder_of_pointers_names_the_first(tmp_path: Path) -> None:
+    for name in ("a.binary", "b.binary"):
+        (tmp_path / name).write_bytes(POINTER)
+    with pytest.raises(ValueError, match=r"a\.binary: a Git LFS pointer"):
+        merl.find(tmp_path)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
+@pytest.mark.parametrize("big", [False, True])
+def test_texts_have_neither_byte_order_marks_nor_foreign_line_ends(
+    tmp_path: Path, end: str, encoding: str, big: bool
+) -> None:
+    content = f"10,ä{end}20{end}".encode(encoding)
+    if big and encoding in ("utf-16", "utf-32"):
+        mark = {"utf-16": codecs.BOM_UTF16_BE, "utf-32": codecs.BOM_UTF32_BE}[encoding]
+        content = mark + f"10,ä{end}20{end}".encode(f"{encoding}-be")
+    (file := tmp_path / "a.txt").write_bytes(content)
+    assert read_text(file) == "10,ä\n20\n"
+    with open_text(file) as lines:
+        assert list(lines) == ["10,ä\n", "20\n"]
+
+
+def test_a_text_in_no_known_encoding_is_no_text(tmp_path: Path) -> None:
+    (file := tmp_path / "a.txt").write_bytes(b"10,\xe4\n")
+    with pytest.raises(UnicodeDecodeError):
+        read_text(file)
