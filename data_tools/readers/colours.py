@@ -56,7 +56,7 @@ _LEAST_DOUBLED_AREA = 1e-3  # of a triangle of primaries; that of Rec.709 is 0.2
 _SAME = 1  # levels of 255 by which conversions of one space differ
 
 
-def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] = ()) -> Space:
+def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] = (), part: int = 0) -> Space:
     """The space of the colours of an open file; a warning of one that cannot be converted.
 
     Args:
@@ -64,6 +64,7 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
         path: the file.
         primaries: x, y of red, green, blue, white that it states elsewhere than in `chromaticities`; ones that cannot
             be (`states_primaries`) count as none.
+        part: number of the picture in the file.
 
     Raises:
         ValueError: floating-point values in a space that is not known.
@@ -81,6 +82,7 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
     if not is_float and codes is None:  # Pillow reads more of PNG and EXIF
         info, is_adobe = dict[Any, Any](), False
         with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+            image.seek(part)
             info, is_adobe = image.info, states_adobe(image.getexif())
         if space := space_of_info(info, path, is_adobe):
             return space

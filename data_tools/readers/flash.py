@@ -37,7 +37,7 @@ find, recognises = photos.find, photos.recognises
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, layer: str = "") -> Task:
     """A flash photograph as a task of its stem's name; as of `read_pixels`, `flash_view` and `photo_of`."""
     whole = read_pixels(path, layer)
-    return task_of_square("image", flash_view(whole, fov_rad), whole, path, size, least)
+    return task_of_square("image", flash_view(whole, fov_rad, str(path)), whole, path, size, least)
 
 
 def task_of_object(
@@ -49,7 +49,7 @@ def task_of_object(
         pixels = Pixels(photo.permute(1, 2, 0).numpy(), SRGB, False)
     else:
         pixels = pixels_of(name, source, material_maps.OR_MAPS)
-    return Task(name, {"image": photo_of(flash_view(pixels, fov_rad), name, size, least)})
+    return Task(name, {"image": photo_of(flash_view(pixels, fov_rad, name), name, size, least)})
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:

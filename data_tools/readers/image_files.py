@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from data_tools.readers import camera_raws
 from data_tools.readers.colours import (
     SRGB,
     Array,
@@ -28,20 +29,24 @@ from data_tools.readers.colours import (
     space_of_info,
     states_adobe,
 )
+from data_tools.readers.lenses import Lens, lens_of
 from metapp.storage.files import check_readable, open_regular
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio
     from PIL.Image import Image as PilImage
 
+# All suffixes of pictures that are read, one list for files, maps and folders. Left out are those of OpenImageIO that
+# are mostly something else: .z, .int, .sm and .vsm.
 SUFFIXES = (
-    ".bmp", ".dib", ".dpx", ".exr", ".gif", ".hdr", ".jfif", ".jif", ".jp2", ".jpe", ".jpeg", ".jpg", ".jxl", ".pbm",
-    ".pfm", ".pgm", ".png", ".pnm", ".ppm", ".psd", ".rgbe", ".sgi", ".tga", ".tif", ".tiff", ".webp",
+    ".bmp", ".bw", ".cin", ".dds", ".dib", ".dpx", ".env", ".exr", ".fits", ".gif", ".hdr", ".icb", ".ico", ".iff",
+    ".inta", ".j2c", ".j2k", ".jfi", ".jfif", ".jif", ".jp2", ".jpc", ".jpe", ".jpeg", ".jpf", ".jpg", ".jph", ".jpx",
+    ".jxl", ".mpo", ".mxr", ".pbm", ".pdd", ".pfm", ".pgm", ".pic", ".png", ".pnm", ".ppm", ".psb", ".psd", ".rgb",
+    ".rgba", ".rgbe", ".rla", ".sgi", ".sxr", ".targa", ".tga", ".tif", ".tiff", ".tpic", ".tx", ".vda", ".vst",
+    ".webp", ".xyze",
 )  # fmt: skip
-# What may open as a TIFF, but as its thumbnail.
-_RAW = (".arw", ".cr2", ".cr3", ".crw", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw")
 _HEIF = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read these
-NAMED = (*SUFFIXES, *_RAW, *_HEIF)
+NAMED = (*SUFFIXES, *camera_raws.SUFFIXES, *_HEIF)
 EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
 _BEAUTY = ("COMBINED", "BEAUTY", "RGBA")  # names that renderers give the layer of the picture itself
@@ -49,12 +54,15 @@ _DEPTH = {"Z", "ZBACK", "DEPTH"}
 _MISSING = 0.01  # of a map's solid angle
 _HEADER_BYTES = 2**14  # of Radiance
 _MIN_SIDE, _MAX_PIXELS = 32, 2**28
+_MOST_PICTURES = 1000  # of a file, that are looked at
 _ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
 _REASON = 120  # characters of a library's message
 
 INSTALL = 'pip install "metapp[heic]"'
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")  # ISO/IEC 23008-12
-_FOCAL_TAG, _EXIF_BLOCK = 0xA405, 0x8769
+_EXIF_BLOCK = 0x8769
+_RATIONAL_TAGS = (0xA20E, 0xA20F, 0x920A)  # FocalPlaneXResolution, FocalPlaneYResolution, FocalLength
+_WHOLE_TAGS = (0xA405, 0xA210, 0xA002, 0xA003)  # FocalLengthIn35mmFilm, the unit, PixelXDimension, PixelYDimension
 
 
 class Pixels(NamedTuple):
@@ -65,12 +73,14 @@ class Pixels(NamedTuple):
         space: of the colours.
         is_premultiplied: whether colours are multiplied by alpha.
         focal_mm: focal length as of 35 mm film; 0 if the file does not say.
+        lens_note: how EXIF states it, or why it is not known, as of `Lens`.
     """
 
     values: Array
     space: Space
     is_premultiplied: bool
     focal_mm: float = 0.0
+    lens_note: str = ""
 
     def linear(self, rows: slice = slice(None), high: float = 1.0) -> Floats:
         """Some rows in linear light, in [0, high], float32; with alpha, colours are multiplied by it."""
@@ -107,9 +117,9 @@ def open_image(path: Path) -> oiio.ImageInput:
     """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
     import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
 
-    if path.suffix.lower() in _RAW:
-        raise ValueError(to_export(path))
     check_readable(path)
+    if path.suffix.lower() in camera_raws.SUFFIXES or camera_raws.is_raw(path):
+        raise ValueError(_to_develop(path))
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
     try:
@@ -127,13 +137,39 @@ def open_image(path: Path) -> oiio.ImageInput:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[oiio.ImageInput]:
-    """An open image file; libraries say nothing meanwhile. ValueError: no such file, no image, text not UTF-8."""
+    """Open an image file at its largest picture; libraries say nothing meanwhile.
+
+    Raises:
+        ValueError: no such file, no image, text that is not UTF-8.
+    """
     check_exists(path)
     with silent(), contextlib.closing(open_image(path)) as source:
         try:
+            _seek_largest(source)
             yield source
         except UnicodeDecodeError:
             raise ValueError(f"{path}: holds text that is not UTF-8, {EXPECTED}; export it again.") from None
+
+
+def _seek_largest(source: oiio.ImageInput) -> str:
+    """Let the largest picture of a TIFF or icon file be current, the first one of several, whatever comes before it.
+
+    Returns:
+        Which one that is, in words; "" if it is the first and all others are smaller, as previews are.
+    """
+    if source.format_name() not in ("tiff", "ico"):
+        return ""
+    sizes: list[int] = []
+    while len(sizes) < _MOST_PICTURES and source.seek_subimage(len(sizes), 0):
+        spec = source.spec()
+        sizes.append(spec.width * spec.height)
+    error_of(source)  # of the picture after the last one
+    largest = sizes.index(max(sizes)) if sizes else 0
+    source.seek_subimage(largest, 0)
+    spec = source.spec()
+    if largest == 0 and sizes.count(max(sizes, default=0)) < 2:
+        return ""
+    return f"{len(sizes)} pictures, taken: number {largest + 1}, {spec.width}x{spec.height} px, the largest"
 
 
 def shape_of(path: Path) -> tuple[int, int]:
@@ -147,18 +183,24 @@ def shape_of(path: Path) -> tuple[int, int]:
 
 def to_export(path: Path) -> str:
     """The line about a camera's or phone's own form of pictures."""
-    kind = "raw values of a camera" if path.suffix.lower() in _RAW else "a picture in HEIF or AVIF"
+    if path.suffix.lower() in camera_raws.SUFFIXES:
+        return _to_develop(path)
     remedy = "" if can_read() or not is_heif(path) else f", or read it as it is: {INSTALL}"
-    return f"{path}: {kind}, {EXPECTED}; export it as JPEG or PNG{remedy}."
+    return f"{path}: a picture in HEIF or AVIF, {EXPECTED}; export it as JPEG or PNG{remedy}."
 
 
-def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
+def _to_develop(path: Path) -> str:
+    return f"{path}: raw values of a camera, {EXPECTED}; develop it and export it as JPEG or PNG."
+
+
+def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue: bool = False) -> Pixels:
     """What a file shows, upright, as it is encoded.
 
     Args:
         path: the file.
         layer: of an EXR, as of `_find_layer`.
         is_map: a lat-long map, of whose solid angle 1 % may be missing, which is black.
+        lacks_blue: a file of red and green alone may be read, as normals are stored; blue is 0 then.
 
     Raises:
         ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than 2^28
@@ -169,7 +211,8 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
     if is_heif(path):
         return _read_heif(path)
     with opened(path) as source:
-        part, channels = _find_layer(source, layer, path)
+        chosen = _seek_largest(source)
+        part, channels = _find_layer(source, layer, path, lacks_blue=lacks_blue)
         source.seek_subimage(part, 0)
         spec, first = source.spec(), min(channels)
         height, width, top, left = window = _display_window(source)
@@ -178,13 +221,15 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
         _check_missing(spec, window, path, _MISSING if is_map else 0.0)
         exposure, primaries = _radiance_header(path) if source.format_name() == "hdr" else (None, [])
         with warnings.catch_warnings(record=True) as said:  # shown below: here nothing is
-            space = space_of_file(spec, path, primaries)
+            space = space_of_file(spec, path, primaries, part)
         kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
         values = source.read_image(part, 0, first, max(channels) + 1, kind)
         problem = error_of(source)
-        focal_mm = float(max(0, spec.get_int_attribute("Exif:FocalLengthIn35mmFilm", 0)))
+        lens = _lens_of_spec(source.spec(0, 0), (width, height))  # whose EXIF is that of the file
     for warning in said:
         warnings.warn(warning.message, stacklevel=2)
+    if chosen:
+        warnings.warn(f"{path}: {chosen}.", stacklevel=2)
     if values is None or problem:
         repack = "" if exposure is None else ", or write one of old run lengths again by Radiance's pfilt -1"
         raise ValueError(
@@ -192,6 +237,8 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
             f"again{repack}."
         )
     values = values[..., [channel - first for channel in channels]]
+    if channels[0] != channels[1] == channels[2]:  # red and green alone
+        values[..., 2] = 0
     if window != (*values.shape[:2], 0, 0):
         whole = np.zeros((height, width, len(channels)), values.dtype)
         inside = values[max(0, -top) : height - top, max(0, -left) : width - left]
@@ -200,7 +247,20 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False) -> Pixels:
     if exposure is not None:
         values = values / exposure
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
-    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), focal_mm)
+    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), *lens)
+
+
+def _lens_of_spec(spec: oiio.ImageSpec, size: tuple[int, int]) -> Lens:
+    """Return the lens that the EXIF of an open file states; width and height, px, count where it states no others."""
+    across, down, focal_mm = (
+        spec.get_float_attribute(f"Exif:{name}", 0.0)
+        for name in ("FocalPlaneXResolution", "FocalPlaneYResolution", "FocalLength")
+    )
+    in_film_mm, unit, *stated = (
+        spec.get_int_attribute(f"Exif:{name}", 0)
+        for name in ("FocalLengthIn35mmFilm", "FocalPlaneResolutionUnit", "PixelXDimension", "PixelYDimension")
+    )
+    return lens_of(in_film_mm, focal_mm, (across, down), unit, stated if min(stated) > 0 else size)
 
 
 def _display_window(source: oiio.ImageInput) -> tuple[int, int, int, int]:
@@ -293,13 +353,17 @@ def _tagged(values: Array, info: Mapping[Any, Any], exif: bytes | None, subject:
     """As the `info` and EXIF of PIL state."""
     from PIL import Image
 
-    parsed, focal_mm, is_adobe = Image.Exif(), 0.0, False
+    parsed, lens, is_adobe = Image.Exif(), Lens(), False
     # Pillow's reader of TIFF raises whatever a damaged block makes of it
     with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
         parsed.load(exif or b"")
         is_adobe = states_adobe(parsed)
-        focal_mm = float(max(0, int(parsed.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
-    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB, False, focal_mm)
+        tags = parsed.get_ifd(_EXIF_BLOCK)
+        across, down, focal_mm = (float(tags.get(tag, 0)) for tag in _RATIONAL_TAGS)
+        in_film_mm, unit, *stated = (int(tags.get(tag, 0)) for tag in _WHOLE_TAGS)
+        size = stated if min(stated) > 0 else values.shape[1::-1]
+        lens = lens_of(in_film_mm, focal_mm, (across, down), unit, size)
+    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB, False, *lens)
 
 
 def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) -> None:
@@ -316,7 +380,7 @@ def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) 
         raise ValueError(f"{path}: {found}; take a larger image.")
 
 
-def _find_layer(source: oiio.ImageInput, layer: str, path: Path) -> tuple[int, list[int]]:
+def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: bool = False) -> tuple[int, list[int]]:
     """The part of a file that holds a picture, and the channels: red, green, blue (gray thrice) and, if any, alpha.
 
     Of layers in RGB, in all parts of an EXR, the one of channels without a prefix counts, then one of _BEAUTY, then the
@@ -326,14 +390,16 @@ def _find_layer(source: oiio.ImageInput, layer: str, path: Path) -> tuple[int, l
         source: an open file; its current part changes.
         layer: the one that counts, by its name or the end of that; "": the first. A file without layers has one anyhow.
         path: begins errors.
+        lacks_blue: red and green alone are a layer, too; green then stands for blue in the channels.
 
     Raises:
         ValueError: no such layer, several or none that come first; deep pixels alone.
     """
-    parts = source.spec().get_int_attribute("oiio:subimages", 1) if source.format_name() == "openexr" else 1
+    several = source.spec().get_int_attribute("oiio:subimages", 1) if source.format_name() == "openexr" else 0
+    parts = range(several) if several else [max(0, source.current_subimage())]
     found: list[tuple[tuple[bool, bool, bool], str, int, list[int]]] = []  # the order, the name, the part, the channels
     is_deep, every = False, list[str]()
-    for part in range(parts):
+    for part in parts:
         source.seek_subimage(part, 0)
         spec = source.spec()
         is_deep |= spec.deep
@@ -345,9 +411,11 @@ def _find_layer(source: oiio.ImageInput, layer: str, path: Path) -> tuple[int, l
             prefix, _, channel = name.rpartition(".")
             layers.setdefault(prefix, {})[channel.upper()] = index
         for prefix, held in layers.items():
-            name = prefix or (spec.get_string_attribute("oiio:subimagename") if parts > 1 else "")
+            name = prefix or (spec.get_string_attribute("oiio:subimagename") if several > 1 else "")
             others = sorted(held.keys() - {"A"})
             is_gray = len(others) == 1 and others[0] not in _DEPTH
+            if lacks_blue and held.keys() >= set("RG") and "B" not in held:
+                held["B"] = held["G"]
             if is_gray or held.keys() >= set("RGB"):
                 order = (is_gray, prefix != "", name.rpartition(".")[2].upper() not in _BEAUTY)
                 channels = [held[each] for each in (*(others * 3 if is_gray else "RGB"), "A") if each in held]

@@ -2,8 +2,9 @@
 
 A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
 a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
-maps are data; floating-point normals may be -1..1. Files of packed channels, `rock_arm.png`, have several roles.
-Variants, `ROCK_COL_VAR1.jpg`, and tiles, `rock_normal.1001.png`, are materials that share the files without a mark.
+maps are data; floating-point normals may be -1..1, and z may be left out (`normal_maps`). Files of packed channels,
+`rock_arm.png`, have several roles. Variants, `ROCK_COL_VAR1.jpg`, and tiles, `rock_normal.1001.png`, are materials that
+share the files without a mark.
 
 Roughness is 1 - gloss if there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
 base m, a specular map being left aside, but for a diffuse map beside the base colour, as in metapp's asset folders.
@@ -16,7 +17,6 @@ peak is as bright, pi D F / 4 = g, so alpha^2 = 0.01 / g, at most 1.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import math
 import re
@@ -33,6 +33,7 @@ from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, p
 from data_tools.readers.colours import LINEAR
 from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import Found, files_below
+from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.photos import SIZE, central_square, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import svbrdf_task, task_name, unit_normals
@@ -295,7 +296,8 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, leas
             files[file := Path(f"{name}_{key}")] = pixels
             roles[role] = (*roles.get(role, ()), file)
     side = max(min(pixels.values.shape[:2]) for pixels in files.values())
-    return _task(Material(Path(), name, _unpacked(roles)), files.__getitem__, side_of(side, size, least), "auto")
+    material = Material(Path(), name, _unpacked(roles))
+    return _task(material, lambda file, _: files[file], side_of(side, size, least), "auto")
 
 
 def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
@@ -320,13 +322,17 @@ def read_material(material: Material, size: int = SIZE, normals: str = "auto", l
     """As `read_task`, of a material that was found."""
     side = max(min(shape_of(file)) for file in _choose(material).values())
     size = side_of(side, size, least)
-    return _task(material, functools.partial(read_pixels, layer=layer), size, normals)
+
+    def pixels_of_map(file: Path, role: str) -> Pixels:
+        return read_pixels(file, layer, lacks_blue=role in _NORMALS)
+
+    return _task(material, pixels_of_map, size, normals)
 
 
-def _task(material: Material, pixels_of: Callable[[Path], Pixels], size: int, normals: str) -> Task:
+def _task(material: Material, pixels_of_map: Callable[[Path, str], Pixels], size: int, normals: str) -> Task:
     chosen = _choose(material)
     shapes: dict[str, tuple[int, int]] = {}
-    maps = {role: _read(file, pixels_of(file), size, role, shapes) for role, file in chosen.items()}
+    maps = {role: _read(file, pixels_of_map(file, role), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
     colour = next(maps[role] for role in _COLOURS if role in maps)
     if "metallic" in maps:
@@ -421,9 +427,11 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
         if channel >= count:
             raise ValueError(f"{file}: {count} channels, expected {role} in alpha; export it with that.")
         values = pixels.values[..., [channel] * 3]
-    slopes = values[..., :2]
-    if role in _NORMALS and values.dtype.kind == "f" and (slopes.min() < -0.1 or slopes.mean() < 0.25):  # -1..1
-        values = values / 2 + 0.5
+    if role in _NORMALS:
+        values, slopes = pixels.values, pixels.values[..., :2]
+        if values.dtype.kind == "f" and (slopes.min() < -0.1 or slopes.mean() < 0.25):  # -1..1
+            values = values / 2 + 0.5
+        values = complete_normals(values, file)
     square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR))
     linear = resample(square, size)
     if not np.isfinite(linear).all():

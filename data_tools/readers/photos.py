@@ -6,6 +6,7 @@ EXIF says how wide the field of view is.
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from data_tools.readers.image_files import (
     read_pixels,
     to_export,
 )
+from data_tools.readers.lenses import FRAME_MM
 from data_tools.readers.listing import Found, files_below, find_files
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import FOV_RAD
@@ -34,7 +36,6 @@ from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, kind_of
 
 SIZE = 256  # px, of a task's picture unless another one is asked for
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
-FRAME_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film" are of (CIPA DCG-001)
 
 _MIN_DEVIATION = 1 / 255
 _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
@@ -155,13 +156,19 @@ def field_of_view(focal_mm: float, height: int, width: int) -> float:
     return 2 * math.atan(shorter / 2 / focal_mm)
 
 
-def flash_view(whole: Pixels, fov_rad: float = 0.0) -> Pixels:
+def flash_view(whole: Pixels, fov_rad: float = 0.0, name: str = "photo") -> Pixels:
     """The middle of a photograph under a flash: of a camera with a wider field, what that of fits sees, a square.
+
+    A line says where EXIF states a focal length otherwise than as of 35 mm film.
 
     Args:
         whole: the photograph.
         fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
+        name: begins the line.
     """
+    if not fov_rad and whole.lens_note:
+        taken = "" if whole.focal_mm else f", taken for {math.degrees(FOV_RAD):.0f} degrees along the shorter side"
+        warnings.warn(f"{name}: {whole.lens_note}{taken}; --fov sets another field of view.", stacklevel=2)
     if not fov_rad and whole.focal_mm:
         fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
     return central_square(whole, min(1.0, math.tan(FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from data_tools.readers.colours import LINEAR, Floats, fraction
 from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
+from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.photos import SIZE, central_square, resample, side_of
 from data_tools.readers.photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
@@ -163,7 +164,7 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
     for index in range(TILES):
         left = min(round(index * width / TILES), width - side)
         tile = values[:side, left : left + side].clip(0, 1)
-        tile = tile if index == 1 else tile**gamma
+        tile = complete_normals(tile, path) if index == 1 else tile**gamma
         if index == 0:
             tile = np.where(tile < _CLIPPED, (tile / white).clip(0, 1), 1)  # who knows how bright what is clipped was
         tiles.append(tile)

@@ -71,7 +71,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
     if strips.is_strip(path):
         return strips.read_task(path, size, least=least, layer=layer)
     whole = read_pixels(path, layer)
-    return _exposed(task_of_square("photo", flash_view(whole, fov_rad), whole, path, size, least), stops)
+    return _exposed(task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least), stops)
 
 
 def task_of_object(
@@ -80,7 +80,7 @@ def task_of_object(
     """The task of a material in memory, of its maps or of its flash photograph; else as `read_task`."""
     if isinstance(source, Mapping):
         return material_maps.task_of_arrays(source, name, size, min(size, SIZE))
-    view = flash_view(pixels_of(name, source, material_maps.OR_MAPS), fov_rad)
+    view = flash_view(pixels_of(name, source, material_maps.OR_MAPS), fov_rad, name)
     return _exposed(Task(name, {"photo": photo_of(view, name, size, min(size, SIZE))}), stops)
 
 

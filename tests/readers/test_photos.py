@@ -231,7 +231,8 @@ BAD: dict[str, tuple[str, Content, str]] = {
     "raw": (
         "a.dng",
         lambda path: write(path.with_suffix(".tif"), noise(64, 64)).rename(path),
-        "raw values of a camera, expected an image file, such as JPEG, PNG, TIFF or EXR; export it as JPEG or PNG.",
+        "raw values of a camera, expected an image file, such as JPEG, PNG, TIFF or EXR; develop it and export it "
+        "as JPEG or PNG.",
     ),
     "heic": ("a.HEIC", WORDS, "a picture in HEIF or AVIF, expected an image file, such as JPEG"),
 }
@@ -295,7 +296,7 @@ def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> No
         assert recognises(tmp_path / name)
     assert not is_photo(tmp_path / "none.heic")
     assert recognises(tmp_path)
-    with pytest.raises(ValueError, match=r"a\.dng: raw values of a camera, .*; export it as JPEG or PNG\.$"):
+    with pytest.raises(ValueError, match=r"a\.dng: raw values of a camera, .*; develop it and export it as JPEG .*\.$"):
         find(tmp_path)
     jpg = write(tmp_path / "a.jpg", noise(48, 48))  # a camera may write both
     renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from data_tools.readers.photos import FRAME_MM
+from data_tools.readers.lenses import FRAME_MM
 
 cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[capture]"')
 

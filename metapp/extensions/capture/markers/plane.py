@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_tools.readers.photos import FRAME_MM
+from data_tools.readers.lenses import FRAME_MM
 from metapp.extensions.capture.markers.registration import through
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting, camera_of

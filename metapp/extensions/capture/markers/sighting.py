@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import FRAME_MM
+from data_tools.readers.lenses import FRAME_MM
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats, corners_cm, dictionary, opening_of
 from metapp.extensions.capture.photos import display, opencv
 
