@@ -2,7 +2,8 @@
 
 Integers are taken as sRGB and floating-point values as linear Rec.709, unless the file states another space: by an ICC
 profile, which Little CMS converts, by primaries (`chromaticities` of EXR, PRIMARIES of Radiance, cHRM and gAMA of PNG),
-by EXIF, or by a name that OpenColorIO knows, such as of cICP of PNG. White stays white (Bradford).
+by EXIF, or by a name that OpenColorIO knows, such as of cICP of PNG; hybrid log-gamma by its formula. White stays white
+(Bradford).
 """
 
 from __future__ import annotations
@@ -44,7 +45,13 @@ class Primaries(NamedTuple):
     power: float = 1.0
 
 
-Space = str | Primaries | Profile  # or OpenColorIO's name
+class Hlg(NamedTuple):
+    """Hybrid log-gamma (ITU-R BT.2100): the matrix [3, 3] of linear colours to Rec.709."""
+
+    matrix: Floats
+
+
+Space = str | Primaries | Profile | Hlg  # or OpenColorIO's name
 
 SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
 
@@ -52,6 +59,15 @@ _CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may k
 _UNSTATED = ("", "unknown", "data", "raw", "rec709")  # say nothing of primaries, or those that are expected
 _REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _PQ_WHITE = 2.03  # in 100 cd/m^2 (ITU-R BT.2408)
+_HLG_CODE = 18  # of the transfer, in ITU-T H.273
+_HLG_WHITE = 0.75  # of the signal (ITU-R BT.2408), as 203 cd/m^2 are of a display of 1000
+_CODED_XY = {  # by the codes of primaries in ITU-T H.273: x, y of red, green, blue and white
+    1: _REC709_XY,
+    9: (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329),
+    12: (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329),
+}
+_CODES_UNSTATED = (1, 2)  # primaries of Rec.709, and none
+_CODES_AS_SRGB = (1, 2, 6, 13, 14, 15)  # transfers of Rec.709 and its kin, none, and sRGB
 _LEAST_DOUBLED_AREA = 1e-3  # of a triangle of primaries; that of Rec.709 is 0.224
 _SAME = 1  # levels of 255 by which conversions of one space differ
 
@@ -86,7 +102,15 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
             info, is_adobe = image.info, states_adobe(image.getexif())
         if space := space_of_info(info, path, is_adobe):
             return space
+    if codes is not None and codes[1] == _HLG_CODE and codes[0] in _CODED_XY:
+        found = f"{path}: HLG, whose signal of {_HLG_WHITE:.0%} is taken for white; what is brighter is clipped."
+        warnings.warn(found, stacklevel=2)
+        linear = _of_primaries(_CODED_XY[codes[0]], 1.0)
+        return Hlg(linear.matrix if isinstance(linear, Primaries) else np.eye(3, dtype=np.float32))
     stated: str = spec.get_string_attribute("oiio:ColorSpace")
+    is_srgb = codes is None or (codes[0] in _CODES_UNSTATED and codes[1] in _CODES_AS_SRGB)
+    if stated in ("", SRGB) and not is_srgb:  # so OpenImageIO says of code points that it does not know
+        return _taken_as_srgb(path, f"of primaries {codes[0]} and transfer {codes[1]} of ITU-T H.273")
     if stated.lower() not in _UNSTATED:
         if oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0:
             return stated
@@ -170,6 +194,9 @@ def linear_rgb(values: Array, space: Space) -> Floats:
     """Stored colours, uint8, uint16 or float [rows, columns, 3], as linear Rec.709, float32, which may leave [0, 1]."""
     if isinstance(space, Profile):
         return _by_profile(values, space.convert)
+    if isinstance(space, Hlg):
+        light = _hlg_light(fraction(values)) / _hlg_light(np.array(_HLG_WHITE, np.float32))
+        return light @ space.matrix.T
     if isinstance(space, Primaries):
         linear = fraction(values) if space.power else linear_rgb(values, SRGB)
         return (linear if space.power in (0, 1) else linear.clip(0) ** np.float32(space.power)) @ space.matrix.T
@@ -180,6 +207,15 @@ def linear_rgb(values: Array, space: Space) -> Floats:
     if space == SRGB:
         return srgb_to_linear(torch.from_numpy(floats)).numpy()
     return floats if space == LINEAR else _converted(floats, space)
+
+
+def _hlg_light(signal: Floats) -> Floats:
+    """Return the light of a scene in [0, 1] by an HLG signal: the inverse OETF of ITU-R BT.2100, table 5."""
+    a = 0.17883277
+    b, c = 1 - 4 * a, 0.5 - a * np.log(4 * a)
+    bounded = signal.clip(0, 1)
+    light: Floats = np.where(bounded <= 0.5, bounded**2 / 3, (np.exp((bounded - c) / a) + b) / 12)
+    return light.astype(np.float32)
 
 
 def _by_profile(values: Array, convert: Callable[[Array], Array]) -> Floats:

@@ -172,9 +172,24 @@ def test_code_points_of_png_are_heeded(tmp_path: Path) -> None:
         path.write_bytes(png_with(plain, {b"cICP": bytes(codes)}))
         matrix = colour.matrix_RGB_to_RGB(space_of(name), colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
         assert off(path, encoded[name] @ matrix.T).max() < 1.5, name
-    path.write_bytes(png_with(plain, {b"cICP": bytes((9, 18, 0, 1))}))
-    with pytest.warns(UserWarning, match=r"a\.png: colours in 'hlg_rec2020_display', which cannot be converted"):
+    path.write_bytes(png_with(plain, {b"cICP": bytes((11, 18, 0, 1))}))
+    with pytest.warns(UserWarning, match=r"a\.png: colours of primaries 11 and transfer 18 .*cannot be conv"):
         read_photo(path, SIDE)
+
+
+@pytest.mark.parametrize(("code", "name"), [(1, "ITU-R BT.709"), (9, "Rec.2020"), (12, "P3")])
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_hybrid_log_gamma_is_light_whose_white_is_three_quarters(
+    tmp_path: Path, code: int, name: str, kind: str
+) -> None:
+    colour, values, path = colour_science(), picture(kind), tmp_path / "a.png"
+    write(path, values)
+    path.write_bytes(png_with(path.read_bytes(), {b"cICP": bytes((code, 18, 0, 1))}))
+    decode, rec709 = colour.models.oetf_inverse_BT2100_HLG, colour.RGB_COLOURSPACES["ITU-R BT.709"]
+    light = decode(values / np.iinfo(values.dtype).max) / decode(0.75)
+    matrix = np.eye(3) if code == 1 else colour.matrix_RGB_to_RGB(space_of(name), rec709, "Bradford")
+    with pytest.warns(UserWarning, match=r"a\.png: HLG, whose signal of 75% is taken for white; "):
+        assert off(path, light @ matrix.T).max() < 1.5
 
 
 def test_primaries_of_floating_point_files_are_heeded(tmp_path: Path) -> None:
