@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ TEXT_LENGTH = 2**24  # characters of a scene file or an include
 _DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
 _VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
 _BOX_BYTES = 24
+_DRIVE = re.compile(r"[A-Za-z]:[\\/]")  # begins an absolute name of Windows
 
 # Data files of scenes that were read in this process. A scene is kept as text beside its samples, and may be loaded
 # from it again, but text from elsewhere gives no right to read files.
@@ -45,9 +47,10 @@ class Places(Files):
         folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
         return cls(folders, folders)
 
-    def first(self, folder: Path) -> Places:
-        """The same, with this folder searched first."""
-        return replace(self, search=(folder, *self.search))
+    def first(self, folder: str | Path) -> Places:
+        """The places with a folder searched first: a path, or the name of one, as of <path>."""
+        path = folder if isinstance(folder, Path) else self.folder(folder)
+        return replace(self, search=(path, *self.search))
 
     def file(self, name: str) -> Path:
         """The data file of a name.
@@ -92,12 +95,16 @@ class Places(Files):
             raise ValueError(f"a name of a {what}, {name[:40]!r}, expected one of up to 1024 characters, without NUL.")
         folders = (Path("/"),) if os.path.isabs(name) else self.search
         first = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
+        first = first or next(filter(None, (_spelled_otherwise(folder, name) for folder in folders)), None)
         try:
             path = first.resolve(strict=True) if first else None
         except (OSError, RuntimeError):  # a link to nowhere or to itself
             path = None
         if path is None:
-            raise ValueError(f"names the {what} {name[:100]!r}: file not found; put it in the scene's folder.")
+            elsewhere = ", and name it without its drive" if _DRIVE.match(name) else ""
+            raise ValueError(
+                f"names the {what} {name[:100]!r}: file not found; put it in the scene's folder{elsewhere}."
+            )
         if not str(path).isprintable() or "$" in str(path):
             raise ValueError(f"names {str(path)[:150]!r}, expected a path that is printable and without '$'.")
         if not self.roots and path not in _read_before:
@@ -108,6 +115,23 @@ class Places(Files):
                 f"it: --scene-root {str(path if what == '<path>' else path.parent)[:120]}"
             )
         return path
+
+
+def _spelled_otherwise(folder: Path, name: str) -> Path | None:
+    """The file that a name means on Windows, where backslashes divide and case does not count; None if not just one."""
+    path = folder
+    for part in name.replace("\\", "/").split("/"):
+        if part in ("", ".", "..") or os.path.lexists(path / part):
+            path = path / part
+            continue
+        try:
+            alike = [each for each in os.listdir(path) if each.casefold() == part.casefold()]
+        except OSError:
+            return None
+        if len(alike) != 1:
+            return None
+        path = path / alike[0]
+    return path
 
 
 def read_text(path: Path) -> str:

@@ -16,7 +16,7 @@ from data_tools.readers.listing import Found, files_below
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
-from metapp.extensions.scene_files.xml import checked_xml, of_version
+from metapp.extensions.scene_files.xml import checked_xml, located, of_version
 from metapp.learning.task import Task
 from metapp.rendering.scenes.rules import MOST_NESTED, CheckedDict, Json, SceneDict
 from metapp.rendering.variant import load_mitsuba
@@ -99,8 +99,10 @@ def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
         return transport_task(name, scene, seed, **counts)
     except ValueError as error:
         reason = str(error)
+        if "that Mitsuba can load: " in reason and "; " not in reason:
+            reason = f"{reason.rstrip('.')}; change it, or leave it out."
         if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason = of_version(scene["xml"], reason)
+            reason = of_version(scene["xml"], located(scene["xml"], reason))
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
     raise ValueError(f"{subject}: {reason}")
 

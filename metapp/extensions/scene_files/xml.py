@@ -57,7 +57,47 @@ def checked_xml(text: str, places: Places, name: str = "") -> str:
     for element in (element for tag in ("ref", "alias") for element in root.iter(tag)):
         if element.get("id") in reader.media:
             check_plugin(reader.media[element.attrib["id"]])
-    return tostring(root, encoding="unicode")
+    _keep_lines(root)
+    return "\n" * (root.line - 1) + tostring(root, encoding="unicode")
+
+
+def _keep_lines(root: SceneElement) -> None:
+    """Put newlines between elements, so that each begins on its line of the user's file, or on that of its include."""
+    line = root.line
+
+    def visit(element: SceneElement) -> None:
+        nonlocal line
+        before: SceneElement | None = None
+        for child in element:
+            space = "\n" * max(0, child.line - line)
+            line += len(space)
+            if before is None:
+                element.text = space
+            else:
+                before.tail = space
+            visit(child)
+            before = child
+
+    visit(root)
+
+
+def located(text: str, reason: str) -> str:
+    """Mitsuba's reason why it cannot load a scene, with the line and the element in place of columns of the text.
+
+    Args:
+        text: the scene as `checked_xml` writes it.
+        reason: may name a place in it, "string (line 3, col 7): ".
+
+    >>> located('<scene version="3.0.0"><bsdf type="x"/></scene>', "At string (line 1, col 25): no such plugin")
+    'line 1, <bsdf type="x">: no such plugin'
+    """
+    place = re.search(r"[A-Z][a-z]*(?: \w+){0,2} string \(line (\d+), col (\d+)\): ", reason)
+    if place is None:
+        return reason
+    at = int(place[1]), int(place[2]) - 2  # Mitsuba's column is of the name, from 1
+    before = [element for element in parse(text).iter() if (element.line, element.column) <= at]
+    shown = f"line {at[0]}, {before[-1]}: " if before else f"line {at[0]}: "
+    return f"{reason[: place.start()]}{shown}{reason[place.end() :]}"
 
 
 def of_version(text: str, reason: str) -> str:
@@ -74,13 +114,16 @@ class SceneElement(Element):
 
     Attributes:
         line: on which it begins, from 1; 0 of one that no document holds.
+        column: at which it begins, from 0.
     """
 
-    line = 0
+    line = column = 0
 
     if TYPE_CHECKING:
 
         def __iter__(self) -> Iterator[SceneElement]: ...
+
+        def iter(self, tag: str | None = None) -> Iterator[SceneElement]: ...  # type: ignore[override]  # noqa: D102
 
     def __str__(self) -> str:
         """As messages name it."""
@@ -133,7 +176,7 @@ class _Reader:
             elif child.tag == "default":
                 self._default(child)
             elif child.tag == "path":
-                places = places.first(places.folder(self._substituted(child.get("value", ""))))
+                places = places.first(self._substituted(child.get("value", "")))
             elif child.tag == "medium" and source.tag == "scene":
                 declared = self._attributes(child, places)
                 self.media[declared.get("id", "")] = declared.get("type", "")
@@ -194,6 +237,8 @@ class _Reader:
             kind = Unsupported if isinstance(error, Unsupported) else ValueError
             raise kind(f"includes {name[:60]!r}, which cannot be read: {error}") from None
         del root.attrib["version"]
+        for part in root.iter():
+            part.line = element.line
         if root.tag == "scene":
             return list(root)
         if "name" in element.attrib:
@@ -241,7 +286,7 @@ def parse(text: str) -> SceneElement:
             shown = f"<{tag} {' '.join(attributes)}>"
             raise Unsupported(f"line {line}: an element {shown[:60]!r}, expected those of Mitsuba 3; leave it out.")
         made = SceneElement(tag, attributes)
-        made.line = line
+        made.line, made.column = line, parser.CurrentColumnNumber
         stack[-1].append(made)
         stack.append(made)
 

@@ -56,6 +56,7 @@ def scene_of(text: Tensor) -> SceneDict:
         raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
 
 
+RESOURCES = "resources"  # the type of an object that declares a folder of files; Mitsuba takes it at the root alone
 _MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
 _REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
@@ -110,6 +111,8 @@ def check_plugin(kind: str) -> None:
         )
     if kind in _MEMORY:
         raise ValueError(f"a plugin {kind[:60]!r}, expected one that reads files; leave it out.")
+    if kind == RESOURCES:
+        raise ValueError(f"a '{RESOURCES}' within another object, expected it beside the sensor; move it there.")
     if kind not in plugins() and kind not in own_plugins():
         raise Unsupported(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
 
@@ -171,6 +174,14 @@ class Files:
         """
         raise ValueError(f"names the file {name[:100]!r}, expected none; scenes with files need {READER}.")
 
+    def first(self, folder: str) -> Files:
+        """The files of a scene that declares a folder, in which relative names are looked for before all others.
+
+        Raises:
+            ValueError: it may not be read.
+        """
+        raise ValueError(f"names the folder {folder[:100]!r}, expected none; scenes with files need {READER}.")
+
     def check(self, kind: str, parameters: Mapping[str, object]) -> None:
         """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
 
@@ -226,6 +237,7 @@ class CheckedDict:
         elif depth:
             check_plugin(kind)
         media = {} if depth else _media(scene)
+        scene = scene if depth else self._without_folders(scene)
         made = {key: self._value(key, value, depth, kind) for key, value in scene.items() if key not in media}
         if depth:
             check_parameters(kind, made)
@@ -234,6 +246,21 @@ class CheckedDict:
             if any(name in (key, medium.get("id")) for name in _references(made)):
                 check_plugin(medium["type"])
         return made
+
+    def _without_folders(self, scene: SceneDict) -> SceneDict:
+        """The scene without its declarations of folders, of type `resources`, in which all its files are looked for."""
+        left = {}
+        for key, value in scene.items():
+            if not (isinstance(value, dict) and value.get("type") == RESOURCES):
+                left[key] = value
+                continue
+            path = value.get("path")
+            if not isinstance(path, str) or value.keys() - {"type", "id", "path"}:
+                raise ValueError(
+                    f"a '{RESOURCES}' {key[:40]!r}, expected a 'path' alone, the name of a folder; change it."
+                )
+            self.files = self.files.first(path)
+        return left
 
     def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
         self.parts += 1

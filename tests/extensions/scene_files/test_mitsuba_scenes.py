@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import save_file
 
 from data_tools.synthetic.cornell import random_scene, to_xml
@@ -95,6 +96,72 @@ def test_file_names_start_from_the_scenes_folder(tmp_path: Path, monkeypatch: py
     part = {"type": "obj", "filename": "parts/lamp.obj", "emitter": {"type": "area"}}
     write(folder / "room.json", {"type": "scene", "sensor": sensor, "lamp": part})
     assert read_task(folder / "room.json", samples=64, held=16).data["image"].max() > 0.5
+
+
+def textured(name: str) -> str:
+    file = f'<string name="filename" value="{name}"/>'
+    return ball(f'<bsdf type="diffuse"><texture type="bitmap" name="reflectance">{file}</texture></bsdf>')
+
+
+@needs_mitsuba
+def test_folders_of_files_are_declared_in_dictionaries_as_in_xml(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    write(tmp_path / "parts" / "lamp.obj", "v -1 1.5 -1\nv 1 1.5 -1\nv 0 1.5 1\nf 1 2 3\nf 3 2 1\n")
+    sensor, lamp = random_scene(0)["sensor"], {"type": "obj", "filename": "lamp.obj", "emitter": {"type": "area"}}
+    scene = {"type": "scene", "sensor": sensor, "lamp": lamp, "files": {"type": "resources", "path": "parts"}}
+    read = read_scene(write(tmp_path / "room.json", scene))
+    assert read["lamp"]["filename"] == str((tmp_path / "parts" / "lamp.obj").resolve())
+    assert "files" not in read
+    assert Tracer(read).brightest > 0
+    inside = {**scene, "lamp": {**lamp, "files": scene["files"]}}
+    for changed, problem in (
+        ({**scene, "files": {"type": "resources", "path": "none"}}, "the <path> 'none': file not found"),
+        ({**scene, "files": {"type": "resources"}}, "a 'resources' 'files', expected a 'path' alone"),
+        ({**scene, "files": {"type": "resources", "path": "/"}}, "--scene-root /"),
+        (inside, "a 'resources' within another object, expected it beside the sensor"),
+    ):
+        with pytest.raises(ValueError, match=problem):
+            read_scene(write(tmp_path / "room.json", changed))
+
+
+@needs_mitsuba
+def test_names_of_files_as_windows_spells_them_are_found(tmp_path: Path) -> None:
+    (tmp_path / "textures").mkdir()
+    Image.new("RGB", (4, 4), "red").save(tmp_path / "textures" / "wood.png")
+    path, file = tmp_path / "room.xml", (tmp_path / "textures" / "wood.png").resolve()
+    for name in (r"textures\wood.png", "Textures/Wood.PNG", r".\TEXTURES\wood.png", str(file).replace("wood", "Wood")):
+        assert f'"{file}"' in read_scene(write(path, xml(CAMERA, textured(name))))["xml"], name
+    include = write(tmp_path / "textures" / "camera.xml", xml(CAMERA))
+    assert "perspective" in read_scene(write(path, xml(rf'<include filename="TEXTURES\{include.name}"/>')))["xml"]
+    for name, problem in ((r"textures\none.png", "file not found"), (r"C:\wood.png", "name it without its drive")):
+        with pytest.raises(ValueError, match=problem):
+            read_scene(write(path, xml(CAMERA, textured(name))))
+    with pytest.raises(ValueError, match="outside the scene's folder"):
+        read_scene(write(include, xml(CAMERA, textured(rf"..\{file.parent.name}\..\Room.xml"))))
+    Image.new("RGB", (4, 4), "blue").save(tmp_path / "textures" / "WOOD.png")
+    with pytest.raises(ValueError, match="file not found"):  # which of the two is not known
+        read_scene(write(path, xml(CAMERA, textured("textures/Wood.PNG"))))
+    assert f'"{file}"' in read_scene(write(path, xml(CAMERA, textured("textures/wood.png"))))["xml"]
+
+
+@needs_mitsuba
+def test_what_mitsuba_cannot_load_is_named_by_the_line_of_the_users_file(tmp_path: Path) -> None:
+    write(tmp_path / "camera.xml", xml(CAMERA))
+    begin = '<?xml version="1.0"?>\n<scene version="3.0.0">\n<include filename="camera.xml"/>\n<!-- two\nlines -->\n'
+    wrong = '<shape type="sphere"><float name="radius"\n  value="x"/></shape>'
+    for part, where in (
+        (
+            '<integrator type="path"/>\n' + ball('<bsdf type="diffuse"><float name="alpa" value="1"/></bsdf>'),
+            '7, <bsdf type="diffuse">',
+        ),
+        (wrong, '6, <float name="radius">'),
+        ("\n\n" + ball('\n<bsdf type="bumpmap"><bsdf type="diffuse"/></bsdf>'), '9, <bsdf type="bumpmap">'),
+    ):
+        path = write(tmp_path / "s.xml", f"{begin}{part}\n{ball()}</scene>")
+        with pytest.raises(
+            ValueError, match=rf"^{path}: no scene that Mitsuba can load: line {where}: .*; change it, or"
+        ):
+            read_task(path)
 
 
 @needs_mitsuba

@@ -81,7 +81,8 @@ CODE = {
     "utf7.xml": xml("+ADw-shape type=+ACI-evil+ACI-/+AD4-", ITSELF, before='<?xml version="1.0" encoding="UTF-7"?>'),
     "plain.json": in_json({"type": "evil"}),
     "above.json": in_json({"type": "../plugins/evil"}),
-    "resources.json": in_json({"type": "resources", "path": "."}),
+    "resources.json": in_json({"type": "evil"}, files={"type": "resources", "path": "."}),
+    "resources-within.json": in_json({"type": "sphere", "part": {"type": "resources", "path": "."}}),
     "xml.json": json.dumps({"xml": xml(ITSELF), "folder": "."}),
     "include-xml.json": json.dumps({"xml": xml('<include filename="part.txt"/>'), "folder": "below"}),
 }
