@@ -28,6 +28,7 @@ Ray = Any
 Mitsuba = Any  # the module, in its variant
 Scene = Any
 Sensor = Any
+Film = Any
 Sampler = Any
 ImageBlock = Any
 Integrator = Any

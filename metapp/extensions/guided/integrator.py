@@ -9,17 +9,21 @@ help, `path` renders instead, and a warning says so once.
 from __future__ import annotations
 
 import functools
+import math
 import warnings
+from typing import NoReturn
 
 from metapp.extensions.guided.path_tracer import PathTracer
-from metapp.extensions.guided.picture import SEVERAL, GuidedPicture
+from metapp.extensions.guided.picture import SEVERAL, GuidedPicture, sampled_size
 from metapp.extensions.guided.prior import read_prior
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
+from metapp.runs.surroundings import threads
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 SURVEYED = 2**21  # from which the survey and the prior are a small part of the time
 NAME = "metapp_guided_path"
+_NO_DERIVATIVES = f"{NAME} has no derivatives, expected an integrator that has; take prb, of the same max_depth."
 
 
 @functools.cache  # once: Mitsuba keeps what is called when its variant changes
@@ -53,20 +57,29 @@ def plugin() -> mt.PluginClass:
         ) -> mt.Tensorf:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
-            paths = spp * int(dr.prod(film.crop_size()))
-            prior = read_prior() if paths >= SURVEYED else None
+            paths = spp * math.prod(sampled_size(film))
+            with threads(single=False):  # the prior is of torch, whose defaults a program may have set
+                prior = read_prior() if paths >= SURVEYED else None
             fewest = FEWEST if spp >= SEVERAL else SURVEYED  # the survey alone may be learned from
             why = _useless(self.tracer, scene, paths, fewest, hides_emitters=self.hide_emitters)
             if why:
                 _warn(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
-            with dr.suspend_grad():
+            with dr.suspend_grad(), threads(single=False):
                 picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior)
                 picture.render(spp)
                 self.spent = picture.spent
                 if not picture.pays:
                     _warn("what was learned of a scene does not lower the noise enough")
                 return film.develop() if develop else mi.TensorXf()
+
+        def render_forward(self, *_: object, **__: object) -> NoReturn:
+            """Refuse to differentiate: what guides paths is learned of pictures of other parameters."""
+            raise NotImplementedError(_NO_DERIVATIVES)
+
+        def render_backward(self, *_: object, **__: object) -> NoReturn:
+            """Refuse to differentiate, as `render_forward` does."""
+            raise NotImplementedError(_NO_DERIVATIVES)
 
         def sample(
             self, scene: mt.Scene, sampler: mt.Sampler, ray: mt.Ray, medium: object = None, active: mt.Mask = True

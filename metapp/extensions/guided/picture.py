@@ -51,6 +51,13 @@ def parts_of(spp: int, pixels: int) -> list[int]:
     return [*parts, spp - sum(parts)]
 
 
+def sampled_size(film: mt.Film) -> tuple[int, int]:
+    """Rows and columns of the pixels that paths are traced through: with `sample_border` those around the film, too."""
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = film.crop_size()
+    return int(height) + border, int(width) + border
+
+
 class Work(NamedTuple):
     """The luminance of paths and their cost.
 
@@ -118,7 +125,7 @@ class GuidedPicture:
     def render(self, spp: int) -> None:
         """Put all parts of so many samples a pixel on the sensor's film."""
         film = self.sensor.film()
-        parts = parts_of(spp, int(dr.prod(film.crop_size())))
+        parts = parts_of(spp, math.prod(sampled_size(film)))
         if len(parts) == 1:
             self.cache.learn()  # of the survey alone
         for part in parts[:-1]:
@@ -131,11 +138,10 @@ class GuidedPicture:
 
     def add(self, spp: int, *, learns: bool) -> None:
         """Add a part, and learn from it if asked to and as long as that pays; the first of these is regular."""
-        width, height = self.sensor.film().crop_size()
         learns = learns and self.pays
         guided = self.pays and not (learns and self.regular is None)
         begin = time.process_time()
-        wave = max(1, _WAVE // (width * height))
+        wave = max(1, _WAVE // math.prod(sampled_size(self.sensor.film())))
         works = [self._wave(min(wave, spp - first), guided, learns) for first in range(0, spp, wave)]
         dr.sync_thread()
         middle = time.process_time()
@@ -168,7 +174,7 @@ class GuidedPicture:
         if records is not None:
             dr.eval(light, hits, place, weight, bounces)
             records.train(self.cache, light)
-            rows = int(film.crop_size()[1]), int(film.crop_size()[0]), spp
+            rows = *sampled_size(film), spp
             steps = bounces.numpy()
             longest = steps[: len(steps) // LANES * LANES].reshape(-1, LANES).max(1)
             work = Work(mi.luminance(light).numpy().reshape(rows), float(longest.mean()))

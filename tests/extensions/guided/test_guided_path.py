@@ -143,6 +143,54 @@ def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
     assert np.array(scene.sensors()[0].film().bitmap()).shape == (18, 21, 4)
 
 
+FILMS = {
+    "border": '<boolean name="sample_border" value="true"/><rfilter type="gaussian"/>',
+    "wide border of a crop": '<boolean name="sample_border" value="true"/><integer name="crop_width" value="9"/>'
+    '<integer name="crop_offset_y" value="3"/><integer name="crop_height" value="7"/><rfilter type="lanczos"/>',
+    "luminance": '<string name="pixel_format" value="luminance_alpha"/>',
+    "halves": '<string name="component_format" value="float16"/><boolean name="compensate" value="true"/>',
+}
+
+
+@pytest.mark.parametrize("film", FILMS.values(), ids=FILMS)
+def test_films_are_those_of_path(mi: Any, film: str) -> None:
+    scene = mi.load_string(f"""<scene version="3.0.0">
+      <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/>{film}</film></sensor>
+      <shape type="sphere"><bsdf type="diffuse"/></shape>
+      <emitter type="constant"/>
+    </scene>""")
+    kinds = {kind: mi.load_dict({"type": kind, "max_depth": 4}) for kind in ("metapp_guided_path", "path")}
+    guided, plain = (np.array(mi.render(scene, integrator=each, spp=400), np.float64) for each in kinds.values())
+    assert guided.shape == plain.shape
+    assert np.abs(guided - plain).mean() < 0.02
+    assert np.abs(guided[0] - plain[0]).mean() < 0.02
+
+
+def test_a_default_device_of_the_program_is_not_the_guides(mi: Any) -> None:
+    scene, guided = loaded(mi, random_scene(1)), mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
+    expected = np.array(mi.render(scene, integrator=guided, spp=32))
+    with torch.device("meta"):  # stands for CUDA
+        assert np.allclose(np.array(mi.render(scene, integrator=guided, spp=32)), expected, rtol=1e-5)
+
+
+def test_derivatives_are_refused(mi: Any) -> None:
+    import drjit as dr
+
+    scene = loaded(mi, random_scene(1))
+    values = mi.traverse(scene)
+    key = next(key for key in values.keys() if "reflectance" in key)  # noqa: SIM118  (no mapping)
+    dr.enable_grad(values[key])
+    values.update()
+    picture = mi.render(scene, values, integrator=mi.load_dict({"type": "metapp_guided_path", "max_depth": 4}), spp=16)
+    with pytest.raises(Exception, match="metapp_guided_path") as caught:
+        dr.backward(dr.mean(picture, axis=None))
+    assert "metapp_guided_path has no derivatives, expected an integrator that has; take prb" in (
+        f"{caught.value} {caught.value.__cause__}"
+    )
+
+
 @pytest.mark.parametrize(
     ("more", "spp", "why"),
     [
