@@ -29,5 +29,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What `dir` and completion list, the API that is not imported yet included."""
-    return sorted({*globals(), *__all__})
+    """What `dir` and completion list: the API, imported yet or not."""
+    return sorted(__all__)

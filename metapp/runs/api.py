@@ -18,14 +18,14 @@ from metapp.registry import protocols_of
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
-from metapp.runs.inputs.sources import in_memory, sources_to_fit, told_apart
+from metapp.runs.inputs.sources import content_of, in_memory, sources_to_fit, told_apart
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.outputs.recorded import read_run, read_saved, tasks_as
 from metapp.runs.recipes import chosen_protocol, chosen_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
-from metapp.storage.fits import read_params
+from metapp.storage.parameters import params_of
 
 COMMAND_LINE = ("train", "train_steps", "resume", "export")  # options of folders of fits
 
@@ -101,31 +101,41 @@ def fit_all(
         if options.get(name):
             raise BadOption(f"{name}: of the command line, where fits are kept in folders; leave it out.")
     try:
-        given = sources or []
-        if not in_memory(given):
-            given = [Path(source) for source in given]
-        return _fitted(fit_options(app, paradigm, given, quiet=True, **options))
+        with threads(single=False):  # a default device of the program would take the tensors of what tells inputs apart
+            given = sources or []
+            if not in_memory(given):
+                given = [Path(source) for source in given]
+            return _fitted(fit_options(app, paradigm, given, quiet=True, **options))
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
         raise
 
 
-def load(folder: str | PathLike[str]) -> Fit:
-    """Read a fit back from its folder, such as runs/brdf/meta/gold of `metapp meta brdf gold.binary`.
+def load(place: str | bytes | PathLike[str]) -> Fit:
+    """Read a fit back: a file of `Fit.save`, or a folder such as runs/brdf/meta/gold of `metapp meta brdf gold.binary`.
 
     Its task has data if the input is in its place, unchanged.
 
     Raises:
-        ValueError: no fit, or several; damaged files.
+        ValueError: no fit, or several; damaged files, parameters of another network than the settings say.
+
+    >>> import metapp, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = metapp.fit("brdf", lambda wi, wo: np.full((len(wi), 3), 0.1)).save(f"{folder}/gray.safetensors")
+    ...     metapp.load(file).steps
+    10
     """
-    records = read_run(Path(folder)).records
-    if len(records) != 1:
-        raise ValueError(f"{folder}: {len(records)} fits, expected the folder of one task; take one inside it.")
-    (record,) = records
-    run, name = Run.of_settings(record["settings"]), record["name"]
-    task = tasks_as(records, run.app, [], None).get(name, Task(name, {}))
-    return Fit(run, task, record, read_params(record["folder"]))
+    path = Path(os.fsdecode(place))
+    with threads(single=False):
+        records = [read_saved(path)] if path.is_file() else read_run(path).records
+        if len(records) != 1:
+            raise ValueError(f"{path}: {len(records)} fits, expected the folder of one task; take one inside it.")
+        (record,) = records
+        run, name = Run.of_settings(record["settings"]), record["name"]
+        parameters = params_of(record, run.app)
+        task = tasks_as(records, run.app, [], None).get(name, Task(name, {}))
+        return Fit(run, task, record, parameters)
 
 
 def _fitted(options: FitOptions) -> list[Fit]:
@@ -146,6 +156,9 @@ def _fitted(options: FitOptions) -> list[Fit]:
         for source, fit in fit_sources(run, sources):
             if isinstance(fit, Fit):
                 fit.record["settings"] = settings
+                if not options.objects:
+                    found = {"source": source.place, "content": content_of(fit.task)}
+                    fit.record |= found | {"origin": run.origin(source.given)}
                 fits.append(fit)
                 places.append(source.place)
             elif source.named or not isinstance(fit, BadInput):

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.geometry import directions_to_four_angles
@@ -26,6 +25,7 @@ from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
+from metapp.storage.fits import packed
 from metapp.storage.images import png_address
 
 if TYPE_CHECKING:
@@ -176,17 +176,18 @@ class Fit:
 
     def picture(self) -> Image:
         """Return a picture of PIL, 8 bits of sRGB: the reference, if there is one, left and the fit right."""
-        return beside([image_of(linear) for name, linear in self.preview().items() if name in ("reference", "fit")])
+        shown = self.preview()
+        with threads(single=self.app.single_threaded):
+            return beside([image_of(linear) for name, linear in shown.items() if name in ("reference", "fit")])
 
     def save(self, path: str | bytes | PathLike[str]) -> Path:
-        """Write the parameters as safetensors, whole or not at all.
+        """Write the parameters, with the record, as safetensors, whole or not at all; `metapp.load` reads them.
 
         Raises:
             OSError: the file cannot be written.
         """
-        content = save({key: value.contiguous() for key, value in self.parameters.items()})
         file = Path(os.fsdecode(path))
-        write_bytes(file, content)
+        write_bytes(file, packed(self.record, self.parameters))
         return file
 
     def export(self, form: str, path: str | bytes | PathLike[str]) -> None:
@@ -196,4 +197,5 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        export_fit(self.app, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
+        with threads(single=self.app.single_threaded):
+            export_fit(self.app, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)

@@ -28,6 +28,7 @@ from metapp.storage.files import (
     as_text,
     file_name,
     naming,
+    opened_tensors,
     partial_path,
     read_bytes,
     read_tensors,
@@ -152,9 +153,12 @@ def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:
         record = None
     if record is None:
         raise ValueError(f"{file}: no record, expected one of a task; passed over, as if not there.")
-    # as fits name tasks: in a run of somebody else a name could turn the order of the text beside it
-    name = "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])
-    return {**record, "name": name, "folder": str(folder)}
+    return _shown(record) | {"folder": str(folder)}
+
+
+def _shown(record: Document) -> Document:
+    """A record whose name is as fits name tasks: in a run of somebody else it could turn the text beside it."""
+    return {**record, "name": "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])}
 
 
 def read_fits(run: Path, entries: Collection[str] = ()) -> list[Document]:
@@ -190,18 +194,52 @@ def is_record(value: object, entries: Collection[str] = ()) -> bool:
 
 
 def read_params(folder: str | Path) -> Params:
-    """The parameters in a task's folder.
+    """The parameters in a task's folder, or in a file of `packed`.
 
     Raises:
         ValueError: their file is missing or damaged.
     """
-    path = Path(folder) / PARAMS
+    path = Path(folder) if Path(folder).is_file() else Path(folder) / PARAMS
     try:
         return read_tensors(path)
     except (SafetensorError, OSError) as error:
+        again = "to fit anew" if path.name == PARAMS else "and fit anew"
+        raise ValueError(f"{path}: fitted parameters not readable ({error}); remove {folder} {again}.") from None
+
+
+def packed(record: Document, theta: Params) -> bytes:
+    """A fit as one file of safetensors, whose header holds the record; `read_packed` reads that."""
+    text = json.dumps(as_text(record), allow_nan=False)
+    return save({key: value.detach().cpu().contiguous() for key, value in theta.items()}, {RECORD: text})
+
+
+def read_packed(path: Path, entries: Collection[str] = ()) -> Document:
+    """The record in a file of one fit, as `packed` makes it, with the file as its `folder`.
+
+    Args:
+        path: of the file.
+        entries: that the record must have, beside a name.
+
+    Raises:
+        ValueError: the file is none, or damaged.
+
+    >>> import tempfile, torch
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "gold.safetensors")
+    ...     _ = file.write_bytes(packed({"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)}))
+    ...     read_packed(file)["error"], read_params(file)
+    (1.5, {'weight': tensor([0., 0.])})
+    """
+    try:
+        with opened_tensors(path) as stored:
+            record = as_text(json.loads((stored.metadata() or {})[RECORD]))
+    except (SafetensorError, OSError, ValueError, KeyError, RecursionError):
+        record = None
+    if not is_record(record, entries):
         raise ValueError(
-            f"{path}: fitted parameters not readable ({error}); remove the folder {folder} to fit anew."
-        ) from None
+            f"{path}: no fit, expected a file of Fit.save or a folder of a fit, such as runs/brdf/meta/gold."
+        )
+    return _shown(record) | {"folder": str(path)}
 
 
 class Fits(NamedTuple):

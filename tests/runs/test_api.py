@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from safetensors.torch import save_file
 
 import metapp as api
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.rendering.variant import load_mitsuba
 from metapp.runs.outputs.pictures import to_srgb
-from metapp.storage.files import read_tensors
+from metapp.storage.files import as_text, read_tensors
+from metapp.storage.fits import packed, write_fit
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import OBJ
@@ -59,6 +61,80 @@ def test_a_fit_is_that_of_the_command(metapp: Callable, network: Path, tmp_path:
     assert fit.errors["error"] == fit.error
     with pytest.raises(ValueError, match="no such folder, expected a run's folder"):
         api.load(tmp_path / "none")
+
+
+def test_a_saved_fit_is_loaded_again(network: Path, tmp_path: Path, general: api.Fit) -> None:
+    """With its figures, and its task where its input is in its place; from a file, or from files of a fit's folder."""
+    in_memory = by_general("brdf", lambertian)
+    for fit, keys in ((general, general.task.data.keys()), (in_memory, set())):
+        again = api.load(fit.save(tmp_path / "a.safetensors"))
+        assert (again.name, again.errors, again.seconds, again.settings) == (
+            *(fit.name, fit.errors, fit.seconds),
+            as_text(fit.settings),
+        )
+        assert all(torch.equal(again.parameters[key], value) for key, value in fit.parameters.items())
+        assert again.task.data.keys() == keys
+        assert api.load(again.save(tmp_path / "b.safetensors")).errors == fit.errors
+    for name, content in (("tensors", {"w1": torch.zeros(2)}), ("empty", {})):
+        save_file(content, tmp_path / name)
+    (tmp_path / "text").write_text("a text")
+    for name in ("tensors", "empty", "text"):
+        with pytest.raises(ValueError, match=rf"{name}: no fit, expected a file of Fit\.save or a folder of a fit"):
+            api.load(tmp_path / name)
+
+
+def damaged(theta: dict[str, torch.Tensor], how: str) -> dict[str, torch.Tensor]:
+    key = next(iter(theta))
+    value = theta[key]
+    others = {
+        "nan": {key: value * torch.nan},
+        "infinite": {key: value / 0},
+        "shape": {key: value[..., :1]},
+        "integers": {key: value.long()},
+        "missing": {},
+    }
+    kept = {name: each for name, each in theta.items() if name != key or how not in others}
+    return {**kept, **others[how]}
+
+
+@pytest.mark.parametrize(
+    ("how", "problem"),
+    [
+        ("nan", "hold NaN or infinite values, expected finite numbers"),
+        ("infinite", "hold NaN or infinite values, expected finite numbers"),
+        ("shape", r"of shape \(.*\), expected \(.*\) of the network of its settings"),
+        ("integers", "hold int64, expected finite numbers"),
+        ("missing", r"without '\w+', expected those of the network of its settings"),
+    ],
+)
+def test_parameters_of_another_network_are_refused(
+    metapp: Callable, general: api.Fit, tmp_path: Path, how: str, problem: str
+) -> None:
+    """In Python, and by all commands that read fits."""
+    theta = damaged(general.parameters, how)
+    (tmp_path / "a.safetensors").write_bytes(packed(general.record, theta))
+    folder = tmp_path / "run" / "a"
+    write_fit(folder.parent, {**general.record, "name": "a"}, theta)
+    for place in (folder, tmp_path / "a.safetensors"):
+        with pytest.raises(ValueError, match=rf"^{place}: parameters .*{problem}; fit anew"):
+            api.load(place)
+    for words in (("view", folder), ("export", folder, "merl"), ("compare", folder, folder)):
+        assert re.search(problem, metapp(*words).error), words
+    assert not [*tmp_path.rglob("*.html"), *tmp_path.rglob("*.binary")]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("steps", "ten"), ("seed", 0.5), ("adam", []), ("versions", "1"), ("recipe", 3), ("device", {})]
+)
+def test_settings_of_another_kind_are_refused(general: api.Fit, tmp_path: Path, key: str, value: object) -> None:
+    record = {**general.record, "settings": {**general.settings, key: value}}
+    (tmp_path / "a.safetensors").write_bytes(packed(record, general.parameters))
+    with pytest.raises(ValueError, match=f"'{key}' is .*, expected .*; fit again"):
+        api.load(tmp_path / "a.safetensors")
+
+
+def test_completion_lists_the_api_alone() -> None:
+    assert dir(api) == ["Fit", "__version__", "fit", "fit_all", "load"]
 
 
 def test_a_fit_is_saved_exported_and_pickled(general: api.Fit, tmp_path: Path) -> None:

@@ -3,12 +3,14 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
 import metapp
+from data_tools.synthetic.examples import write_example
 from metapp.runs.surroundings import threads
 
 
@@ -69,6 +71,22 @@ def test_a_fit_is_the_same_within_settings_of_the_program(setting: Callable, exp
         device, dtype = torch.get_default_device(), torch.get_default_dtype()
         assert brdf() == expected
         assert (torch.get_default_device(), torch.get_default_dtype()) == (device, dtype)
+
+
+def test_a_file_is_fitted_shown_and_kept_within_another_default_device(tmp_path: Path) -> None:
+    """What tells inputs apart, reads fits and exports them, too; the device `meta` stands for CUDA."""
+    (source,) = write_example("brdf", tmp_path)
+    expected = metapp.fit("brdf", source)
+    with torch.device("meta"):
+        fit = metapp.fit("brdf", source)
+        assert fit.error == expected.error
+        assert fit.picture().tobytes() == expected.picture().tobytes()
+        fit.export("merl", tmp_path / "paint")
+        again = metapp.load(fit.save(tmp_path / "paint.safetensors"))
+        assert again.parameters["w1"].device.type == "cpu"
+        assert torch.get_default_device().type == "meta"
+    for key, value in again.parameters.items():
+        torch.testing.assert_close(value, expected.parameters[key])
 
 
 def test_work_within_work_and_what_fails_have_their_threads() -> None:

@@ -13,7 +13,8 @@ from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.storage.fits import Record, read_params
+from metapp.storage.fits import Record
+from metapp.storage.parameters import params_of
 
 COLUMNS = columns(
     "paradigm",
@@ -41,7 +42,7 @@ def picture_records(subject: Subject) -> list[Record]:
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
             of_task = {name: records[task.name] for name, records in by_paradigm.items()}
-            fitted = {name: Fitted(read_params(one["folder"]), one["seconds"]) for name, one in of_task.items()}
+            fitted = {name: Fitted(params_of(one, app), one["seconds"]) for name, one in of_task.items()}
             yield {"name": task.name, "error": None, "measures": image_errors(app, fitted, task)}, None
 
     settings = {"app": app.name, "measure": [app.image_measure, picture_measures(app.name)[0]]}

@@ -23,7 +23,7 @@ from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
 from metapp.storage import Document
 from metapp.storage.files import file_name
-from metapp.storage.fits import read_params
+from metapp.storage.parameters import params_of
 
 MOST_TASKS = 20  # tasks of a page, unless it says otherwise
 PAGE = "view.html"
@@ -82,7 +82,7 @@ def view_page(
             views = []
             for label, run, fitted, record in several:
                 try:
-                    views.append(labelled_view(Fit(run, fitted, record, read_params(record["folder"])), label))
+                    views.append(labelled_view(Fit(run, fitted, record, params_of(record, run.app)), label))
                 except ValueError as error:
                     lacking.append(f"{label} of {error}")
             _, run, fitted, _ = several[0]

@@ -23,6 +23,7 @@ from metapp.storage import Document
 from metapp.storage.checkpoints import tensor_digest
 from metapp.storage.images import write_exr, write_png
 
+SCENES = (".usda", ".mtlx", ".xml", ".html")  # suffixes of the one file of a folder that names the others
 WRITERS = 2  # pictures compressed at a time
 
 
@@ -63,6 +64,19 @@ def export_path(record: Document, form: str, out: Path | None = None) -> Path:
     """The path of a fit in a form, without suffix: in its own folder, else in another."""
     name = Path(record["folder"]).name
     return out / name if out else Path(record["folder"], form, name)
+
+
+def opened_file(path: Path) -> Path:
+    """The file, or the folder of several, that a user opens of a fit in a form.
+
+    Args:
+        path: without suffix, as of `export_path`; its folder holds nothing else.
+    """
+    if path.is_dir():
+        return next((file for suffix in SCENES if (file := path / f"{path.name}{suffix}").is_file()), path)
+    files = [file for file in sorted(path.parent.iterdir()) if file.name.startswith(path.name)]
+    alone = [file for file in files if file.stem == path.name] or files
+    return alone[0] if len(alone) == 1 else path.parent
 
 
 def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:

@@ -15,16 +15,23 @@ from metapp.registry import did_you_mean
 from metapp.runs.inputs.embedded import embedded_exists
 from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_of_data
 from metapp.runs.options import check_export, check_name, data_set_of, fit_options
-from metapp.runs.outputs.files import export_fit, export_path
+from metapp.runs.outputs.files import export_fit, export_path, opened_file
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import entry_of, path_of
-from metapp.storage.fits import FIT, RECORD, read_fit, read_fits, read_params
+from metapp.storage.fits import FIT, PARAMS, RECORD, read_fit, read_fits, read_packed
 from metapp.storage.folders import HOLDS_FITS, Kind, kind_of, records_below, refusal
+from metapp.storage.parameters import params_of
 
 # settings that plans are made of, and what they are where records lack them
 TEXTS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
+# types of further settings, where records have them
+TYPES = {
+    **dict.fromkeys(("steps", "batch", "seed"), int),
+    **dict.fromkeys(("checkpoint", "device", "precision"), str),
+    **dict.fromkeys(("adam", "guard", "versions"), dict),
+}
 
 
 class Recorded(NamedTuple):
@@ -74,13 +81,31 @@ def _check_settings(record: Document) -> None:
         ValueError: one is missing or of another type.
     """
     settings, origin = record["settings"], record.get("origin", {})
-    where = f"{Path(record['folder']) / RECORD}: {record['name']}: "
+    place = Path(record["folder"])
+    where = f"{place if place.is_file() else place / RECORD}: {record['name']}: "
     for key, absent in TEXTS.items():
         entry_of(settings, key, str, where, "fit again", absent)
+    for key, kind in TYPES.items():
+        if settings.get(key) is not None:
+            entry_of(settings, key, kind, where, "fit again")
     entry_of(settings, "options", dict, where, "fit again", {})
     entry_of(origin, "data", str, where, "fit again", "")
     if not all(isinstance(place, str) for place in entry_of(origin, "inputs", list, where, "fit again", [])):
         raise ValueError(f"{where}'inputs' hold more than text, expected paths; fit again.")
+
+
+def read_saved(file: Path) -> Document:
+    """The record of the fit in a file of `Fit.save`, or of the folder that a file of a fit lies in.
+
+    Raises:
+        ValueError: there is none, or one of other settings than metapp writes.
+    """
+    if file.name in (RECORD, PARAMS) and (record := read_fit(file.parent, ("settings", *FIT))):
+        _check_settings(record)
+        return record
+    record = read_packed(file, ("settings", *FIT))
+    _check_settings(record)
+    return record
 
 
 def holds_runs(path: Path) -> bool:
@@ -148,7 +173,7 @@ def _of_sources(records: list[Document], sources: list[Source]) -> dict[str, Tas
 
 def export_run(
     run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
-) -> tuple[Path, list[str]]:
+) -> tuple[Path, list[str], list[Path]]:
     """Write every fit of a run.
 
     Args:
@@ -161,7 +186,7 @@ def export_run(
         quiet: no progress.
 
     Returns:
-        The folder that holds all of it, and the names of the fits.
+        The folder that holds all of it, the names of the fits, and the file that a user opens of each.
 
     Raises:
         BadOption: fits of the application cannot be written so, or not by these options.
@@ -175,11 +200,13 @@ def export_run(
     check_name(name)
     check_export(form, name)
     fit_options(name, **options)
+    files = []
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            app, theta = Run.of_settings(settings, options=options).app, read_params(record["folder"])
+            app = Run.of_settings(settings, options=options).app
+            theta = params_of(record, Run.of_settings(settings).app if options else app)
             if options:
                 settings = settings | {"options": settings.get("options", {}) | options}
             write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
@@ -193,6 +220,7 @@ def export_run(
                         "give what was fitted after the form, or --data."
                     ) from None
                 write(task=tasks[name], settings=settings)
+            files.append(opened_file(export_path(record, form, out)))
             bar.advance(name)
     target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
-    return target, [record["name"] for record in records]
+    return target, [record["name"] for record in records], files
