@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import errno
 import gc
 import io
 import json
@@ -34,6 +35,7 @@ LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
 KNOWN = 0.1  # of a job, before which no estimate of the time left is shown
 STEADY = 3600.0  # seconds, whose mean speed makes the estimate
 REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
+_begin = time.perf_counter()  # of the command, or of this import
 INTERRUPTED = (
     "interrupted; the same command goes on with training where it was, with --resume with fits that are not finished; "
     "conversions start over."
@@ -179,6 +181,9 @@ def run(command: Callable[[], object]) -> int:
     """Run a command; an error of the user's or of the data is one line on standard error, never a traceback."""
     import typer
 
+    global _begin
+    _begin = time.perf_counter()
+    _open_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # no character of a name stops a line
@@ -226,6 +231,25 @@ def run(command: Callable[[], object]) -> int:
     return code if isinstance(code, int) else Exit.DONE
 
 
+def seconds_so_far() -> float:
+    """The seconds since the command began, what it imports included."""
+    return time.perf_counter() - _begin
+
+
+def _open_streams() -> None:
+    """Put /dev/null in the place of closed streams, whose numbers the first files that are opened would get.
+
+    A closed standard output refuses what is printed, as a full one does.
+    """
+    for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_WRONLY)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, mode)  # gets the lowest number that is free
+    sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
+
+
 def what_failed(error: Exception) -> str:
     """The message of an error: its own, if it was foreseen.
 
@@ -237,6 +261,8 @@ def what_failed(error: Exception) -> str:
     # files are named by whoever writes them
     if isinstance(error, OSError) and error.errno in FULL and error.strerror and error.filename is None:
         return f"standard output: {error.strerror}; print to another file."
+    if isinstance(error, OSError) and error.errno == errno.EBADF and error.filename is None:
+        return "standard output: closed, expected an open one; print to a file or to /dev/null, or add --quiet."
     foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
     what = str(error) or type(error).__name__
     cut = what if len(what) < 150 else f"{what[:147]}..."  # libraries say pages

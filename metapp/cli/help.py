@@ -5,18 +5,32 @@ typer's own help has columns of types and ranges, which leave half of a terminal
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from metapp.options import PANELS
+from metapp.options import PANELS, BadOption
 
 LABEL = 19  # columns of an option, so that texts of all panels begin at the same one
 COMMANDS, OPTIONS = "Commands", "Options"  # panels; the second is of options that name none
 
 
 class Command(TyperCommand):
-    """A command with this help."""
+    """A command with this help, which takes no file for an option."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse a name of a file that begins with a dash, which would be read as an option."""
+        names = {name: param for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)}
+        before = ""
+        for word in args[: args.index("--")] if "--" in args else args:
+            flag = names.get(before)
+            is_value = flag is not None and not getattr(flag, "is_flag", True)
+            before = word
+            if word.startswith("-") and word not in names and not is_value and os.path.lexists(word):
+                raise BadOption(f"{word}: a file whose name begins with a dash, read as options; write ./{word}.")
+        result: list[str] = super().parse_args(ctx, args)
+        return result
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Words after the command's name in the line of usage."""

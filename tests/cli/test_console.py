@@ -56,6 +56,21 @@ def test_a_full_standard_output_is_named(
     assert capsys.readouterr().err == "error: standard output: No space left on device; print to another file.\n"
 
 
+@pytest.mark.parametrize("streams", ["1>&-", "0<&- 1>&-", "0<&- 1>&- 2>&-", "2>&-"])
+def test_closed_streams_are_one_line_and_no_file_gets_their_numbers(streams: str, tmp_path: Path) -> None:
+    lines = "from metapp.cli.console import run\nimport sys\n"
+    lines += "def command():\n    file = open('made', 'w')\n    print('printed')\n    print(file.fileno(), file=file)\n"
+    lines += "    file.close()\nsys.exit(run(command))"
+    done = subprocess.run(
+        ["bash", "-c", f'"$0" -c "$1" {streams}', sys.executable, lines], capture_output=True, text=True, cwd=tmp_path
+    )
+    said = "error: standard output: closed, expected an open one; print to a file or to /dev/null, or add --quiet.\n"
+    is_closed = "1>" in streams
+    assert done.stderr == (said if is_closed and "2>" not in streams else "")
+    assert (done.returncode, done.stdout) == ((1, "") if is_closed else (0, "printed\n"))
+    assert int((tmp_path / "made").read_text()) > 2
+
+
 def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
     """As --show-completion does; only a broken pipe counts as output that nobody read."""
     with pytest.raises(SystemExit) as ended:
