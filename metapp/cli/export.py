@@ -65,10 +65,11 @@ def command(
         if inputs or data or own:
             raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
         folder = out or Path(form)
-        tasks = [file.stem for file in registry().file_exports[form].load()(source, form, folder, quiet)]
+        files = [*registry().file_exports[form].load()(source, form, folder, quiet)]
+        tasks = [file.stem for file in files]
     else:
-        folder, tasks = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
+        folder, tasks, files = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
-        say(f"written as {form}: {folder}")
+        say(f"written as {form}: {files[0] if len(files) == 1 else folder}")
     if json:
         print_json({"form": form, "out": str(folder), "tasks": tasks})

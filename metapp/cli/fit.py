@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import shlex
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from metapp.cli.commands import app_group
-from metapp.cli.console import Exit, escaped, importing, one_line, out, print_json
+from metapp.cli.console import Exit, escaped, importing, one_line, out, print_json, seconds_so_far
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.options import INPUT, OUTPUT, declared, options_of
 from metapp.registry import exports_of, inputs_of, protocols_of, recipe_names, registry
@@ -38,6 +38,8 @@ SUMMARIES = {
 # drawn materials; of 20 others it is 2.9.
 VISIBLE_TILT_DEGREES = 3.0
 NARROWEST = 50  # columns of a table, so that titles stay on a line
+PHOTO_ERROR = "mean |fit - photo| of display values where the photo does not clip"
+PATHS = 5  # of files of a form, of which each is named
 LISTED = 20  # tasks in the table of a run that lists what failed
 
 
@@ -106,8 +108,13 @@ def _show(execution: Execution, *, json: bool) -> None:
     run, records = execution.run, execution.records
     if not run.options.quiet:
         if not json:
-            rate = execution.tasks_per_second if len(records) > 1 else None
-            out().print(table_of(run.app, run.paradigm.name, records, rate=rate, most=LISTED))
+            if len(records) > 1:
+                rate = execution.tasks_per_second
+                out().print(table_of(run.app, run.paradigm.name, records, rate=rate, most=LISTED))
+            else:
+                out().print(line_of(run.app, records[0]), soft_wrap=True)
+                for remark in _of_guard(run.paradigm.name, records):
+                    say(remark)
         for line in (*execution.remarks, *relief_lines(records, changed="relief" in run.options.own.given())):
             say(line)
         if execution.skipped:
@@ -117,6 +124,8 @@ def _show(execution: Execution, *, json: bool) -> None:
         if execution.replaced:
             fits = f"{execution.replaced} of {len(records)} fits, and their pictures,"
             say(f"{fits} replace earlier ones; --resume keeps these")
+        for line in _of_exports(execution):
+            say(line)
         say(f"fits: {execution.folder}")
         if "view" in registry().commands:
             say(f"to look at: metapp view {shlex.quote(str(execution.folder))}")
@@ -148,6 +157,43 @@ def relief_lines(records: Sequence[Document], *, changed: bool = False) -> list[
     return [f"relief: {mean}"]
 
 
+def line_of(app: App, record: Document) -> str:
+    """What a fit made, its error, and the seconds of the whole command."""
+    pictures = len([*Path(record["folder"]).glob("*.png")])
+    if record["error"] is not None:
+        error = f"error{app.factor} {record['error']:.3f} ({app.measure})"
+    elif "photo_error" in record:
+        error = f"photo error {record['photo_error']:.2f} % ({PHOTO_ERROR})"
+    else:
+        error = app.caption(False)
+    made = [f"{pictures} picture{'s' * (pictures != 1)}"] if pictures else []
+    return f"{escaped(record['name'])}: {', '.join([*made, error, f'{seconds_so_far():.1f} s in all'])}"
+
+
+def _of_exports(execution: Execution) -> Iterator[str]:
+    """The paths of files in other forms, those of a form together if they are many."""
+    by_form: dict[str, list[Path]] = {}
+    for form, file in execution.exported:
+        by_form.setdefault(form, []).append(file)
+    for form, files in by_form.items():
+        if len(files) > PATHS:
+            yield f"{form}: {len(files)} of them, the first {files[0]}"
+        else:
+            yield from (f"{form}: {file}" for file in files)
+
+
+def _of_guard(paradigm: str, records: Sequence[Document]) -> list[str]:
+    """A line about the guard of a learned rule, if it acted."""
+    from metapp.storage.fits import guarded
+
+    count = guarded(records)
+    if not count:
+        return []
+    from metapp.evaluation.rows import fit_remarks  # here: it imports more than a table of fits needs
+
+    return fit_remarks([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
+
+
 def table_of(
     app: App,
     paradigm: str,
@@ -170,13 +216,9 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.storage.fits import guarded, summary
+    from metapp.storage.fits import summary
 
-    remarks = []
-    if count := guarded(records):
-        from metapp.evaluation.rows import fit_remarks  # here: it imports more than a table of fits needs
-
-        remarks = fit_remarks([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
+    remarks = _of_guard(paradigm, records)
     listed = records
     if most is not None and len(records) > most:
         listed = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]
@@ -186,7 +228,7 @@ def table_of(
     total = summary(records)
     measured = total["error"] is not None
     if "photo_error" in total:
-        remarks.insert(0, "photo error: mean |fit - photo| of display values where the photo does not clip")
+        remarks.insert(0, f"photo error: {PHOTO_ERROR}")
     caption = "\n".join([app.caption(measured), *remarks])
     table = Table(title=f"{app.full_title}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
     means = measured or "photo_error" in total

@@ -108,10 +108,12 @@ class App(ABC):
         return f" x{self.scale:g}" if self.scale != 1 else ""
 
     def caption(self, measured: bool = True) -> str:
-        """The caption of a table about its errors, or that there are none, as of photos without a reference."""
+        """The caption of a table about its errors, or that there are none to state, as of photos."""
         protocol = {"fits see": self.protocol} if self.protocol else {}
         conditions = "".join(f"; {key}: {value}" for key, value in (protocol | self.conditions()).items())
-        return (f"error: {self.measure}{self.factor}" if measured else "no error: there is no reference") + conditions
+        return (
+            f"error: {self.measure}{self.factor}" if measured else "without a reference there is no error to state"
+        ) + conditions
 
     def protocol_entry(self) -> dict[str, str]:
         """The protocol as records, rows and headers of checkpoints state it; {} if there is none."""

@@ -16,14 +16,15 @@ from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
-from metapp.runs.outputs.files import export_fit, export_path, rendered, write_pictures
-from metapp.runs.outputs.pictures import ROWS, Tiles, tiles_of_fit, write_sheet
+from metapp.runs.outputs.files import export_fit, export_path, opened_file, rendered, write_pictures
+from metapp.runs.outputs.pictures import ROWS, Tiles, add_to_sheet, tiles_of_fit
 from metapp.runs.reporter import Bar, Reporter, progress, reporting, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
 from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.fits import Fits, find_fit, guarded, read_params, summary
+from metapp.storage.fits import Fits, find_fit, guarded, summary
+from metapp.storage.parameters import params_of
 
 ERRORS = ("error", "photo_error")  # of a record, the first that there is
 READ, FITTED, DRAWN = 0.2, 0.5, 0.9  # shares of an input's time, about
@@ -56,6 +57,7 @@ class Execution:
         replaced: the number of fits that replace fits of before.
         skipped: the number of fits of before.
         failures: inputs that were not fitted, and exports that were not written.
+        exported: the files that fits of now were written to in other forms, each with the form.
         remarks: of outputs.
         tasks_per_second: of the fits of now, all that takes time counted: reading, fitting, keeping, pictures; None
             if there was nothing left to fit.
@@ -65,6 +67,7 @@ class Execution:
         self.run, self.fits = run, Fits(run.path(label), run.settings(label))
         self.replaced = self.skipped = 0
         self.failures: list[Failure] = []
+        self.exported: list[tuple[str, Path]] = []
         self.remarks: list[str] = []
         self.tasks_per_second: float | None = None
         self._sources = sources
@@ -133,7 +136,7 @@ class Execution:
             self._bar.name(f"{task.name}: fitting", READ)
             return False
         self.skipped += 1
-        self._finish(source, record, task, lambda: read_params(record["folder"]))
+        self._finish(source, record, task, lambda: params_of(record, self.run.app))
         self._bar.advance(f"{task.name}: fitted before")
         return True
 
@@ -172,6 +175,7 @@ class Execution:
         try:
             with torch.no_grad():
                 export_fit(self.run.app, fit.task, fit.parameters, path, form, self.fits.settings)
+            self.exported.append((form, opened_file(path)))
         except (ValueError, OSError) as error:
             why = getattr(error, "strerror", None) or str(error).removesuffix(".")
             again = f"metapp export {record['folder']} {form}"
@@ -186,12 +190,17 @@ class Execution:
                 self._tiles[source.place] = tiles_of_fit(self.run.app, task, theta(), record)
 
     def _draw(self) -> None:
-        """Write `pictures.png`, the first fits beside their photos or references."""
+        """Write `pictures.png`: the first of these fits beside their photos or references, then fits of before."""
         app, mean = self.run.app, summary(self.records)["error"]
         title = f"{app.full_title}, {self.run.paradigm.name}"
-        title += "" if mean is None else f": mean error{app.factor} {mean:.3f}"
-        tiles = [self._tiles[source.place] for source in self._sources if source.place in self._tiles]
-        write_sheet(tiles, title, self.fits.path / "pictures.png", len(self._records))
+        count = len(self._records)
+        title += "" if mean is None or count == 1 else f": mean error{app.factor} {mean:.3f} of {count} fits"
+        tiles = {
+            Path(self._records[source.place]["folder"]).name: self._tiles[source.place]
+            for source in self._sources
+            if source.place in self._tiles
+        }
+        add_to_sheet(tiles, title, self.fits.path)
 
 
 def execute(run: Run) -> Execution | None:

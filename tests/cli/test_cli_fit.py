@@ -1,6 +1,8 @@
 """Fitting and evaluating end to end: tables, JSON, run folders, starts, and one line for every kind of bad input."""
 
 import errno
+import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -95,6 +97,43 @@ def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     assert load_file(folder / "m4" / "params.safetensors")["w2"].shape == (21, 21)
     assert {file.name for file in folder.iterdir()} == {"m4", "m9", "pictures.png"}
     assert (folder / "pictures.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Callable, networks: Path) -> None:
+    """No table of one row; the seconds are those of the whole command."""
+    result = metapp("general", "brdf", networks / "m1", "--recipe", "quick", "--export", "merl,mitsuba,bsdf-spectral")
+    assert result.code == 0, result.err
+    error, seconds = re.fullmatch(
+        rf"m1: error x100 (\d+\.\d{{3}}) \({re.escape(Brdf().measure)}\), (\d+\.\d) s in all\n", result.out
+    ).groups()
+    (record,) = read_fits(Path("runs/brdf/general-quick"))
+    assert error == f"{record['error']:.3f}"
+    assert float(seconds) + 0.05 >= record["seconds"]
+    folder = "runs/brdf/general-quick/m1"
+    *_, merl, mitsuba, spectral, fits, view = result.err.splitlines()
+    assert [merl, mitsuba] == [f"merl: {folder}/merl/m1.binary", f"mitsuba: {folder}/mitsuba/m1/m1.xml"]
+    assert spectral == f"bsdf-spectral: {folder}/bsdf-spectral/m1_spec.bsdf"
+    assert [fits, view] == [f"fits: {folder}", f"to look at: metapp view {folder}"]
+    assert metapp("export", folder, "nbrdf").err.splitlines()[-1] == f"written as nbrdf: {folder}/nbrdf/m1"
+    several = metapp(
+        "general", "brdf", *(networks / f"m{i}" for i in range(6)), "--recipe", "quick", "--export", "merl"
+    )
+    assert "mean error; other columns: median" in several.out
+    assert "merl: 6 of them, the first runs/brdf/general-quick/m0/merl/m0.binary" in several.err
+
+
+def test_a_name_that_begins_with_a_dash_is_no_option(metapp: Callable, networks: Path) -> None:
+    for name in ("-m1", "-out.csv", "--m1"):
+        shutil.copytree(networks / "m1", name)
+        for words in (("general", "brdf", name), ("view", name), ("export", name, "merl"), ("data", "check", name)):
+            assert f"{name}: a file whose name begins with a dash, read as options; write ./{name}." in (
+                metapp(*words).misuse
+            )
+    options = ("--recipe", "quick", "--quiet")
+    for words in (("./-m1", *options), (*options, "--", "-m1"), (networks / "m1", *options, "--out", "-m1")):
+        assert metapp("general", "brdf", *words).code == 0, words
+    Path("-q").mkdir()
+    assert metapp("general", "brdf", networks / "m1", "--recipe", "quick", "-q").code == 0  # it is an option
 
 
 def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
-from metapp.runs.outputs.pictures import ROWS, SIDE, Tiles, write_sheet
+from metapp.runs.outputs.pictures import MARKS, ROWS, SHEET, SIDE, Tiles, add_to_sheet, read_rows, write_sheet
 
 COLOURS = {"reference": (1.0, 0.0, 0.0), "meta": (0.0, 1.0, 0.0), "general": (0.0, 0.0, 1.0)}
 
@@ -54,6 +56,38 @@ def test_shapes_are_kept_and_long_names_cut(tmp_path: Path) -> None:
     height, width = np.ptp(places(pixels, "meta"), axis=0) + 1
     assert abs(width / height - 4) < 0.1
     assert pixels.shape[1] < 2 * width
+
+
+def test_a_sheet_keeps_rows_of_before(tmp_path: Path) -> None:
+    """Those of fits that are still there and are not drawn anew, the newest first; of files that are no sheet none."""
+    red, green = (Tiles({"meta": plain(row)}, row) for row in ("reference", "meta"))
+    for name in ("a", "b", "c", "gone"):
+        (tmp_path / name).mkdir()
+
+    def shown(tiles: dict[str, Tiles]) -> list[str]:
+        add_to_sheet(tiles, "title", tmp_path)
+        return [row.name for row in read_rows(tmp_path / SHEET)]
+
+    assert shown({"a": red, "gone": red}) == ["a", "gone"]
+    (tmp_path / "gone").rmdir()
+    assert shown({"b": green}) == ["b", "a"]
+    assert shown({"a": green}) == ["a", "b"]
+    pixels: np.ndarray = oiio.ImageBuf(str(tmp_path / SHEET)).get_pixels(oiio.FLOAT)
+    assert (len(places(pixels, "meta")), len(places(pixels, "reference"))) == (2 * SIDE**2, 0)
+    first = {f"n{i}": red for i in range(ROWS - 1)}
+    for name in first:
+        (tmp_path / name).mkdir()
+    assert shown(first) == [*first, "a"]
+    for content in (b"", b"\x89PNG", (tmp_path / SHEET).read_bytes()[:-400]):
+        (tmp_path / SHEET).write_bytes(content)
+        assert shown({"c": red}) == ["c"]
+    sheet([red], tmp_path / SHEET)
+    assert read_rows(tmp_path / SHEET) == []
+    for marks in ("[]", '[["a", 0, 99999]]', '[["a", -1, 3]]', "[[1]]", "{", "3", '[["a", "x", 3]]'):
+        texts = PngInfo()
+        texts.add_text(MARKS, marks)
+        Image.new("RGB", (9, 9)).save(tmp_path / SHEET, pnginfo=texts)
+        assert read_rows(tmp_path / SHEET) == [], marks
 
 
 def test_umlauts_are_drawn(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def is_size(app: str, option: str) -> bool:
 
 def run(options: FitOptions, method: str, *, json: bool) -> None:
     """Run a method on the inputs of options, and print its table."""
-    from metapp.cli.fit import table_of
+    from metapp.cli.fit import line_of, table_of
     from metapp.extensions.baselines import baselines_of
     from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder
     from metapp.runs.inputs.sources import content_of, read_tasks, sources_to_fit
@@ -96,7 +96,8 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     if not (options.quiet or json):
-        out().print(table_of(app, method, records))
+        shown = table_of(app, method, records) if len(records) > 1 else line_of(app, records[0])
+        out().print(shown, soft_wrap=len(records) == 1)
     if not options.quiet:
         say(f"{method} cannot {baseline.cannot}\nfits: {path}")
     if json:

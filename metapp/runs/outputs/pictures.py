@@ -6,6 +6,9 @@ Pillow draws sheets: matplotlib, which figures are made by, takes longer to impo
 from __future__ import annotations
 
 import importlib.util
+import io
+import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -18,14 +21,18 @@ from metapp.appearance.colour import to_srgb
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.storage import Document
-from metapp.storage.files import write_atomically
+from metapp.storage.files import PARTIAL, read_bytes, write_atomically
 from metapp.storage.fits import read_params
 from metapp.storage.images import in_8_bits
+from metapp.storage.parameters import check_params
 
 if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageFont import FreeTypeFont
 
+SHEET = "pictures.png"  # of a run, in its folder
+MARKS = "metapp rows"  # the text of a PNG that says where rows are: [name, first line, line after the last] of each
+MOST_PIXELS = 2**26  # of a sheet that is read
 ROWS = 8  # tasks in a picture; a line says how many more there are
 SIDE = 256  # px, of a square picture; a wide one has a height of it, and twice its width at most
 GAP = 8
@@ -48,7 +55,21 @@ class Tiles(NamedTuple):
     errors: Mapping[str, str] = MappingProxyType({})
 
 
-def write_sheet(tasks: list[Tiles], title: str, path: Path, count: int = 0) -> Path:
+class Row(NamedTuple):
+    """The row of a fit in a sheet that is there, as it was drawn.
+
+    Attributes:
+        name: of the fit's folder.
+        picture: the row, as wide as its sheet.
+    """
+
+    name: str
+    picture: Image
+
+
+def write_sheet(
+    tasks: list[Tiles], title: str, path: Path, count: int = 0, names: Sequence[str] = (), earlier: Sequence[Row] = ()
+) -> Path:
     """Draw the pictures of ROWS tasks below each other, all of a name in one column; the others stay blank.
 
     Args:
@@ -56,11 +77,14 @@ def write_sheet(tasks: list[Tiles], title: str, path: Path, count: int = 0) -> P
         title: above them.
         path: the file, a PNG.
         count: of all tasks, if there are more.
+        names: of the tasks' folders, by which `read_rows` names their rows; none if nobody reads them.
+        earlier: rows of another sheet, which follow as far as there is room.
 
     Returns:
         The file.
     """
     from PIL import Image, ImageDraw
+    from PIL.PngImagePlugin import PngInfo
 
     small, large = _font(SMALL), _font(LARGE)
     drawn = tasks[:ROWS]
@@ -72,9 +96,17 @@ def write_sheet(tasks: list[Tiles], title: str, path: Path, count: int = 0) -> P
     for task in drawn:
         tops.append(top)
         top += SMALL + 2 * GAP + line * (1 + any(name.startswith(REFERENCE) for name in task.pictures))
-    more = max(count, len(tasks)) - len(drawn)
-    whole = max(left, round(large.getlength(title)) + 2 * GAP)
+    kept, marks = list(earlier)[: ROWS - len(drawn)], list(zip(names, tops, [*tops[1:], top], strict=False))
+    more = max(count, len(tasks)) - len(drawn) - len(kept)
+    whole = max(left, round(large.getlength(title)) + 2 * GAP, *(row.picture.width for row in kept))
+    below = top
+    for row in kept:
+        marks.append((row.name, top, top + row.picture.height))
+        top += row.picture.height
     sheet = Image.new("RGB", (whole, top + (LARGE + GAP) * (more > 0)), "white")
+    for row in kept:
+        sheet.paste(row.picture, (0, below))
+        below += row.picture.height
     draw = ImageDraw.Draw(sheet)
     draw.text((GAP, GAP), title, "black", large)
     for task, y in zip(drawn, tops, strict=True):
@@ -89,8 +121,38 @@ def write_sheet(tasks: list[Tiles], title: str, path: Path, count: int = 0) -> P
             draw.text((lefts[of], at + tile.height + 2), _short(caption, tile.width, small), "black", small)
     if more > 0:
         draw.text((GAP, top), f"and {more:,} more task{'s' * (more > 1)}", "black", large)
-    write_atomically(path, lambda target: sheet.save(target, "PNG"))
+    texts = PngInfo()
+    texts.add_text(MARKS, json.dumps(marks))
+    write_atomically(path, lambda target: sheet.save(target, "PNG", pnginfo=texts if marks else None))
     return path
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a sheet that `write_sheet` wrote; none of a file that is missing, damaged or another picture."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(read_bytes(path)), formats=["PNG"]) as sheet:
+            marks = [(str(name), int(top), int(end)) for name, top, end in json.loads(sheet.info[MARKS])[:ROWS]]
+            tall = sheet.width * sheet.height > MOST_PIXELS
+            if tall or any(not 0 <= top < end <= sheet.height for _, top, end in marks):
+                return []
+            return [Row(name, sheet.convert("RGB").crop((0, top, sheet.width, end))) for name, top, end in marks]
+    except (OSError, ValueError, KeyError, TypeError, SyntaxError, RecursionError, Image.DecompressionBombError):
+        return []
+
+
+def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run: Path) -> Path:
+    """Write `pictures.png` of a run's folder: fits of now, then those of before that its sheet shows, up to ROWS.
+
+    Args:
+        tiles: of fits of now, by the names of their folders, one or more.
+        title: above them.
+        run: the folder.
+    """
+    folders = {entry.name for entry in os.scandir(run) if entry.is_dir() and not entry.name.startswith(PARTIAL)}
+    earlier = [row for row in read_rows(run / SHEET) if row.name in folders - tiles.keys()]
+    return write_sheet([*tiles.values()], title, run / SHEET, len(folders), [*tiles], earlier)
 
 
 def _font(size: int) -> FreeTypeFont:
@@ -154,6 +216,8 @@ def tiles_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Tiles:
     tiles: dict[str, np.ndarray] = {}
     for label, app, record in fits:
         theta = read_params(record["folder"])
+        if PICTURE not in theta:
+            check_params(theta, app, record["folder"])
         pictures = {"fit": theta[PICTURE]} if PICTURE in theta else app.preview(theta, task)
         tiles |= {} if tiles else _shown({name: pictures[name] for name in GIVEN if name in pictures})
         tiles[label] = to_srgb(pictures["fit"])
