@@ -58,6 +58,15 @@ def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Calla
     assert (tmp_path / "a.safetensors").is_file()
 
 
+def test_maml_in_30_lines(run: Callable[..., str], tmp_path: Path) -> None:
+    """With a tenth of its outer steps the learned initialisation is the better one, before and after gradient steps."""
+    said = run(smaller("maml_in_30_lines.py", {"40, 600": "40, 60"}, tmp_path))
+    (before, after), (learned_before, learned_after) = (map(float, line.split()[-2:]) for line in said.splitlines()[1:])
+    assert 0.8 * before < after < before
+    assert learned_after < 0.8 * after
+    assert learned_after < learned_before
+
+
 @pytest.mark.long
 def test_compare_paradigms(neural_fits: Callable[[int], Path], run_here: Callable[..., str]) -> None:
     rows = [line.split() for line in run_here("compare_paradigms.py", next(neural_fits(1).iterdir())).splitlines()[1:]]
