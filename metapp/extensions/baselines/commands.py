@@ -83,7 +83,7 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
         raise BadOption(f"--size: {method} writes files of one size, expected a method that makes others: {sized}.")
     baseline, (sources, label) = methods[method], sources_to_fit(planned)
     tasks = read_tasks(sources)
-    if baseline.learns and training_folder(planned, baseline) is None:
+    if baseline.learns and training_folder(planned, baseline, make=True) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = planned.path(label, f"baseline-{method}")
     kept = Fits(path, settings_of(planned, baseline, label), ENTRIES)

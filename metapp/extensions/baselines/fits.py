@@ -17,8 +17,8 @@ from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, by
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.fitting import rng_of
-from metapp.runs.inputs.embedded import embedded_data, embedded_exists
-from metapp.runs.inputs.sources import data_folder, data_label
+from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_has_training
+from metapp.runs.inputs.sources import data_label
 from metapp.runs.outputs.pictures import PICTURE
 from metapp.runs.run import Run
 from metapp.runs.surroundings import versions
@@ -32,14 +32,25 @@ ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 Judged = tuple[Record, Params | None, Callable[[], object]]
 
 
-def training_folder(plan: Run, baseline: Baseline) -> Path | None:
-    """The data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
+def training_folder(plan: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
+    """Return the data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
-    None if it learns nothing or neither has any: the embedded one is not made for this.
+    Args:
+        plan: of the evaluation.
+        baseline: which may learn nothing.
+        make: whether the embedded set is made with its training tasks if it is not there; only where its own test
+            tasks are fitted.
+
+    Returns:
+        The folder; None if the baseline learns nothing or there are no training tasks.
     """
+    if not baseline.learns:
+        return None
     app, data, quiet = plan.app.name, plan.options.data, plan.options.quiet
-    folders = [data_folder(plan.app, data, quiet)] if baseline.learns and (data or embedded_exists(app)) else []
-    folders += [embedded_data(app, quiet=quiet)] if baseline.learns and embedded_exists(app) else []
+    fits_embedded = not (data or plan.options.paths or plan.options.objects) and app in embedded_apps()
+    folders = [data] if data else []
+    if embedded_has_training(app) or (make and fits_embedded):
+        folders.append(embedded_data(app, quiet=quiet))
     return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
 
 

@@ -68,7 +68,9 @@ def _able(subject: Subject) -> list[Baseline]:
     def able(baseline: Baseline) -> bool:
         if baseline.stored:
             return bool(subject.tasks) and all(baseline.stored in task.data for task in subject.tasks)
-        return not (baseline.learns and subject.tasks) or training_folder(subject.run, baseline) is not None
+        if not (baseline.learns and subject.tasks):
+            return True
+        return training_folder(subject.run, baseline, make=subject.measuring) is not None
 
     return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
+_PART = "part"  # the note that names the one split of a set that its folder holds; a whole set has none
 _STALE_SECONDS = 3600.0
 
 
@@ -96,6 +97,56 @@ def embedded_data(
     if out is not None:
         _make(app, out, counts, notes, overwrite=overwrite, quiet=quiet)
         return out
+    return _in_cache(app, counts, notes, quiet=quiet)
+
+
+def embedded_tests(app: str, quiet: bool = False) -> Path:
+    """Return a folder that holds the test tasks of an application's default embedded set.
+
+    Fits and tables need no training tasks, which are nine of ten and take minutes to draw. Test tasks drawn alone are
+    those of the whole set, bit by bit, but lie in a folder of their own in the cache, which has its own label. Once
+    that folder is there it is taken even if the whole set is made later, so that a training changes no label of fits.
+    A whole set that was there first is taken as it is, and its label stays, too.
+
+    Args:
+        app: the application.
+        quiet: no progress.
+
+    Returns:
+        The folder of the test tasks, made now if neither it nor the whole set is there.
+
+    Raises:
+        ValueError: an application without embedded set; a cache that cannot be written to.
+    """
+    counts, notes = split_counts(app), _default_notes(app)
+    part = notes | {_PART: "test"}
+    whole = _cached(app, notes)
+    if not _is_finished(_cached(app, part), app, part) and _is_finished(whole, app, notes):
+        return whole
+    return _in_cache(app, {"test": counts["test"]}, part, quiet=quiet)
+
+
+def embedded_folders(app: str) -> list[Path]:
+    """Return the folders of an application's default embedded set that are there: of its test tasks, of all tasks."""
+    if app not in embedded_apps():
+        return []
+    notes = _default_notes(app)
+    folders = [_cached(app, notes | {_PART: "test"}), _cached(app, notes)]
+    return [folder for folder in folders if kind_of(folder) is Kind.DATA_SET]
+
+
+def embedded_has_training(app: str) -> bool:
+    """True if the whole default embedded set has been made already, with its training tasks."""
+    return app in embedded_apps() and _cached(app, _default_notes(app)) in embedded_folders(app)
+
+
+def embedded_exists(app: str) -> bool:
+    """True if the test tasks of the default embedded set have been made already."""
+    return bool(embedded_folders(app))
+
+
+def _in_cache(app: str, counts: dict[str, int], notes: Document, *, quiet: bool) -> Path:
+    """Return the folder in the cache of the set that is drawn as the notes say, made now if it is not there."""
     folder = _cached(app, notes)
     if _is_finished(folder, app, notes):
         return folder
@@ -106,7 +157,8 @@ def embedded_data(
             f"{folder.parent}: {error.strerror}, expected a folder that can be written; set METAPP_CACHE to one."
         ) from None
     if not quiet:
-        say(f"{app}: making the embedded data set, once: {folder}")
+        what = f"{notes[_PART]} tasks of the embedded data set" if _PART in notes else "embedded data set"
+        say(f"{app}: making the {what}, once: {folder}")
     for left in folder.parent.glob(f"{PARTIAL}*"):  # by programs that were killed
         if time.time() - left.stat().st_mtime > _STALE_SECONDS:
             shutil.rmtree(left, ignore_errors=True)
@@ -124,12 +176,9 @@ def embedded_data(
     return folder
 
 
-def embedded_exists(app: str) -> bool:
-    """True if the default embedded set has been made already."""
-    if app not in embedded_apps():
-        return False
-    notes = _notes(app, 0, sum(split_counts(app).values()), {})
-    return kind_of(_cached(app, notes)) is Kind.DATA_SET
+def _default_notes(app: str) -> Document:
+    """Return the manifest's notes of the default set."""
+    return _notes(app, 0, sum(split_counts(app).values()), {})
 
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
@@ -155,12 +204,15 @@ def _drawn(app: str, notes: Document) -> dict[str, object]:
 def _cached(app: str, notes: Document) -> Path:
     """The folder in the cache of a set that is drawn so."""
     ways = "".join(f"-{name}" if value is True else f"-{name}{value}" for name, value in _drawn(app, notes).items())
-    return cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{notes['seed']}-v{notes['version']}"
+    part = f"-{notes[_PART]}" if _PART in notes else ""
+    return cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{notes['seed']}-v{notes['version']}{part}"
 
 
 def _make(
     app: str, folder: Path, counts: dict[str, int], notes: Document, *, overwrite: bool = False, quiet: bool
 ) -> None:
+    from metapp.apps import class_of
+    from metapp.runs.surroundings import threads
     from metapp.storage.shards import write_shard
 
     module, drawn = embedded_module(app), _drawn(app, notes)
@@ -173,7 +225,8 @@ def _make(
                     yield task, split, ""
                     bar.advance(task.name)
 
-    write_shard(folder, app, units, draw(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
+    with threads(single=class_of(app).single_threaded):
+        write_shard(folder, app, units, draw(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
 
 
 def _is_finished(folder: Path, app: str, notes: Document) -> bool:

@@ -15,7 +15,7 @@ import torch
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT, inputs_of, registry
-from metapp.runs.inputs.embedded import embedded_data
+from metapp.runs.inputs.embedded import embedded_data, embedded_tests
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.storage.files import as_text, check_readable, file_name, named, placeholder_line, safe_name
@@ -52,7 +52,7 @@ class Source(NamedTuple):
 
 
 def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
-    """The folder of task shards: --data, or the embedded set, made on first use."""
+    """Return the folder of a data set with training tasks: --data, or the whole embedded set, made on first use."""
     return data or embedded_data(app.name, quiet=quiet)
 
 
@@ -71,7 +71,7 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     """
     from metapp.storage.shards import read_shard
 
-    folder = data_folder(app, data, quiet)
+    folder = data or embedded_tests(app.name, quiet)
     tasks = read_shard(folder, "test", app.name, app.tensors)
     if not tasks:
         raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split auto or test.")

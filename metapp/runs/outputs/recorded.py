@@ -12,8 +12,8 @@ from typing import NamedTuple
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import did_you_mean
-from metapp.runs.inputs.embedded import embedded_exists
-from metapp.runs.inputs.sources import FILES, Source, content_of, data_folder, data_label, sources_to_fit, tasks_of_data
+from metapp.runs.inputs.embedded import embedded_folders
+from metapp.runs.inputs.sources import FILES, Source, content_of, data_label, sources_to_fit, tasks_of_data
 from metapp.runs.options import check_export, check_name, data_set_of, fit_options
 from metapp.runs.outputs.files import export_fit, export_path, opened_file
 from metapp.runs.reporter import progress, say
@@ -149,13 +149,14 @@ def _tasks_as(records: list[Document], app: App, inputs: Sequence[Path], data: P
         inputs = [path for path in map(path_of, dict.fromkeys(places)) if path.exists()]
         sets = (path_of(origin["data"]) for origin in origins if "data" in origin)
         data = next((path for path in sets if path.is_dir()), None)
-    embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
+    # which of the embedded set's folders: that of test tasks alone, or of all tasks
+    embedded = next((folder for folder in embedded_folders(app.name) if data_label(folder) == label), None)
     if not (inputs or data or embedded):
         return {}
     run = Run.of_settings(settings, inputs=inputs, data=data)
     if inputs:
         return _of_sources(records, sources_to_fit(run)[0])
-    tasks, now = tasks_of_data(app, data, quiet=True)
+    tasks, now = tasks_of_data(app, data or embedded, quiet=True)
     return {task.name: task for task in tasks} if now == label else {}
 
 

@@ -1,0 +1,178 @@
+"""The embedded sets in the cache: test tasks alone, the whole set, their labels, and several programs at once."""
+
+import functools
+import json
+import time
+from collections.abc import Callable, Iterator
+from os import getpid
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import torch
+
+from data_tools.synthetic import brdf, illumination, texture
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.fits import training_folder
+from metapp.learning.task import Task
+from metapp.runs.inputs.embedded import (
+    embedded_data,
+    embedded_exists,
+    embedded_folders,
+    embedded_has_training,
+    embedded_tests,
+)
+from metapp.runs.inputs.sources import data_label, tasks_of_data
+from metapp.runs.options import fit_options
+from metapp.runs.outputs.recorded import tasks_as
+from metapp.runs.run import Run
+from metapp.storage.shards import check_shard, read_manifest
+from tests import forks
+from tests.quick import app_by
+
+COUNTS = {"train": 3, "test": 2}
+MODULES = {"brdf": brdf, "texture": texture, "illumination": illumination}
+
+
+def count_draws(patch: pytest.MonkeyPatch, module: ModuleType) -> list[str]:
+    """Shrink the set of a module, and return the list that the splits of its drawn tasks are appended to."""
+    draw, splits = module.synthetic_tasks, list[str]()
+
+    @functools.wraps(draw)
+    def counted(split: Any, *arguments: Any, **options: Any) -> Iterator[Task]:
+        for task in draw(split, *arguments, **options):
+            splits.append(split)
+            yield task
+
+    patch.setattr(module, "COUNTS", COUNTS)
+    patch.setattr(module, "synthetic_tasks", counted)
+    return splits
+
+
+@pytest.fixture
+def splits(monkeypatch: pytest.MonkeyPatch, small_spheres: None) -> list[str]:
+    """The splits of the tasks that have been drawn of a small set of BRDFs."""
+    return count_draws(monkeypatch, brdf)
+
+
+@pytest.mark.usefixtures("small_spheres")
+@pytest.mark.parametrize("app", MODULES)
+def test_test_tasks_drawn_alone_are_those_of_the_whole_set(
+    app: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    splits = count_draws(monkeypatch, MODULES[app])
+    alone = embedded_tests(app, quiet=True)
+    assert splits == ["test"] * COUNTS["test"]
+    whole = embedded_data(app, out=tmp_path / "whole", quiet=True)
+    tests = tuple(entry for entry in read_manifest(whole).tasks if entry.split == "test")
+    assert read_manifest(alone).tasks == tests  # with the hashes of all bytes
+    assert read_manifest(alone).units == read_manifest(whole).units
+    assert check_shard(alone) == []
+
+
+def test_a_fit_draws_no_training_tasks(metapp: Callable, splits: list[str], tmp_path: Path) -> None:
+    assert metapp("general", "brdf", "--out", tmp_path / "runs", "-q").code == 0
+    assert splits == ["test"] * COUNTS["test"]
+    assert not embedded_has_training("brdf")
+
+
+def test_a_table_draws_no_training_tasks(metapp: Callable, splits: list[str], tmp_path: Path) -> None:
+    assert not embedded_exists("brdf")
+    metapp("evaluate", "brdf", "--no-run", "--out", tmp_path / "runs", "-q")
+    assert splits == []
+    assert not embedded_exists("brdf")
+    embedded_tests("brdf", quiet=True)
+    metapp("evaluate", "brdf", "--no-run", "--which", "baselines", "--out", tmp_path / "runs", "-q")
+    assert splits == ["test"] * COUNTS["test"]
+
+
+@pytest.mark.usefixtures("splits")
+def test_the_whole_set_that_is_made_later_changes_no_label() -> None:
+    tasks, label = tasks_of_data(app_by("brdf"), None, quiet=True)
+    whole = embedded_data("brdf", quiet=True)
+    later, label_later = tasks_of_data(app_by("brdf"), None, quiet=True)
+    assert label_later == label != data_label(whole)
+    assert [task.name for task in later] == [task.name for task in tasks]
+    assert embedded_folders("brdf") == [embedded_tests("brdf"), whole]
+
+
+def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
+    whole = embedded_data("brdf", quiet=True)
+    splits.clear()
+    tasks, label = tasks_of_data(app_by("brdf"), None, quiet=True)
+    assert (len(tasks), label) == (COUNTS["test"], data_label(whole))
+    assert splits == []
+
+
+@pytest.mark.usefixtures("splits")
+def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path) -> None:
+    def tasks_of_record(document: dict[str, Any]) -> dict[str, Task]:
+        records = [json.loads(Path(task["folder"], "record.json").read_text()) for task in document["tasks"]]
+        return tasks_as(records, app_by("brdf"), [], None)
+
+    words = ("general", "brdf", "-q", "--json", "--out")
+    embedded_data("brdf", quiet=True)
+    of_whole = metapp(*words, tmp_path / "whole").done
+    alone = embedded_folders("brdf")[0].with_name(f"{embedded_folders('brdf')[0].name}-test")
+    embedded_folders("brdf")[0].rename(tmp_path / "aside")
+    of_tests = metapp(*words, tmp_path / "alone").done
+    assert embedded_folders("brdf") == [alone]
+    assert tasks_of_record(of_whole) == {}  # its set is not there
+    (tmp_path / "aside").rename(str(alone).removesuffix("-test"))
+    assert list(tasks_of_record(of_whole)) == list(tasks_of_record(of_tests)) == [t["name"] for t in of_tests["tasks"]]
+
+
+def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None:
+    folder = embedded_tests("brdf", quiet=True)
+    next(folder.glob("*.safetensors")).unlink()
+    assert embedded_tests("brdf", quiet=True) == folder
+    assert check_shard(folder) == []
+    assert splits == ["test"] * 2 * COUNTS["test"]
+
+
+def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(splits: list[str]) -> None:
+    plan = Run.of(fit_options("brdf", "general", quiet=True))
+    learning, other = (
+        next(each for each in baselines_of(plan.app) if bool(each.learns) is kind) for kind in (True, False)
+    )
+    assert training_folder(plan, learning) is None
+    assert training_folder(plan, other, make=True) is None
+    of_file = Run.of(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
+    assert training_folder(of_file, learning, make=True) is None  # as a file is fitted
+    assert splits == []
+    assert training_folder(plan, learning, make=True) == training_folder(of_file, learning) == embedded_data("brdf")
+    assert splits == ["train"] * COUNTS["train"] + ["test"] * COUNTS["test"]
+
+
+def make_tests(start: Path, others: int) -> None:
+    """Make the test tasks of a small set once so many programs are ready, and draw no task before all of them draw."""
+    from tests.small_spheres import shrink_spheres
+
+    torch.set_num_threads(1)
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        patch.setattr(brdf, "COUNTS", COUNTS)
+        draw = brdf.synthetic_tasks
+
+        def together(*arguments: Any) -> Iterator[Task]:
+            (start / str(getpid())).touch()
+            while len(list(start.iterdir())) < others:
+                time.sleep(0.01)
+            yield from draw(*arguments)
+
+        patch.setattr(brdf, "synthetic_tasks", together)
+        folder = embedded_tests("brdf", quiet=True)
+        assert check_shard(folder) == []
+        print(data_label(folder))
+
+
+def test_programs_that_make_the_same_test_tasks_at_once(cache: Path, tmp_path: Path) -> None:
+    start = tmp_path / "start"
+    start.mkdir()
+    programs = [forks.start(make_tests, start, 2, said=tmp_path / str(i)) for i in range(2)]
+    codes, labels, errors = zip(*[program.end(60) for program in programs], strict=True)
+    assert codes == (0, 0), errors
+    assert labels[0] == labels[1]
+    (folder,) = (cache / "data").iterdir()  # nothing is left over
+    assert check_shard(folder) == []
