@@ -1,5 +1,6 @@
 """`metapp data` end to end: what is written where, exit codes, and one line for every kind of bad input."""
 
+import functools
 import json
 import os
 import shutil
@@ -7,6 +8,7 @@ import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import torch
 from data_tools.readers.merl import read_merl
 from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
+from metapp.learning.task import Task
 from metapp.rendering.scenes.rules import scene_of
 from metapp.runs.inputs.embedded import embedded_data, split_counts
 from metapp.storage.shards import check_shard, read_manifest, read_shard
@@ -242,6 +245,29 @@ def test_folders_train_and_test_stay_apart(
     done = metapp("data", "nbrdf", *paths.split(), "--samples", 512, "--split", split, "--out", "set", "--json")
     assert tuple(" ".join(sorted(done.document[part])) for part in ("train", "test")) == expected
     assert ("train/ and test/ keep their tasks apart" in done.err) == (split == "auto")
+
+
+@pytest.mark.usefixtures("small_spheres")
+def test_small_tensors_are_converted_by_one_thread(
+    metapp: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from data_tools.readers import nbrdf
+
+    counts: list[int] = []
+    read = nbrdf.read_task
+
+    def counted(*arguments: Any, **options: Any) -> Task:
+        counts.append(torch.get_num_threads())
+        return read(*arguments, **options)
+
+    monkeypatch.setattr(nbrdf, "read_task", functools.wraps(read)(counted))
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        assert metapp("data", "nbrdf", network, *FEW, "--out", "set").code == 0
+        assert (counts, torch.get_num_threads()) == ([1], 2)
+    finally:
+        torch.set_num_threads(before)
 
 
 # `metapp data synth` and `metapp data cornell`

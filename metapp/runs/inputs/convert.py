@@ -60,6 +60,8 @@ def convert(
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
+    from metapp.apps import class_of
+    from metapp.runs.surroundings import threads
     from metapp.storage.shards import AUTO, write_shard
 
     form = registry().formats[name]
@@ -107,7 +109,8 @@ def convert(
         if empty:
             raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} sources, none usable; expected at least one.")
 
-    written = write_shard(out, form.app, reader.UNITS, read(), notes, overwrite=overwrite)
+    with threads(single=class_of(form.app).single_threaded):  # small tensors, for which threads only wait
+        written = write_shard(out, form.app, reader.UNITS, read(), notes, overwrite=overwrite)
     return converted(form.app, out, written, skipped)
 
 
