@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -154,6 +155,8 @@ class Subject:
                     fits.write({**record, "content": content_of(task), "origin": self.run.origin(())}, tensors)
                     bar.at(each * i, total, f"{name} {task.name}")
             records = _read(fits, tasks)
+            if not self.run.options.quiet:
+                say(f"{name}: {_summary_of(records)}")
         self.asked[title] = tasks, records
         return records
 
@@ -190,6 +193,15 @@ class Subject:
 def _read(fits: Fits | None, tasks: list[Task]) -> list[Record]:
     finished = fits.records() if fits else {}
     return [finished[task.name] for task in tasks if task.name in finished]
+
+
+def _summary_of(records: list[Record]) -> str:
+    """Return the line that shows a row as soon as it is measured, before the whole table is printed."""
+    errors = [record["error"] for record in records if record.get("error") is not None]
+    seconds = [record["seconds"] for record in records if record.get("seconds") is not None]
+    parts = [f"mean error {statistics.fmean(errors):.3f}"] if errors else []
+    parts += [f"median {statistics.median(seconds):.4f} s"] if seconds else []
+    return ", ".join([*parts, f"{len(records)} task{'s' * (len(records) != 1)}"])
 
 
 def evenly(tasks: list[Task], count: int) -> list[Task]:

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -86,6 +87,19 @@ def test_the_progress_counts_gradient_steps(measure: Callable, monkeypatch: pyte
         (200, 300, "brdf long m1"),
         (300, 300, "brdf long m2"),
     ]
+
+
+def test_a_row_is_said_as_soon_as_it_is_measured(
+    measure: Callable, empty: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: list[str] = []
+    monkeypatch.setattr("metapp.evaluation.subject.say", lines.append)
+    measure("quiet")
+    assert lines == []
+    empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
+    for _ in range(2):  # the second time it is there
+        measure("some")
+    assert lines == ["brdf some: mean error 1.000, 3 tasks"]
 
 
 def test_fits_have_the_threads_of_their_application(measure: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
