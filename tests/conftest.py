@@ -107,6 +107,12 @@ def _caches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(autouse=True)
+def _no_lines_about_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No line tells of a wait: what a test reads does not depend on how busy the machine is."""
+    monkeypatch.setattr("metapp.cli.console.WAIT_SECONDS", 3600.0)
+
+
+@pytest.fixture(autouse=True)
 def cache(_caches: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     """No test touches the user's cache; each has an empty one of its own."""
     folder = next(_caches)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 LONGEST = 300  # characters of an error or a warning
 LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
+WAIT_SECONDS = 2.0  # of silence, after which a line says about shorter work how far it is where there is no terminal
+NEXT_SECONDS = 10.0  # between further lines about it
 KNOWN = 0.1  # of a job, before which no estimate of the time left is shown
 STEADY = 3600.0  # seconds, whose mean speed makes the estimate
 REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
@@ -107,6 +109,38 @@ class _Bar(Bar):
             self.lines.say_at_times(f"{self.title}: step {done} of {total}, {note}", last=done == total)
 
 
+class _Lines(Bar):
+    """Lines about short work where there is no terminal: one after WAIT_SECONDS, then some as parts are done."""
+
+    def __init__(self, terminal: Terminal, title: str, total: int | None, done: int) -> None:
+        self.terminal, self.title, self.total, self.done, self.note = terminal, title, total, done, ""
+        self._next = time.monotonic() + WAIT_SECONDS + NEXT_SECONDS
+        # the first part may take all the time, so that nothing else would say anything
+        self._timer = threading.Timer(WAIT_SECONDS, self._say)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def advance(self, note: str = "") -> None:
+        self.at(self.done + 1, self.total, note)
+
+    def name(self, note: str, share: float = 0.0) -> None:
+        self.at(self.done, self.total, note)
+
+    def at(self, done: int, total: int | None, note: str = "") -> None:
+        self.done, self.total, self.note = done, total, note
+        if time.monotonic() > self._next:
+            self._say()
+
+    def end(self) -> None:
+        """Say no more."""
+        self._timer.cancel()
+
+    def _say(self) -> None:
+        self._next = time.monotonic() + NEXT_SECONDS
+        state = "under way" if self.total is None else f"{self.done} of {self.total}"
+        self.terminal.say(", ".join(filter(None, [f"{self.title}: {state}", self.note])))
+
+
 class Terminal(Reporter):
     """Messages and progress on standard error."""
 
@@ -138,6 +172,14 @@ class Terminal(Reporter):
     @contextlib.contextmanager
     def bar(self, title: str, total: int | None, done: int, long: bool) -> Iterator[Bar]:
         """Show a bar with the time left, the speed in steps a second and a note."""
+        is_terminal = self._console.is_terminal
+        if not (is_terminal or long):
+            lines = _Lines(self, title, total, done)
+            try:
+                yield lines
+            finally:
+                lines.end()
+            return
         from rich import progress, text
 
         class Speed(progress.ProgressColumn):
@@ -157,10 +199,9 @@ class Terminal(Reporter):
             Speed(),
             progress.TextColumn("{task.fields[note]}", markup=False),
         )
-        is_terminal = self._console.is_terminal
         shown: Any = {"console": self._console, "disable": not is_terminal, "transient": True}
         with progress.Progress(*columns, speed_estimate_period=STEADY, **shown) as bars:
-            yield _Bar(bars, title, total, done, self if long and not is_terminal else None)
+            yield _Bar(bars, title, total, done, None if is_terminal else self)
 
 
 @contextlib.contextmanager

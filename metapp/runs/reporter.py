@@ -36,7 +36,8 @@ class Reporter:
     def bar(self, title: str, total: int | None, done: int, long: bool) -> AbstractContextManager[Bar]:
         """Show the progress of a job of `total` parts (None: not known yet), `done` of which are done.
 
-        A `long` one is also said in lines if there is nothing to draw a bar on: as parts are done, or now and then.
+        If there is nothing to draw a bar on, a `long` one is said in lines, as parts are done, or now and then; another
+        one only once it has taken a while.
         """
         return contextlib.nullcontext(Bar())
 

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -125,6 +126,37 @@ def test_the_time_left_is_shown_once_a_tenth_is_done(monkeypatch: pytest.MonkeyP
             bar.at(step, 100)
             bar.bars.refresh()
             assert bool(re.search(r"\d:\d\d:\d\d", drawn.getvalue())) == (step >= 10)
+
+
+def test_a_wait_is_said_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("metapp.cli.console.WAIT_SECONDS", 0.05)
+    with Terminal().bar("photos", 3, 0, False) as bar:
+        bar.advance("a.jpg")
+        bar.name("b.jpg: finding features")
+        time.sleep(0.3)  # in one step, which tells nothing
+    assert capsys.readouterr().err == "photos: 1 of 3, b.jpg: finding features\n"
+    with Terminal().bar("plan", None, 0, False):
+        time.sleep(0.3)
+    assert capsys.readouterr().err == "plan: under way\n"
+    with Terminal().bar("photos", 3, 0, False) as bar:  # as soon as all is done nothing more is said
+        bar.advance("a.jpg")
+    time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+
+
+def test_longer_waits_are_said_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("metapp.cli.console.NEXT_SECONDS", -3600.0)
+    monkeypatch.setattr("metapp.cli.console.WAIT_SECONDS", 3500.0)
+    with Terminal().bar("photos", 2, 0, False) as bar:
+        bar.advance("a.jpg")
+        monkeypatch.setattr("metapp.cli.console.NEXT_SECONDS", 3600.0)
+        bar.advance("b.jpg")
+        bar.at(2, 2, "c.jpg")
+    assert capsys.readouterr().err.splitlines() == ["photos: 1 of 2, a.jpg", "photos: 2 of 2, b.jpg"]
 
 
 def test_completion_imports_nothing_large() -> None:

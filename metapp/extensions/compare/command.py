@@ -9,7 +9,7 @@ import typer
 
 from metapp.cli.console import escaped, out, print_json
 from metapp.cli.options import FittedData, Json, Overwrite, Quiet, RunPath, check_new
-from metapp.runs.reporter import number, say
+from metapp.runs.reporter import number, progress, say
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,7 +46,8 @@ def command(
 
     check_new(out_file, overwrite)
     runs = [first, second, *filter(holds_runs, others or [])]
-    compared = compare(runs, task, [path for path in others or [] if path not in runs], data)
+    with progress("compare: reading what was fitted", quiet=quiet):
+        compared = compare(runs, task, [path for path in others or [] if path not in runs], data)
     file = out_file or compared.sides[0].folder / "comparison.png"
     picture, compared = draw(compared, file, quiet=quiet)
     if not (quiet or json):

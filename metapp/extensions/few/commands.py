@@ -11,7 +11,7 @@ import typer
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Overwrite, Quiet, Seed, check_new
 from metapp.registry import did_you_mean
-from metapp.runs.reporter import say
+from metapp.runs.reporter import progress, say
 
 
 def plan(
@@ -68,7 +68,8 @@ def plan(
     limits = Limits(math.radians(grazing), math.radians(apart), detector)
     nothing = torch.zeros(0, 3, dtype=torch.float64)
     before = read_pairs(after) if after else Pairs(nothing, nothing, nothing)
-    wi, wo, (first, then) = plan_brdf(samples, limits, before, seed)
+    with progress("plan", quiet=quiet):
+        wi, wo, (first, then) = plan_brdf(samples, limits, before, seed)
     write_pairs(out, wi, wo, before)
     picture = save(directions(wi, wo, before), out.with_suffix(".png"))
     if not quiet:

@@ -11,7 +11,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import FittedData, Json, Overwrite, Quiet, app_words, check_new
-from metapp.runs.reporter import number, say
+from metapp.runs.reporter import number, progress, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 
@@ -88,7 +88,8 @@ def try_all(
         check_name(app)
     for app in apps or app_names():
         try:
-            run, fit = try_app(app, out, recipe)
+            with progress(f"try {app}", quiet=quiet):  # its own bars are of one input, and quiet
+                run, fit = try_app(app, out, recipe)
         except ValueError as reason:
             if apps or not runs or isinstance(reason, BadOption):
                 raise

@@ -61,20 +61,22 @@ def view_page(
     if len(names) > most:
         say(f"view: {most} of {len(names)} tasks; --most {len(names)} shows all.")
     by_task: dict[tuple[str, str], list[tuple[str, Run, Task, Document]]] = {}
-    for folder, records in read:
-        records = [record for record in records if (record["settings"]["app"], record["name"]) in shown]
-        missing = 0
-        for some in by_settings(records):
-            run = Run.of_settings(some[-1]["settings"])
-            tasks = tasks_as(some, run.app, list(inputs), data)
-            missing += sum(record["name"] not in tasks for record in some)
-            for record in some:
-                name = record["name"]
-                fit = labels[folder], run, tasks.get(name, Task(name, {})), record
-                by_task.setdefault((run.app.name, name), []).append(fit)
-        if missing:
-            what = f"the inputs of {missing} of {len(records)} fits are not at hand"
-            say(f"view: {what}; give them by --input or --data to see references.")
+    with progress("view: reading", len(read), quiet=quiet) as bar:
+        for folder, records in read:
+            records = [record for record in records if (record["settings"]["app"], record["name"]) in shown]
+            missing = 0
+            for some in by_settings(records):
+                run = Run.of_settings(some[-1]["settings"])
+                tasks = tasks_as(some, run.app, list(inputs), data)
+                missing += sum(record["name"] not in tasks for record in some)
+                for record in some:
+                    name = record["name"]
+                    fit = labels[folder], run, tasks.get(name, Task(name, {})), record
+                    by_task.setdefault((run.app.name, name), []).append(fit)
+            if missing:
+                what = f"the inputs of {missing} of {len(records)} fits are not at hand"
+                say(f"view: {what}; give them by --input or --data to see references.")
+            bar.advance()
     make_folder(page.parent)  # before what takes time
     groups, lacking = [], list[str]()
     with progress("view", len(by_task), quiet=quiet) as bar:

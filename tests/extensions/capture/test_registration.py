@@ -55,8 +55,13 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def sightings(photos: Path) -> list[Sighting]:
     """What all of them share with the first."""
-    found, lines = register([photos / f"{name}.png" for name in CAMERAS])
+    steps: list[str] = []
+    found, lines = register([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
     assert lines == []
+    assert [step for step in steps if "finding features" in step] == [
+        f"{name}.png: finding features" for name in CAMERAS
+    ]
+    assert sum("comparing with" in step for step in steps) >= len(CAMERAS) - 1
     return found
 
 

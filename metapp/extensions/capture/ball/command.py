@@ -87,7 +87,8 @@ def ball(
     name, fov_rad = folder.resolve().name, math.radians(options.fov)
     with progress("photos", len(paths), quiet=quiet) as bar:
         captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer)
-    _write(name, paths, captured, folder, options.layer, overwrite=overwrite)
+        bar.name("writing the map and pictures of what was found")
+        _write(name, paths, captured, folder, options.layer, overwrite=overwrite)
     figures = zip(paths, captured.balls, captured.exposures.tolist(), captured.residuals, strict=True)
     photos: list[dict[str, Any]] = [
         {"source": str(path), "x": ball.x, "y": ball.y, "radius": ball.radius, "score": ball.score}

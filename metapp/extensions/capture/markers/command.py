@@ -117,7 +117,8 @@ def rectify(
     in_paths = [find(path) for path in paths]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
     with progress("photos", len(names), quiet=quiet) as bar:
-        cameras, focal_mm, skipped, kept = find_sample(names, math.radians(options.fov), options.ruler, bar.advance)
+        fov_rad = math.radians(options.fov)
+        cameras, focal_mm, skipped, kept = find_sample(names, fov_rad, options.ruler, bar.advance, bar.name)
     skipped = [*(line for _, lines in in_paths for line in lines), *skipped]
     for line in skipped:
         say(f"warning: skipped: {line}")

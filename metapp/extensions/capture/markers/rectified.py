@@ -41,6 +41,7 @@ def find_cameras(
     fov_rad: float = 0.0,
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
+    begin: Callable[[str], object] = str,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
 ) -> tuple[list[Camera], float, list[str]]:
     """Find sheet and camera in photographs; without any marker, the material's own features.
@@ -50,6 +51,7 @@ def find_cameras(
         fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
         ruler_cm: measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
+        begin: called with what is done next, in words, once all photographs have been searched.
         parts: as :func:`register` takes it.
 
     Returns:
@@ -62,8 +64,9 @@ def find_cameras(
     """
     sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done)
     if not sightings and len(plain) > 1:
-        sightings, lost = register(list(plain), fov_rad, parts)
+        sightings, lost = register(list(plain), fov_rad, parts, begin)
         skipped = [*(line for line in skipped if line not in plain.values()), *lost]
+    begin("positions of the cameras")
     while True:  # without the oddest photo the plane and the square are those of the others
         plane = len(sightings) > 1 and not sightings[0].sheet
         cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -64,7 +64,10 @@ class View(NamedTuple):
 
 
 def register(
-    paths: Sequence[Path], fov_rad: float = 0.0, parts: Mapping[Path, Floats] = MappingProxyType({})
+    paths: Sequence[Path],
+    fov_rad: float = 0.0,
+    parts: Mapping[Path, Floats] = MappingProxyType({}),
+    begin: Callable[[str], object] = str,
 ) -> tuple[list[Sighting], list[str]]:
     """Find points that photographs of one material share with a reference, the first that another one fits.
 
@@ -73,6 +76,7 @@ def register(
         fov_rad: as of `find_sheet`.
         parts: of some photographs the only part by which others are registered on them, and judged: corners [4, 2] of
             a convex one, in fractions of width and height from the upper left.
+        begin: called with what is done next, in words, before each step that takes a second or more.
 
     Returns:
         Sightings, the reference first, whose `points_cm` are those of the reference, px from its middle over its
@@ -81,11 +85,16 @@ def register(
     Raises:
         ValueError: no two fit; as `read_pixels`.
     """
-    views = [_view(path, fov_rad)._replace(part=parts.get(path, WHOLE)) for path in paths]
+    views = []
+    for path in paths:
+        begin(f"{path.name}: finding features")
+        views.append(_view(path, fov_rad)._replace(part=parts.get(path, WHOLE)))
     for first, reference in enumerate(views[:-1]):
         fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
         placed: dict[int, Match] = {first: (np.eye(3), np.zeros((0, 2)), np.zeros((0, 2)))}
         for other in [*range(first + 1, len(views))] * 2:  # one that fits no earlier photograph may fit a later one
+            if other not in placed:
+                begin(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
             for number in [] if other in placed else list(placed):
                 guesses = [placed[number][0] @ each for each in _guesses(views[other], views[number])]
                 match = _best(views[other], reference, fine, guesses)

@@ -65,6 +65,7 @@ def find_sample(
     fov_rad: float = 0.0,
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
+    begin: Callable[[str], object] = str,
 ) -> tuple[list[Camera], float, list[str], float]:
     """Find the cameras of photographs above the marker sheet's opening, or above the largest square on the sample.
 
@@ -75,6 +76,7 @@ def find_sample(
         fov_rad: as :func:`find_cameras` takes it.
         ruler_cm: as :func:`find_cameras` takes it.
         done: called with the name of each photograph that was searched.
+        begin: called with what is done next, in words.
 
     Returns:
         Cameras, focal length and lines of photographs left out, as :func:`find_cameras` returns them; and the share of
@@ -83,14 +85,15 @@ def find_sample(
     Raises:
         ValueError: as :func:`find_cameras`.
     """
-    found = find_cameras(paths, fov_rad, ruler_cm, done)
+    found = find_cameras(paths, fov_rad, ruler_cm, done, begin)
+    begin("comparing photos on planes of several heights")
     if found[0][0].sighting.sheet or not compare_on_planes(found[0]).shows_table:
         return *found, 1.0
     result = *found, 0.0
     parts = dict.fromkeys(paths, MIDDLE)
     for _ in range(2):  # by the middle, then by all of the sample, which is more exact
         try:
-            cameras, focal_mm, skipped = find_cameras(paths, fov_rad, ruler_cm, parts=parts)
+            cameras, focal_mm, skipped = find_cameras(paths, fov_rad, ruler_cm, str, begin, parts=parts)
         except ValueError:  # too few features there
             break
         *middle, side, turn_rad = find_largest_square(select_middle_region(compare_on_planes(cameras).sample))
