@@ -27,8 +27,13 @@ done
 "$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three" --overwrite
 "$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/three" --out "$runs" --train --train-steps 13000 \
   --checkpoint metapp/checkpoints/brdf/ridge.safetensors
+# then on samples as instruments take them: dense, scattered, few, noisy; as many drawn materials, MERL fits and RGL networks
+"$metapp" data synth brdf --seed 1 --count 320 --out "$runs/data/drawn" --overwrite
+"$metapp" data join "$runs/data/drawn" "$runs/data/nbrdf-merl" "$runs/data/nbrdf-rgl" --alike --out "$runs/data/kinds" --overwrite
+"$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/kinds" --out "$runs" --train --train-steps 10500 \
+  --checkpoint "$(ls -td "$runs"/brdf/checkpoints/three-*-quick-seed0 | head -1)/ridge.safetensors"
 ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "metapp/checkpoints/brdf/$2"; }
-ship "three-*-quick-seed0" ""
+ship "kinds-*-quick-seed0" ""
 # anisotropic materials have a recipe of their own; the file of `few` stays as it is (metapp/extensions/few/checkpoints)
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic" --overwrite
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train

@@ -78,7 +78,7 @@ def few(registry: Registry) -> None:
     registry.networks["brdf", "few"] = Entry(f"{here}.network:NETWORK")
     registry.recipes["brdf", "", "few"] = RecipeEntry(
         f"{here}.app:FEW",
-        help="1,000 samples or fewer",
+        help="200 samples or fewer",
         kind="few",
         paradigms=("meta",),
         checkpoints=f"{here}.checkpoints",

@@ -52,6 +52,8 @@ class OuterLoop:
         decay: weight decay (L2) of the outer Adam.
         validate_every: outer steps between two validations.
         augment: train on augmented tasks.
+        validation_variants: augmented variants of each validation task that validate in its place, drawn once; 0: the
+            validation tasks themselves.
     """
 
     steps: int
@@ -63,6 +65,7 @@ class OuterLoop:
     decay: float = 0.0
     validate_every: int = 250
     augment: bool = True
+    validation_variants: int = 0
 
 
 Initialisation = Literal["random", "mean", "encoder", "untrained"]

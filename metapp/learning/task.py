@@ -46,6 +46,8 @@ class LeastSquares(NamedTuple):
         weights: of the samples, [T, N], above 0.
         losses: of each task, [T].
         prior: precision of W around its initialisation, added to the rule's penalties, [T, C, F]; None: 0.
+        axes: orthonormal axes of the outputs, as columns [C, C], along which the rule's penalties and `prior` hold;
+            None: those of the outputs themselves.
     """
 
     name: str
@@ -54,6 +56,7 @@ class LeastSquares(NamedTuple):
     weights: Tensor
     losses: Tensor
     prior: Tensor | None = None
+    axes: Tensor | None = None
 
 
 class TensorSpec(NamedTuple):

@@ -100,6 +100,10 @@ def prepare(
         # the best of a search is where the outer loop begins, not what it competes with
         state = TrainState(tried.best, tried.rng, searched=tried.searched)
     training = training if steps is None else replace(training, steps=steps)
+    if training.validation_variants:
+        rows = list(range(len(to_validate))) * training.validation_variants
+        fixed = Generator(tasks.rows.device).manual_seed(0)
+        to_validate = paradigm.app.augment(to_validate.select(rows), fixed)
     yield from _outer_loop(paradigm, training, state, to_fit, to_validate, rng)
 
 

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 import metapp
 from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
-from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.app import MIRROR_DEGREES, Brdf
 from metapp.apps.brdf.energy import albedo, conserving, quadrature
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import network_of
@@ -120,3 +120,26 @@ def test_a_fit_that_reflects_too_much_says_so(bias: float, words: str) -> None:
     theta = {key: torch.zeros(shape) for key, shape in shapes.items()} | {"b3": torch.full((3, 1), bias)}
     task = Task("hot", {"angles": torch.rand(8, 3), "reflectance": torch.ones(8, 3)})
     assert words in str(app.remarks(task, theta)["note"])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_highlight_that_no_sample_shows_is_said_so(seed: int) -> None:
+    """Scattered pairs of directions, whose mirror directions an instrument reaches or not."""
+    rng = Generator().manual_seed(seed)
+    count = int(torch.randint(8, 400, (), generator=rng))
+    angles = torch.rand(2 * count, 3, generator=rng) * torch.tensor([1.2, 1.2, math.pi])
+    far = angles.clone()
+    far[:, 0] = math.radians(MIRROR_DEGREES) * 1.02 + far[:, 0]
+    near = far.clone()
+    one, share = int(torch.randint(count, (), generator=rng)), float(torch.rand((), generator=rng))
+    near[one, 0] = math.radians(MIRROR_DEGREES) * share
+    app, theta = Brdf(NBRDF), {key: value[0] for key, value in NBRDF.init(rng, 1).items()}
+
+    def note(angles: Tensor) -> str:
+        task = Task("paint", {"angles": angles, "reflectance": torch.ones(2 * count, 3)})
+        return str(app.remarks(task, theta).get("note", ""))
+
+    assert "highlight: no sample within 5 degrees of mirror directions" in note(far)
+    assert "highlight" not in note(near)
+    unseen = torch.cat([far[:count], near[:count]])  # held-out samples teach a fit nothing
+    assert "highlight: no sample" in note(unseen)

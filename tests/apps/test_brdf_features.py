@@ -8,10 +8,16 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import cosines, half_difference, half_difference_incident
-from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.augmentation import MEASURED_RAD, within_reach
+from metapp.apps.brdf.app import MANY_SAMPLES, Brdf
+from metapp.apps.brdf.augmentation import (
+    FEWEST_SAMPLES,
+    MEASURED_RAD,
+    densities_of_samples,
+    draw_measurements,
+    within_reach,
+)
 from metapp.apps.brdf.featured import Featured, inputs_of
-from metapp.apps.brdf.network import BrdfNetwork, network_of, shapes_of
+from metapp.apps.brdf.network import COUNT, BrdfNetwork, network_of, shapes_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
@@ -104,20 +110,37 @@ def test_weights_follow_the_loss(theta: Params) -> None:
     batch = {key: value.double() for key, value in APP.sample(tasks, Generator().manual_seed(6), 300).items()}
     changed = theta | {"last": (theta["last"] + 1e-4).requires_grad_()}
     learned = {"smoothing": torch.tensor([math.log(0.02)], dtype=torch.float64)}
+    learned["evidence"] = torch.zeros(1, 2, dtype=torch.float64)
     wanted = torch.autograd.grad(APP.loss(changed, batch, learned).sum(), changed["last"])[0]
     near = APP.least_squares(changed, batch, learned)
     found = -(near.residual * near.weights[:, None]) @ near.features.mT / near.weights.shape[1]
     torch.testing.assert_close(found / 3, wanted, rtol=2e-2, atol=2e-2 * float(wanted.abs().max()))
 
 
+def test_few_samples_and_samples_that_are_missed_count_less(theta: Params) -> None:
+    """By the learned powers: their weights are those of many samples times powers of the count and of the misfit."""
+    tasks = tasks_of(theta)
+    batch = APP.sample(tasks, Generator().manual_seed(6), 300)
+    changed = theta | {"last": theta["last"] + 0.01}
+    learned = {"smoothing": torch.tensor([math.log(0.02)]), "evidence": torch.zeros(1, 2)}
+    plain = APP.least_squares(changed, batch, learned)
+    few, missed = 0.8, 0.6
+    learned["evidence"] = torch.tensor([[few, missed]])
+    for count in (100.0, float(MANY_SAMPLES), 10.0 * MANY_SAMPLES):
+        weighted = APP.least_squares(changed, batch | {COUNT: torch.tensor([count])}, learned)
+        factor = (min(count, MANY_SAMPLES) / MANY_SAMPLES) ** few * (1 + plain.losses / 0.02) ** -missed
+        torch.testing.assert_close(weighted.weights, plain.weights * factor[:, None])
+        torch.testing.assert_close(weighted.losses, plain.losses)
+
+
 # Which samples are there to be seen, and which judge
 
-COUNT, HALF = 256, 400
+MATERIALS, HALF = 256, 400
 
 
 @pytest.fixture
 def data() -> Params:
-    """One grey material COUNT times, at the same angles above the horizon."""
+    """One grey material MATERIALS times, at the same angles above the horizon."""
     rng = Generator().manual_seed(5)
     high = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
     angles = torch.rand(40 * HALF, 3, generator=rng, dtype=torch.float64) * high
@@ -126,7 +149,7 @@ def data() -> Params:
     angles = angles[kept][: 2 * HALF]
     where = torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).float()
     target = torch.log1p(0.3 * where[:, 6:]).expand(-1, 3)
-    return {"where": where.expand(COUNT, -1, -1), "target": target.expand(COUNT, -1, -1)}
+    return {"where": where.expand(MATERIALS, -1, -1), "target": target.expand(MATERIALS, -1, -1)}
 
 
 def lower(where: Tensor) -> Tensor:
@@ -145,8 +168,53 @@ def test_some_materials_lack_grazing_samples(data: Params, rng: Generator) -> No
     assert float(least.max()) < math.cos(MEASURED_RAD[0]) + 0.02
 
 
+def test_samples_as_measured_are_as_many_as_they_say(data: Params, rng: Generator) -> None:
+    """Two thirds of the materials keep all their samples in place; the others see fewer, scattered or noisy ones."""
+    given = data["where"].clone()
+    drawn = draw_measurements(data, rng)
+    assert torch.equal(data["where"], given)
+    assert torch.equal(drawn["where"][:, HALF:], given[:, HALF:])  # what judges stays
+    assert torch.equal(drawn["target"][:, HALF:], data["target"][:, HALF:])
+    dense = drawn[COUNT] == HALF
+    assert 0.55 < float(dense.float().mean()) < 0.78
+    assert FEWEST_SAMPLES <= float(drawn[COUNT].min()) < 2 * FEWEST_SAMPLES
+    kept = (drawn["where"][:, :HALF] == given[:, :HALF]).all(2).float().mean(1)
+    assert float(kept[dense].median()) == 1
+    noise = (drawn["target"][:, :HALF] / torch.log1p(0.3 * drawn["where"][:, :HALF, 6:]) - 1).abs().amax((1, 2))
+    assert float(noise[dense].max()) < 1e-4
+    assert 0.3 < float((noise[~dense] < 1e-4).float().mean()) < 0.7
+
+    tasks = Tasks(tuple(map(str, range(MATERIALS))), drawn, torch.arange(MATERIALS))
+    batch = Brdf(SIZE).sample(tasks, rng, 64)
+    assert torch.equal(batch[COUNT], drawn[COUNT])
+    few = int(drawn[COUNT].argmin())
+    seen = {tuple(row) for row in drawn["where"][few, : int(drawn[COUNT][few])].tolist()}
+    assert {tuple(row) for row in batch["where"][few].T.tolist()} <= seen
+
+
+def test_scattered_samples_are_as_dense_as_random_pairs_of_directions() -> None:
+    """Shares of pairs near the highlight, against pairs that are drawn by the cosines of their directions."""
+    rng = Generator().manual_seed(7)
+    highest = torch.tensor([math.pi / 2, math.pi / 2, math.tau])
+    angles = torch.rand(400_000, 3, generator=rng, dtype=torch.float64) * highest
+    at = cosines(angles)
+    angles = angles[torch.minimum(at.incident, at.outgoing) > 0]
+    where = torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).float()
+    density = densities_of_samples(where[None])[1][0].double()
+    draws = torch.rand(200_000, 4, generator=rng, dtype=torch.float64)
+    light, viewer = (
+        torch.stack([r.sqrt() * (math.tau * u).cos(), r.sqrt() * (math.tau * u).sin(), (1 - r).sqrt()], -1)
+        for r, u in (draws[:, :2].unbind(1), draws[:, 2:].unbind(1))
+    )
+    half = torch.nn.functional.normalize(light + viewer, dim=1)[:, 2].arccos()
+    for degrees in (5, 10, 20, 40, 60):
+        limit = math.radians(degrees)
+        share = float(density[angles[:, 0] < limit].sum() / density.sum())
+        assert share == pytest.approx(float((half < limit).double().mean()), rel=0.05), degrees
+
+
 def test_outer_losses_are_of_the_half_that_fits_do_not_see(data: Params, rng: Generator) -> None:
-    tasks = Tasks(tuple(map(str, range(COUNT))), data, torch.arange(COUNT)).select([0])
+    tasks = Tasks(tuple(map(str, range(MATERIALS))), data, torch.arange(MATERIALS)).select([0])
     seen = {tuple(row) for row in data["where"][0, :HALF].tolist()}
     inner, outer = (draw(tasks, rng, 64)["where"][0].T.tolist() for draw in (Brdf().sample, Brdf().outer_sample))
     assert all(tuple(row) in seen for row in inner)

@@ -128,7 +128,7 @@ def small_recipe(app: App) -> Recipe:
     """The quick recipe, with few samples, tasks and steps, and every rule that applies."""
     recipe = recipes_of(app.name)["quick"]
 
-    few: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2}
+    few: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2, "validation_variants": 0}
 
     def short(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}

@@ -112,6 +112,18 @@ def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
 
 
 @ONE_APP
+def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Tasks) -> None:
+    """Each validation task twice, with the same draws at every validation."""
+    recipe = small_recipe(app)
+    changed = replace(recipe.training(recipe.rule), steps=2, validation_variants=2, initialisation="random")
+    meta = Meta(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
+    *_, state = prepare(meta, tasks, rng())
+    validation = split_validation(tasks)[1]
+    variants = app.augment(validation.select([*range(len(validation))] * 2), rng(0))
+    assert state.validation == pytest.approx(validation_error(meta, state.phi, variants), rel=1e-6)
+
+
+@ONE_APP
 @pytest.mark.parametrize("name", ["general", "meta-sgd"])
 def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
     """Iteration 0 is among the states to choose from, and it is not written to afterwards."""

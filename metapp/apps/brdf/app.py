@@ -20,8 +20,9 @@ from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import SAMPLES, mixed
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
-from metapp.apps.brdf.network import BrdfNetwork, network_of, samples_at
+from metapp.apps.brdf.network import COUNT, BrdfNetwork, network_of, opponent_axes, put_distinct_first, samples_at
 from metapp.learning.app import App
+from metapp.learning.draws import uniform
 from metapp.learning.pictures import Compared, Visible
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import norm
@@ -30,6 +31,8 @@ CONDITION_SAMPLES = 1024  # samples that General's encoder reads
 DOTS = 1024  # samples that are drawn in pictures, at most
 SIDE_PX, DOT_PX = 96, 3  # of a picture of samples and of a sample
 EXCESSIVE_ALBEDO = 1.01  # the share of light that a fit may be said to reflect without a note
+MANY_SAMPLES = 4096  # different samples, from which on more of them count no more against penalties
+MIRROR_DEGREES = 5  # of the half vector from the normal, up to which a pair of directions shows the highlight
 SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
@@ -67,18 +70,30 @@ class Brdf(App):
         return self.network.linear_parameter
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
+        """Return `where` [N, 7], half and difference vector and cos theta_i; `target` [N, 3], log(1 + f cos theta_i).
+
+        For a network that is linear in a parameter also COUNT, a scalar: see :func:`put_distinct_first`.
+        """
         angles = task.data["angles"]
         if self.network.anisotropic:
             phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(angles)).to(angles))
             angles = torch.cat([angles, phi_h[:, None]], 1)
         where = half_difference_incident(angles)
-        return {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
+        data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
+        return put_distinct_first(data) if self.linear_parameter else data
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples."""
+        """Draw `where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples.
+
+        Tasks for a network that is linear in a parameter have as many different samples as COUNT [T] says, the first
+        ones, and a batch has this number, too.
+        """
         half = tasks.data["where"].shape[1] // 2
-        return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
+        if not self.linear_parameter:
+            return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
+        every = torch.full((len(tasks.names),), float(half), device=rng.device)  # of tasks for another network
+        seen = tasks.data.get(COUNT, every)[tasks.rows]
+        return samples_at(tasks, (uniform(rng, len(tasks), count) * seen[:, None]).long()) | {COUNT: seen}
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Query samples: from the half that fits do not see, of which augmentation leaves out no angle."""
@@ -101,7 +116,11 @@ class Brdf(App):
         return (off * sample_weights(where, learned) if "weights" in learned else off).mean(1)
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        """Least squares in log(1 + f) that follow the loss, by weights slope^2 / sqrt(d^2 + s^2) of this step."""
+        """Return least squares in log(1 + f) that follow the loss, by weights slope^2 / sqrt(d^2 + s^2) of this step.
+
+        Learned powers, `evidence` [T, 2], say how much less against penalties few samples count, and ones that the fit
+        so far misses. Penalties hold for luminance and two axes of colour.
+        """
         where, target = batch["where"], batch["target"]
         cos = where[:, 6:7]
         features = self.network.features_of(theta, where)
@@ -111,12 +130,19 @@ class Brdf(App):
         d = slope * residual
         s = torch.exp(learned["smoothing"])[:, None]
         weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
-        return LeastSquares("last", features, residual, weights, d.abs().mean((1, 2)))
+        losses = d.abs().mean((1, 2))
+        few, missed = learned["evidence"].unbind(1)
+        share = batch[COUNT].clamp(max=MANY_SAMPLES) / MANY_SAMPLES
+        strength = share**few * (1 + losses / s[:, 0]) ** -missed
+        axes = opponent_axes(features)
+        return LeastSquares("last", features, residual, weights * strength[:, None], losses, axes=axes)
 
     def loss_parameters(self, steps: int) -> Params:
-        """Smoothing, and log weights of samples if these are not those of least squares."""
+        """Return initial smoothing, and the powers of evidence of least squares, else log weights of samples."""
         parameters = {"smoothing": torch.full((steps,), math.log(0.05))}
-        return parameters if self.linear_parameter else parameters | {"weights": torch.zeros(steps, KNOTS)}
+        if self.linear_parameter:
+            return parameters | {"evidence": torch.tensor([1.0, 0.0]).repeat(steps, 1)}
+        return parameters | {"weights": torch.zeros(steps, KNOTS)}
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return self.sample(tasks, rng, CONDITION_SAMPLES)
@@ -135,7 +161,7 @@ class Brdf(App):
         return self.errors_of(self.network.reflectance(theta, where).clamp_min(0), tasks)
 
     def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """That no sample was held out, if a measurement has few; that phi_h counts for nothing; energy.
+        """State what a reader of the error must know: samples held out, a highlight not seen, phi_h left out, energy.
 
         `albedo`, of isotropic fits: the share of light that is reflected, the greatest of the channels', from each of
         the angles of `metapp.apps.brdf.energy.INCIDENT_RAD`.
@@ -143,6 +169,8 @@ class Brdf(App):
         notes, half = [], len(task.data["angles"]) // 2
         if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
             notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
+        if unseen := describe_unseen_highlight(task.data["angles"][:half]):
+            notes.append(unseen)
         if "phi_h" in task.data and not self.network.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
         notes += uniform_input(task.data["reflectance"].T, "reflectance in 1/sr")
@@ -223,6 +251,28 @@ class Brdf(App):
         """The first half of the samples, three angles and a colour each."""
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION_SAMPLES)
+
+
+def describe_unseen_highlight(angles: Tensor) -> str:
+    """Return a line that no sample lies near a mirror direction, or "" if one does.
+
+    Without such a sample the height of the highlight is a guess, which the error on other samples does not show.
+
+    Args:
+        angles: theta_h first, [N, 3 or 4] in rad, of the samples that a fit sees.
+
+    >>> describe_unseen_highlight(torch.tensor([[0.3, 0.1, 0.0]])).partition("; ")[0]
+    'highlight: no sample within 5 degrees of mirror directions, the nearest at 17'
+    >>> describe_unseen_highlight(torch.tensor([[0.01, 0.1, 0.0]]))
+    ''
+    """
+    nearest = math.degrees(float(angles[:, 0].amin()))
+    if nearest <= MIRROR_DEGREES:
+        return ""
+    return (
+        f"highlight: no sample within {MIRROR_DEGREES} degrees of mirror directions, the nearest at {nearest:.0f}; its "
+        "height is that of training materials"
+    )
 
 
 def _dots(angles: Tensor, reflectance: Tensor) -> Tensor:

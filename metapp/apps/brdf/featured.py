@@ -16,7 +16,7 @@ from torch.nn.functional import silu
 
 from metapp.appearance.geometry import turned_about_normal
 from metapp.apps.brdf import anisotropic
-from metapp.apps.brdf.augmentation import within_reach
+from metapp.apps.brdf.augmentation import draw_measurements
 from metapp.apps.brdf.energy import conserving, places
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.apps.brdf.network import BrdfNetwork, Folded
@@ -119,14 +119,8 @@ class Featured(BrdfNetwork):
         return theta | {"last": torch.stack(last)}
 
     def augment(self, data: Params, rng: Generator) -> Params:
-        """Samples of some materials within an angle, among those that fits see; anisotropic materials turned."""
-        seen = within_reach(data["where"][:, : data["where"].shape[1] // 2], rng)
-        others = torch.multinomial(seen + 1e-9, seen.shape[1], replacement=True, generator=rng)
-        rows = torch.where(seen, torch.arange(seen.shape[1], device=rng.device), others)[..., None]
-        data = {
-            key: torch.cat([value.gather(1, rows.expand(-1, -1, value.shape[-1])), value[:, seen.shape[1] :]], 1)
-            for key, value in data.items()
-        }
+        """Return samples as instruments take them (`draw_measurements`); anisotropic materials are turned."""
+        data = draw_measurements(data, rng)
         if not self.anisotropic:
             return data
         turn = 2 * math.pi * uniform(rng, len(data["where"]), 1)

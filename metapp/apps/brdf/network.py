@@ -6,11 +6,31 @@ import functools
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
+import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_incident
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.registry import registry
+
+COUNT = "count"  # tensor of tasks and batches, [T]: how many different samples, the first ones, a fit sees
+# columns: luminance, and two axes of colour, of unit length
+_OPPONENT_AXES = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
+
+
+def opponent_axes(like: Tensor) -> Tensor:
+    """Return the matrix [3, 3] from luminance and two axes of colour to linear RGB; its transpose is its inverse.
+
+    Reflectance varies more from material to material in luminance than in colour.
+
+    Args:
+        like: a tensor of the dtype and device that the matrix gets.
+
+    >>> axes = opponent_axes(torch.zeros(1, dtype=torch.float64))
+    >>> bool(torch.allclose(axes.T @ axes, torch.eye(3, dtype=torch.float64)))
+    True
+    """
+    return like.new_tensor(_OPPONENT_AXES)
 
 
 class Folded(NamedTuple):
@@ -104,6 +124,33 @@ class BrdfNetwork(ABC):
     def augment(self, data: Params, rng: Generator) -> Params:
         """Change the samples `where` [T, N, 7] and `target` [T, N, 3] of materials for training."""
         return data
+
+
+def put_distinct_first(data: Params) -> Params:
+    """Put different samples first among those that a fit sees, the first half, and add how many there are.
+
+    Args:
+        data: `where` [N, 7], and others [N, ...].
+
+    Returns:
+        The tensors in the new order, and COUNT, a scalar.
+
+    >>> where = torch.tensor([[0.0], [0.0], [1.0], [2.0], [3.0], [4.0]]).expand(-1, 7)
+    >>> data = put_distinct_first({"where": where})
+    >>> data["where"][:2, 0].tolist(), float(data[COUNT])
+    ([0.0, 1.0], 2.0)
+    """
+    where, half = data["where"], len(data["where"]) // 2
+    key = (
+        where[:half].double() @ torch.arange(1.0, 1 + where.shape[1]).double().sqrt()
+    )  # tells pairs of directions apart
+    _, which = torch.unique(key, return_inverse=True)
+    first = torch.full((int(which.max()) + 1,), half).scatter_reduce(0, which, torch.arange(half), "amin")
+    if len(first) < half:
+        order = torch.arange(len(where))
+        order[: len(first)] = first.sort().values
+        data = {name: value[order] for name, value in data.items()}
+    return data | {COUNT: torch.tensor(float(len(first)))}
 
 
 def samples_at(tasks: Tasks, rows: Tensor) -> Batch:

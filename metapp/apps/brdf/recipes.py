@@ -30,6 +30,7 @@ RIDGE = MetaTraining(
     order=2,
     clip=1e-2,
     validate_every=500,
+    validation_variants=4,
     initialisation="untrained",
     app=Brdf(Featured()),
 )

@@ -54,6 +54,8 @@ def plan(
     import torch
 
     from data_tools.readers.measured_pairs import LEAST, Pairs
+    from metapp.appearance.geometry import directions_to_rusinkiewicz
+    from metapp.apps.brdf.app import describe_unseen_highlight
     from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
     from metapp.extensions.few.gonio import read_pairs, write_pairs
@@ -76,6 +78,9 @@ def plan(
         say(f"{out}: {samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
         pairs = samples + len(before.wi)
         fit = f"metapp meta brdf {out}" if pairs >= LEAST else f"plan more --after {out}; a fit takes {LEAST} pairs"
+        every = torch.cat([directions_to_rusinkiewicz(*pair) for pair in ((before.wi, before.wo), (wi, wo))])
+        if unseen := describe_unseen_highlight(every):
+            say(f"{unseen}; allow them by --apart and --grazing")
         say(f"picture: {picture}\nfill in r, g, b; then: {fit}")
     if json:
         expected = {"before": first, "after": then}

@@ -20,7 +20,8 @@ from metapp.appearance.geometry import (
     outgoing_cosine,
     spread_angles,
 )
-from metapp.extensions.few.network import features_of, opponent, precision, reflectance_of, slope_of
+from metapp.apps.brdf.network import opponent_axes
+from metapp.extensions.few.network import features_of, precision, reflectance_of, slope_of
 from metapp.learning.task import Params
 
 CANDIDATES, REFERENCES = 4096, 2048
@@ -87,7 +88,7 @@ class Posterior:
         """Standard deviation of the logarithm of each channel, [3, N] of places [1, 7, N]."""
         features = features_of(self.theta, where)[0].to(self.covariance)
         axes = torch.einsum("fn,cfg,gn->cn", features, self.covariance, features).clamp_min(0)
-        result: Tensor = (opponent(self.theta).to(axes).square() @ axes).sqrt()
+        result: Tensor = (opponent_axes(axes).square() @ axes).sqrt()
         return result
 
     def expected_error(self, where: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
-from data_tools.readers.measured_pairs import FEW, LARGEST, Pairs, depends_on_azimuth, task_of_pairs
+from data_tools.readers.measured_pairs import LARGEST, Pairs, depends_on_azimuth, task_of_pairs
 from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
@@ -42,6 +42,7 @@ UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environme
 RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
+MOST_FEW = 200  # measurements, up to which the recipe few has lower errors than the usual one
 LONGEST = 1 << 28  # bytes of a file
 NOISE = 1e-3  # 1/sr; what is no further below 0 is noise
 
@@ -56,19 +57,20 @@ recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 
 def has_few(path: Path) -> bool:
-    """Test whether a file, or each in a folder, has FEW rows at most."""
+    """Test whether a file, or each in a folder, has MOST_FEW rows at most."""
     return all(_few_lines(file) for file in find(path)[0])
 
 
 def has_few_task(task: Task) -> bool:
-    """Test whether a task is of FEW measurements at most, of which none is held out."""
+    """Test whether a task is of MOST_FEW measurements at most, of which none is held out."""
     first, second = task.data["angles"].chunk(2)
-    return torch.equal(first, second)
+    return len(first) <= MOST_FEW and torch.equal(first, second)
 
 
 def _few_lines(file: Path) -> bool:
     with contextlib.suppress(ValueError), open_text(file) as text:  # of a bad table reading it tells
-        return sum(1 for _ in itertools.islice(_lines(file, text), FEW + 2)) <= FEW + 1  # with the line of names
+        rows = sum(1 for _ in itertools.islice(_lines(file, text), MOST_FEW + 2)) - 1  # without the line of names
+        return rows <= MOST_FEW
     return True
 
 

@@ -3,8 +3,8 @@
 It adds up logarithms of reflectance, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
 Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
 weights, so that one ridge regression gives its mean, and its covariance is the uncertainty that the samples leave:
-`metapp.extensions.few.design` measures and plans by it. Luminance varies more than colour does: OPPONENT axes. There is
-a Gaussian for each kind of materials; samples say by their likelihood which one holds.
+`metapp.extensions.few.design` measures and plans by it. Luminance varies more than colour does: `opponent_axes`. There
+is a Gaussian for each kind of materials; samples say by their likelihood which one holds.
 """
 
 from __future__ import annotations
@@ -18,15 +18,12 @@ from torch.nn.functional import silu
 
 from metapp.appearance.geometry import outgoing_cosine
 from metapp.apps.brdf.featured import INPUTS, inputs_of
-from metapp.apps.brdf.network import BrdfNetwork, Folded
+from metapp.apps.brdf.network import COUNT, BrdfNetwork, Folded, opponent_axes
 from metapp.learning.task import Batch, LeastSquares, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 DARKEST = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
 LARGEST_LOG = 14.0  # logarithm of reflectance: 1.2e6 1/sr
-# columns: luminance, and two axes of colour, of unit length
-OPPONENT = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
-
 LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
 NOISE = (3.4, -3.0, 0.5)  # before training: see `precision`
 OF_KINDS = ("w3", "b3", "last", "deviation", "noise")
@@ -41,11 +38,6 @@ def features_of(theta: Params, where: Tensor) -> Tensor:
     return torch.cat([x, torch.ones_like(x[:, :1])], 1)
 
 
-def opponent(theta: Params) -> Tensor:
-    """The matrix [3, 3] from opponent axes to linear RGB; its transpose is its inverse."""
-    return theta["last"].new_tensor(OPPONENT)
-
-
 def cosine_product(where: Tensor) -> Tensor:
     """Cos theta_i cos theta_o, DARKEST at least, [T, 1, N] of [T, 7, N]."""
     return (where[:, 6] * outgoing_cosine(where)).clamp_min(DARKEST)[:, None]
@@ -53,7 +45,7 @@ def cosine_product(where: Tensor) -> Tensor:
 
 def reflectance_of(theta: Params, where: Tensor) -> Tensor:
     """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1."""
-    logarithms = opponent(theta) @ torch.bmm(theta["last"], features_of(theta, where))
+    logarithms = opponent_axes(theta["last"]) @ torch.bmm(theta["last"], features_of(theta, where))
     return (logarithms.clamp(max=LARGEST_LOG).exp() - DARKEST) / cosine_product(where)
 
 
@@ -80,10 +72,10 @@ def linear(theta: Params, batch: Batch) -> LeastSquares:
     seen = torch.expm1(target) / cos.clamp_min(1e-4)
     logarithms = (seen * cosine_product(where) + DARKEST).log()
     features = features_of(theta, where)
-    residual = opponent(theta).T @ logarithms - torch.bmm(theta["last"], features)
+    residual = opponent_axes(features).T @ logarithms - torch.bmm(theta["last"], features)
     slope = slope_of(seen, where)
-    weights = precision(theta, slope) * batch["count"][:, None]
-    losses = (slope * (opponent(theta) @ residual)).abs().mean((1, 2))
+    weights = precision(theta, slope) * batch[COUNT][:, None]
+    losses = (slope * (opponent_axes(features) @ residual)).abs().mean((1, 2))
     return LeastSquares("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
 
 
@@ -94,7 +86,7 @@ def evidence(theta: Params, batch: Batch) -> Tensor:
     """
     at = linear(theta, batch)
     features, residual = at.features.double(), at.residual.double()
-    weights, count = at.weights.double()[:, None] / features.shape[-1], batch["count"]
+    weights, count = at.weights.double()[:, None] / features.shape[-1], batch[COUNT]
     prior = torch.diag_embed(torch.exp(-2 * theta["deviation"].double()))
     factor = torch.linalg.cholesky((features * weights @ features.mT)[:, None] + prior)
     moment = (residual * weights) @ features.mT
@@ -170,7 +162,7 @@ class Few(BrdfNetwork):
 
     def folded(self, theta: Params) -> Folded:
         theta = {key: value.detach().double() for key, value in theta.items()}
-        last = opponent(theta) @ theta["last"]
+        last = opponent_axes(theta["last"]) @ theta["last"]
         layers = [(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2)]
         layers.append((last[:, :-1] @ theta["w3"], (last[:, :-1] @ theta["b3"]).flatten() + last[:, -1]))
         return Folded(layers, "featured", darkest=DARKEST)

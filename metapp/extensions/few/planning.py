@@ -12,6 +12,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.measured_pairs import Pairs
 from metapp.appearance.geometry import directions_to_full_circle
+from metapp.apps.brdf.network import COUNT
 from metapp.evaluation.style import COLOURS, MUTED, STYLE, label
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.network import NETWORK, linear, slope_of
@@ -56,7 +57,7 @@ def fitted(encoder: Params, angles: Tensor, reflectance: Tensor) -> Params:
     """The likeliest model [1, ...] after samples: angles [N, 3] in rad and reflectance [N, 3] in 1/sr."""
     where = places_of(angles.float())
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
-    batch = {"where": where, "target": target, "count": torch.tensor([float(len(angles))])}
+    batch = {"where": where, "target": target, COUNT: torch.tensor([float(len(angles))])}
     theta = NETWORK.encode(encoder, batch)
     fit = linear(theta, batch)
     posterior = Posterior.of(theta, where, slope_of(reflectance.T[None].float(), where))

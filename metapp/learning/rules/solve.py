@@ -37,26 +37,27 @@ class NormalEquations(Loss):
     linear: Callable[[Params, AnyBatch, Params], LeastSquares] = field(kw_only=True)
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals.
+        """Return means over samples: `gram.<W>` [T, F, F] of features, `moment.<W>` [T, C, F] of residuals, too.
 
-        And `prior.<W>` [T, C, F] if the least squares have one.
+        Beside them `prior.<W>` [T, C, F] and `axes.<W>` [T, C, C] if the least squares have these.
         """
         with torch.set_grad_enabled(graph):
             linear = self.linear(theta, batch, learned)
             weighted = (linear.features * linear.weights[:, None] / linear.weights.shape[1]).mT
             gram, moment = linear.features @ weighted, linear.residual @ weighted
         sums = {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}
-        prior = {} if linear.prior is None else {f"prior.{linear.name}": linear.prior}
-        return sums | prior, linear.losses.detach()
+        axes = None if linear.axes is None else linear.axes.expand(len(gram), -1, -1)
+        beside = {f"prior.{linear.name}": linear.prior, f"axes.{linear.name}": axes}
+        return sums | {name: value for name, value in beside.items() if value is not None}, linear.losses.detach()
 
 
 class Solve(Part):
-    """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of forgetting factors.
+    """Least squares: `penalty.<W>` [1, C, F], logs of penalties, and `keep.<W>` [steps], logits of forgetting factors.
 
     With the normal equations G of a step (Gram matrix) and M (moments of residuals), P = keep P + G and
-    W += M (P + diag(exp(penalty)))^-1, and a prior of the least squares adds its precision to the penalties. These
-    are at least the rounding error of P: longer training lets them fall, and without that bound the
-    factorisation fails.
+    W += M (P + diag(exp(penalty)))^-1, each output by its own penalties, and a prior of the least squares adds its
+    precision to them. Where the least squares have axes, W moves along these. Penalties are at least the rounding
+    error of P: longer training lets them fall, and without that bound the factorisation fails.
     """
 
     name = "solve"
@@ -70,7 +71,7 @@ class Solve(Part):
         """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
         name = app.linear_parameter
         return {
-            f"penalty.{name}": theta[name].new_full((1, theta[name].shape[-1]), math.log(PENALTY)),
+            f"penalty.{name}": theta[name].new_full((1, *theta[name].shape), math.log(PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),
         }
 
@@ -89,18 +90,16 @@ class Solve(Part):
         for key in _names(alpha):
             keep = torch.sigmoid(alpha[f"keep.{key}"])[..., None, None]
             gram = after[f"gram.{key}"] = keep * state[f"gram.{key}"] + before.grads[f"gram.{key}"]
-            penalty = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(LEAST), math.log(GREATEST)))
-            trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
-            penalty = penalty + ROUNDING * torch.finfo(gram.dtype).eps * trace
+            precision = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(LEAST), math.log(GREATEST)))
+            trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+            precision = precision + ROUNDING * torch.finfo(gram.dtype).eps * trace
             # in double precision: features are far from orthogonal
-            penalised = (gram + torch.diag_embed(penalty)).double()
-            moment = before.grads[f"moment.{key}"].double()
-            if f"prior.{key}" in before.grads:  # of each channel its own
-                prior = torch.diag_embed(before.grads[f"prior.{key}"].double())
-                factors = torch.linalg.cholesky(penalised[:, None] + prior)
-                change = torch.cholesky_solve(moment[..., None], factors)[..., 0]
-            else:
-                change = torch.cholesky_solve(moment.mT, torch.linalg.cholesky(penalised)).mT
+            precision, moment = precision.double(), before.grads[f"moment.{key}"].double()
+            if f"prior.{key}" in before.grads:
+                precision = precision + before.grads[f"prior.{key}"].double()
+            axes = before.grads.get(f"axes.{key}", torch.eye(moment.shape[1])).to(moment)
+            factors = torch.linalg.cholesky(gram.double()[:, None] + torch.diag_embed(precision))
+            change = axes @ torch.cholesky_solve((axes.mT @ moment)[..., None], factors)[..., 0]
             results[key] = moved[key] + change.to(gram.dtype)
         return results, after
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import measured_pairs
-from data_tools.readers.measured_pairs import FEW, Pairs
+from data_tools.readers.measured_pairs import Pairs
 from metapp.appearance.colorimetry import colour_science, spectra_to_rgb
 from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.extensions.few import gonio
@@ -138,7 +138,7 @@ def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
     lines = file.read_text().splitlines()
     assert not gonio.has_few(file)
     assert not gonio.has_few(file.parent)
-    for count, few in ((FEW + 1, False), (FEW, True), (20, True)):
+    for count, few in ((gonio.MOST_FEW + 1, False), (gonio.MOST_FEW, True), (20, True)):
         file.write_text("\n".join(lines[: 2 + count]))
         assert gonio.has_few(file) == few
     angles = gonio.read_task(file).data["angles"]

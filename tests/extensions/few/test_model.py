@@ -10,7 +10,8 @@ from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import inputs_of
-from metapp.extensions.few.app import MOST_SAMPLES, TABLE_SAMPLES, FewSamples, few_of
+from metapp.apps.brdf.network import opponent_axes
+from metapp.extensions.few.app import MOST_SAMPLES, SEEN_SAMPLES, TABLE_SAMPLES, FewSamples
 from metapp.extensions.few.design import Limits, Posterior, expected_errors, places_of, plan
 from metapp.extensions.few.network import (
     DARKEST,
@@ -19,13 +20,12 @@ from metapp.extensions.few.network import (
     evidence,
     features_of,
     linear,
-    opponent,
     precision,
     reflectance_of,
     slope_of,
 )
 from metapp.learning.app import stack
-from metapp.learning.task import Batch, Params
+from metapp.learning.task import Batch, Params, Tasks
 
 APP = FewSamples(Few(width=12, features=7))
 NOTHING = torch.zeros(0, 3)
@@ -62,7 +62,7 @@ def batch_of(theta: Params, where: Tensor) -> Batch:
 
 
 def test_opponent_axes_are_orthonormal(theta: Params) -> None:
-    axes = opponent(theta)
+    axes = opponent_axes(theta["last"])
     torch.testing.assert_close(axes.T @ axes, torch.eye(3).double())
     torch.testing.assert_close(axes[:, 0], torch.full((3,), 3**-0.5).double())  # luminance; the others have no gray
     torch.testing.assert_close(axes[:, 1:].sum(0), torch.zeros(2).double())
@@ -84,7 +84,7 @@ def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor)
     batch = batch_of(theta, where)
     at = linear(theta, batch)
     seen = batch["target"].expm1() / where[:, 6:7]
-    logs = opponent(theta).T @ (seen * cosine_product(where) + DARKEST).log()
+    logs = opponent_axes(theta["last"]).T @ (seen * cosine_product(where) + DARKEST).log()
     features, weights = features_of(theta, where)[0], precision(theta, slope_of(seen, where))[0]
     torch.testing.assert_close(at.weights[0], weights * where.shape[2])
     posterior = Posterior.of(theta, where, slope_of(seen, where))
@@ -138,7 +138,8 @@ def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, w
     rng = Generator().manual_seed(5)
     roots = torch.linalg.cholesky(posterior.covariance)
     draws = torch.einsum("cfg,cgn->cfn", roots, torch.randn(3, 8, 20_000, generator=rng, dtype=torch.float64))
-    logs = opponent(theta) @ torch.einsum("cfn,fm->mcn", draws, features_of(theta, where)[0])  # [M, 3, draws]
+    axes = opponent_axes(theta["last"])
+    logs = axes @ torch.einsum("cfn,fm->mcn", draws, features_of(theta, where)[0])  # [M, 3, draws]
     torch.testing.assert_close(posterior.deviation(where), logs.std(2).T, rtol=0.03, atol=1e-5)
 
 
@@ -179,11 +180,11 @@ def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> N
 
 def test_training_draws_few_samples_of_each_material() -> None:
     where = places_of(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
-    data = few_of({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
-    assert data["where"].shape == where.shape
-    assert bool(((data["count"] >= 4) & (data["count"] <= MOST_SAMPLES)).all())
+    tasks = Tasks(tuple("abcdef"), {"where": where, "target": torch.rand(6, 2000, 3)}, torch.arange(6))
+    data = APP.augment(tasks, Generator().manual_seed(0)).data
+    least, greatest = SEEN_SAMPLES
+    assert bool(((data["count"] >= least) & (data["count"] <= greatest)).all())
     assert len(data["count"].unique()) > 1
-    assert torch.equal(data["where"][:, 1000:], where[:, 1000:])
 
 
 # Plans

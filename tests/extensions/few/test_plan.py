@@ -44,7 +44,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     again = metapp("plan", "brdf", "--samples", 12, "--out", file)
     assert "is there already, expected a new file; add --overwrite" in again.misuse
     fitted = metapp("meta", "brdf", file, "--json")
-    assert "recipe few, since every input has 1,000 samples or fewer" in fitted.err
+    assert "recipe few, since every input has 200 samples or fewer" in fitted.err
     assert "all 12 samples are fitted, none is held out" in fitted.err
     run = Path(fitted.document["out"])
     assert fitted.document["error"] < 0.5
@@ -86,3 +86,15 @@ def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: P
     (fitted,) = metapp("baseline", "brdf", file, "--method", "ggx_2", "--json").document["tasks"]
     assert fitted["error"] < 1
     assert len(task_of_pairs("arrays", pairs).data["angles"].unique(dim=0)) == 4
+
+
+@pytest.mark.parametrize(
+    ("limits", "reached"), [((), True), (("--apart", 40), True), (("--detector", 5, "--apart", 40), False)]
+)
+def test_a_plan_without_mirror_directions_says_so(
+    metapp: Callable, tmp_path: Path, limits: tuple[str | float, ...], reached: bool
+) -> None:
+    """With a camera near the normal, and the light at some distance from it, no half vector is near the normal."""
+    planned = metapp("plan", "brdf", "--samples", 5, "--out", tmp_path / "paint.csv", *limits)
+    assert planned.code == 0
+    assert ("highlight: no sample within 5 degrees of mirror directions" in planned.err) != reached

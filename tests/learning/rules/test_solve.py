@@ -54,9 +54,9 @@ def batches(randn: Callable[..., Tensor]) -> list[Batch]:
 
 
 def alpha_of(theta: Params, keep: float = 40.0, penalties: tuple[float, float] = (-3.0, 1.0)) -> Params:
-    """Penalties that differ, of all tasks; `keep` of 40 keeps all samples."""
-    penalty = torch.linspace(*penalties, FEATURES, dtype=torch.float64)
-    alpha = {"penalty.W": penalty[None], "keep.W": torch.full((STEPS,), keep, dtype=torch.float64)}
+    """Return penalties that differ from feature to feature, of all outputs; a `keep` of 40 keeps all samples."""
+    penalty = torch.linspace(*penalties, FEATURES, dtype=torch.float64).expand(1, OUTPUTS, -1)
+    alpha = {"penalty.W": penalty, "keep.W": torch.full((STEPS,), keep, dtype=torch.float64)}
     return expand_tasks(alpha, len(theta["W"]), 1)
 
 
@@ -76,7 +76,7 @@ def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches:
     """And plain fits take the same steps."""
     alpha = alpha_of(theta)
     final = learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)
-    torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0]))
+    torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0, 0]))
     assert torch.equal(final["scale"], theta["scale"])
     supply = iter(batches)
     loss = replace(LOSS, draw=lambda data, rng, done: Draw((), next(supply)))
@@ -93,9 +93,26 @@ def test_a_prior_adds_to_the_penalties_of_each_output(theta: Params, batches: li
 
     final = learn_through(theta, SOLVE.rule(alpha), batches, replace(LOSS, linear=informed), order=2)
     for output in range(OUTPUTS):
-        total = (alpha["penalty.W"][0, 0].exp() + prior[0, output]).log()
+        total = (alpha["penalty.W"][0, 0, output].exp() + prior[0, output]).log()
         expected = ridge(theta, batches, total)
         torch.testing.assert_close(final["W"][:, output], expected[:, output])
+
+
+def test_penalties_hold_along_the_axes_of_outputs(theta: Params, batches: list[Batch]) -> None:
+    """A rotation of the outputs, under which each axis is a ridge regression by its own penalties."""
+    alpha = alpha_of(theta)
+    alpha["penalty.W"] = alpha["penalty.W"] + torch.arange(OUTPUTS).double()[:, None]
+    angle = torch.tensor(0.7, dtype=torch.float64)
+    axes = torch.stack([torch.stack([angle.cos(), -angle.sin()]), torch.stack([angle.sin(), angle.cos()])])
+
+    def rotated(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
+        return linear(theta, batch, learned)._replace(axes=axes)
+
+    final = learn_through(theta, SOLVE.rule(alpha), batches, replace(LOSS, linear=rotated), order=2)
+    turned = [batch | {"y": axes.T @ batch["y"]} for batch in batches]
+    for output in range(OUTPUTS):
+        expected = ridge(theta | {"W": axes.T @ theta["W"]}, turned, alpha["penalty.W"][0, 0, output])
+        torch.testing.assert_close((axes.T @ final["W"])[:, output], expected[:, output])
 
 
 def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, batches: list[Batch]) -> None:
@@ -103,7 +120,7 @@ def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, bat
     rule = SOLVE.rule(alpha)
     before = learn_through(theta, rule, batches[:-1], LOSS, order=2)
     final = learn_through(theta, rule, batches, LOSS, order=2)
-    torch.testing.assert_close(final["W"], ridge(before, batches[-1:], alpha["penalty.W"][0, 0]))
+    torch.testing.assert_close(final["W"], ridge(before, batches[-1:], alpha["penalty.W"][0, 0, 0]))
 
 
 def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
@@ -132,7 +149,7 @@ def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
     one = {"last": theta["W"][0]}
     alpha = Solve().initial(small_app(FEATURED), one, STEPS, Adam(1e-3))
     assert {key: tuple(each.shape) for key, each in alpha.items()} == {
-        "penalty.last": (1, FEATURES),
+        "penalty.last": (1, OUTPUTS, FEATURES),
         "keep.last": (STEPS,),
     }
     assert len(alpha["penalty.last"].unique()) == 1
