@@ -14,6 +14,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 from metapp.appearance.features import channels_of, describe_features, detail, load_features, moments, softness
 from metapp.appearance.lines import MOST_ADDED, compare_lines
 from metapp.appearance.order import lattice_of, order_kept
+from metapp.appearance.uniform import collapsed_fit
 from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.pictures import Visible
@@ -260,18 +261,21 @@ class ExemplarApp(App):
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Return a clause on structure that the picture of tables has lost, at most one a task.
+        """Return a clause on what the picture of tables has lost, at most one a task.
 
-        Regular structure by its lattice; else lines that are broken, and seams. Only if networks read layouts.
+        All of it, if the fit is black or the same everywhere; regular structure by its lattice; else lines that are
+        broken, and seams. Only if networks read layouts.
         """
         if not self.has_layout:
             return super().doubts(theta, tasks)
         described = {key: value[tasks.rows] for key, value in tasks.data.items()}
         answer = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))
         pictures = self.exemplar(described["image"].float() / 255), self.look(answer, described)[:, 0]
+        collapsed = [collapsed_fit(made, exemplar) for exemplar, made in zip(*pictures, strict=True)]
         exemplars, made = (self.evenly_lit(each, described) for each in pictures)
         enlarged = self.pictures_for_lines(theta, made)
-        return [self._lost(*each) for each in zip(exemplars, made, enlarged, strict=True)]
+        judged = zip(collapsed, exemplars, made, enlarged, strict=True)
+        return [clauses or self._lost(*compared) for clauses, *compared in judged]
 
     def _lost(self, exemplar: Tensor, made: Tensor, enlarged: Tensor) -> list[str]:
         """Return the clause on structure of an exemplar that its picture, or one of another size, has lost; or none."""

@@ -94,6 +94,21 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     assert quick.doubts({}, both) == [[], []]
 
 
+def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    theta, shape = app.init(Generator().manual_seed(0), 3), (3, 1, 3, app.height, app.width)
+    varied = torch.rand(shape, generator=Generator().manual_seed(1))
+    for made, said in (
+        (torch.zeros(shape), "the fit is black, and its input is not"),
+        (torch.full(shape, 0.4), "the fit is the same everywhere, and its input is not"),
+        (0.02 * varied, ""),
+        (varied, ""),
+    ):
+        monkeypatch.setattr(type(app), "look", lambda *_, made=made: made)
+        for clauses in app.doubts(theta, tasks):
+            assert any(clause.startswith("the fit is") for clause in clauses) == bool(said)
+            assert any(clause.startswith(said) for clause in clauses) or not said
+
+
 def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
     app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
