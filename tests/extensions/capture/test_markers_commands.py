@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metapp.extensions.capture.markers.command import ONE_PLACE_SIDES, line_about_views
 from metapp.extensions.several.photos import read_places
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write
@@ -76,6 +77,28 @@ def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Call
     ]
     assert [f"warning: skipped: {line}" for line in result.document["skipped"]] == skipped
     assert "no marker found" in skipped[2]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_view_is_told_from_several(seed: int) -> None:
+    numbers = np.random.default_rng(seed)
+    first, count = numbers.normal(size=3) + np.array([0, 0, 3]), int(numbers.integers(1, 6))
+    steps = numbers.normal(size=(count, 3))
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    same = [first, *(first + 0.9 * ONE_PLACE_SIDES * numbers.random() * step for step in steps)]
+    assert line_about_views(same).startswith("all photos are taken from one place, within 0.")
+    several = [*same, first + (ONE_PLACE_SIDES + 0.02 + numbers.random()) * steps[0]]
+    assert not line_about_views(several)
+
+
+def test_one_photograph_under_three_names_is_said_to_show_one_view(
+    metapp: Callable, taken: Path, tmp_path: Path
+) -> None:
+    for name in "abc":
+        shutil.copy(taken / "b.jpg", tmp_path / f"{name}.jpg")
+    result = metapp("data", "rectify", tmp_path, "--out", LEAF)
+    assert "warning: leaf: all photos are taken from one place, within 0.00 sides" in result.err
+    assert "one place" not in metapp("data", "rectify", *paths(taken), "--out", "other").err
 
 
 def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +15,8 @@ from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
 from metapp.networks.options import fov
 from metapp.options import Option
 from metapp.runs.reporter import progress, say
+
+ONE_PLACE_SIDES = 0.1  # sides of the square, within which cameras see the same
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,8 @@ def rectify(
     if (right or up) and len({sighting.height > sighting.width for sighting, *_ in cameras}) > 1:
         say("warning: some photos are upright, some across: --flash is right and up in each as it is shown.")
     lights_cm = [camera.beside_cm(right, up) for camera in cameras]
+    if line := line_about_views([(camera.place_cm / first.opening_cm).tolist() for camera in cameras]):
+        say(f"warning: {folder}: {line}")
     unit, marks = ("cm", "markers") if first.sheet else ("sides", "points")
     size = min(options.size, int(first.opening_cm * first.scales()[0]))  # no finer than the one with most detail
     with progress("pictures", len(cameras), quiet=quiet) as bar:
@@ -163,6 +168,26 @@ def rectify(
     if as_json:
         sizes = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
         print_json({"out": str(folder), **sizes, "kept": kept, "photos": photos, "skipped": skipped})
+
+
+def line_about_views(places: Sequence[Sequence[float]]) -> str:
+    """Return the line that photographs show one view and one light, "" if they show several or are one alone.
+
+    Args:
+        places: of the cameras, [3] each, in sides of the square.
+
+    >>> line_about_views([(0.0, 0.0, 2.0), (0.0, 0.01, 2.0)]).partition(",")[0]
+    'all photos are taken from one place'
+    >>> line_about_views([(0.0, 0.0, 2.0), (0.5, 0.0, 2.0)])
+    ''
+    """
+    apart = max((math.dist(place, places[0]) for place in places[1:]), default=math.inf)
+    if apart > ONE_PLACE_SIDES:
+        return ""
+    return (
+        f"all photos are taken from one place, within {apart:.2f} sides of the square, expected several views and "
+        "lights; maps say no more of the relief than from one photo: move camera and flash by half a side or more."
+    )
 
 
 def _line_about_cut(kept: float) -> str:
