@@ -16,6 +16,7 @@ SAMPLES = 8192
 DENSE, FEWEST_SAMPLES = 2 / 3, 128  # share of the materials with all samples in training, and the fewest of the others
 NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy, and the greatest noise, of a logarithm
 IN_PLANE = 0.1  # |sin phi_d| up to which a pair of directions counts as in the plane of incidence
+CROWDED = 3  # the power that crowds theta_h around 0, where highlights are
 COLOURED = 1 / 2  # share of the materials whose channels are scaled each by its own factor
 CUT = 1 / 3  # share of the materials that lack grazing samples
 MEASURED_RAD = (math.radians(60), math.radians(85))  # the least and greatest angle that is measured
@@ -96,4 +97,4 @@ def densities_of_samples(where: Tensor) -> list[Tensor]:
     difference_sine = torch.hypot(where[..., 3], where[..., 4])
     scattered = polar.sin() * difference_sine * where[..., 5].clamp_min(0) * cosines
     in_plane = where[..., 4].abs() <= IN_PLANE * difference_sine
-    return [torch.ones_like(polar), scattered, polar ** (1 / 3 - 1), in_plane.float()]
+    return [torch.ones_like(polar), scattered, polar ** (1 / CROWDED - 1), in_plane.float()]
