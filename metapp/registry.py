@@ -94,12 +94,14 @@ class Application(Entry):
         protocols: the values of --observe, the default first, each with the tensor that fits see; {} if there is no
             choice.
         options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
+        presenter: "module:attribute" of its `metapp.appearance.presenter.Presenter`; "" for one that shows nothing.
         kinds: tensors that only some of its tasks hold; the first that a task holds is its kind, and a recipe may be
             for one kind.
     """
 
     protocols: Mapping[str, str] = field(default_factory=dict)
     options: str = "metapp.options:AppOptions"
+    presenter: str = ""
     kinds: tuple[str, ...] = ()
 
 
@@ -227,7 +229,7 @@ class Registry:
         self.outputs = Entries(Entry, 2)  # by application and option: `output(app, task, theta, value) -> Rendered`
         self.exports = Entries(Export, 2)  # by application and name
         self.file_exports = Entries(Entry)  # `write(path, kind, folder, quiet) -> paths` of files that `help` names
-        self.pages = Entries(Entry)  # of the viewer, by application: `view(app, theta, task) -> View`
+        self.pages = Entries(Entry)  # of the viewer, by application: `view(presenter, theta, task) -> View`
         self.plugins = Entries(Entry)  # of Mitsuba: a function that registers it; `help` is of integrators
         self.measures = Entries(Entry)  # of pictures: a `metapp.appearance.picture_measures.Measure`
         self.baselines = Entries(Entry, 2)  # by application and method: `baselines(app)`, several have this one
@@ -282,7 +284,7 @@ class Registry:
             ImportError, TypeError: there is such a one.
         """
         for _, _, entry in self.entries():
-            for name in ("reference", "options", "lacks"):
+            for name in ("reference", "options", "presenter", "lacks"):
                 reference = getattr(entry, name, "")
                 if reference and importlib.util.find_spec(reference.partition(":")[0]) is None:
                     raise ImportError(f"{reference}: no such module")

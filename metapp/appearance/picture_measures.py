@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from metapp.appearance.metrics import ssim
-from metapp.learning.app import App
+from metapp.appearance.presenter import Presenter
 from metapp.learning.pictures import Compared, Fitted
 from metapp.learning.task import Task
 from metapp.registry import registry
@@ -55,10 +55,11 @@ def further_errors(app: str, compared: Compared) -> dict[str, float]:
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
-def image_errors(app: App, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-    """All measures of the pictures that fits of a task make: those of `App.image_errors`, then registered ones."""
-    errors = app.image_errors(fits, task)
+def measure_pictures(presenter: Presenter[Any], fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+    """Measure the pictures that fits of a task make: by the application's own measures, then by registered ones."""
+    errors = presenter.picture_errors(fits, task)
     for name, fit in fits.items():
-        if (compared := app.compared(fit.theta, task)) and (further := further_errors(app.name, compared)):
+        compared = presenter.comparison(fit.theta, task)
+        if compared and (further := further_errors(presenter.app.name, compared)):
             errors[name] = errors.get(name, {}) | further
     return errors

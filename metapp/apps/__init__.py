@@ -6,12 +6,14 @@ Each application that ships is a package here, with modules for its class, its r
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import fields, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
-from metapp.registry import application_of, protocol_of, protocols_of, recipe_entries
+from metapp.registry import application_of, load, protocol_of, protocols_of, recipe_entries
 
 if TYPE_CHECKING:
+    from metapp.appearance.presenter import Presenter
     from metapp.learning.app import App
     from metapp.learning.recipe import Recipe
 
@@ -47,6 +49,24 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
     """
     app = (recipe.training(rule).app if rule else None) or recipe.app
     return replace(app, protocol=protocol_of(name, protocol))
+
+
+def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) -> Presenter[Any]:
+    """Return the presenter that the registry names for an application.
+
+    Args:
+        app: the application, at the recipe of the fits that are shown.
+        values: fields of presenters by name, such as `size`; those that the presenter does not have are left out.
+
+    Raises:
+        ValueError: files of the application cannot have the size.
+    """
+    from metapp.appearance.presenter import Delegating  # here: who lists applications needs no pictures
+
+    reference = application_of(app.name).presenter
+    kind: type[Presenter[Any]] = load(reference) if reference else Delegating
+    known = {field.name for field in fields(kind)}
+    return kind(app, **{name: value for name, value in values.items() if name in known})  # type: ignore[arg-type]
 
 
 def is_first_protocol(app: App) -> bool:

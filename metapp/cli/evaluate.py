@@ -202,7 +202,7 @@ def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
         except ValueError as error:
             if apps:
                 raise
-            say(f"{run.app.full_title} is left out: {error}")
+            say(f"{run.presenter.title} is left out: {error}")
     return subjects
 
 

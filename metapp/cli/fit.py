@@ -23,7 +23,7 @@ from metapp.storage import Document
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from metapp.learning.app import App
+    from metapp.appearance.presenter import Presenter
     from metapp.runs.execution import Execution
     from metapp.runs.run import Run
 
@@ -110,16 +110,16 @@ def _show(execution: Execution, *, json: bool) -> None:
         if not json:
             if len(records) > 1:
                 rate = execution.tasks_per_second
-                out().print(table_of(run.app, run.paradigm.name, records, rate=rate, most=LISTED))
+                out().print(table_of(run.presenter, run.paradigm.name, records, rate=rate, most=LISTED))
             else:
-                out().print(line_of(run.app, records[0]), soft_wrap=True)
+                out().print(line_of(run.presenter, records[0]), soft_wrap=True)
                 for remark in _of_guard(run.paradigm.name, records):
                     say(remark)
         for line in (*execution.remarks, *relief_lines(records, changed="relief" in run.options.own.given())):
             say(line)
         if execution.skipped:
             line = f"{execution.skipped} of {len(records)} inputs have such a fit already, and are skipped"
-            asked = run.options.exports or run.app.size
+            asked = run.options.exports or run.presenter.size
             say(f"{line}; metapp export writes other files of these" if asked else line)
         if execution.replaced:
             fits = f"{execution.replaced} of {len(records)} fits, and their pictures,"
@@ -157,15 +157,15 @@ def relief_lines(records: Sequence[Document], *, changed: bool = False) -> list[
     return [f"relief: {mean}"]
 
 
-def line_of(app: App, record: Document) -> str:
+def line_of(presenter: Presenter[Any], record: Document) -> str:
     """What a fit made, its error, and the seconds of the whole command."""
-    pictures = len([*Path(record["folder"]).glob("*.png")])
+    app, pictures = presenter.app, len([*Path(record["folder"]).glob("*.png")])
     if record["error"] is not None:
         error = f"error{app.factor} {record['error']:.3f} ({app.measure})"
     elif "photo_error" in record:
         error = f"photo error {record['photo_error']:.2f} % ({PHOTO_ERROR})"
     else:
-        error = app.caption(False)
+        error = presenter.caption(measured=False)
     made = [f"{pictures} picture{'s' * (pictures != 1)}"] if pictures else []
     return f"{escaped(record['name'])}: {', '.join([*made, error, f'{seconds_so_far():.1f} s in all'])}"
 
@@ -195,7 +195,7 @@ def _of_guard(paradigm: str, records: Sequence[Document]) -> list[str]:
 
 
 def table_of(
-    app: App,
+    presenter: Presenter[Any],
     paradigm: str,
     records: Sequence[Document],
     *,
@@ -207,7 +207,7 @@ def table_of(
     If there is no error, as of photos, it says how many pictures were made instead.
 
     Args:
-        app: the application.
+        presenter: of the application.
         paradigm: its name.
         records: of all tasks.
         rate: tasks that were fitted in a second, if that is to be said.
@@ -229,12 +229,12 @@ def table_of(
     measured = total["error"] is not None
     if "photo_error" in total:
         remarks.insert(0, f"photo error: {PHOTO_ERROR}")
-    caption = "\n".join([app.caption(measured), *remarks])
-    table = Table(title=f"{app.full_title}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
+    caption = "\n".join([presenter.caption(measured=measured), *remarks])
+    table = Table(title=f"{presenter.title}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
     means = measured or "photo_error" in total
     table.add_column("task", "mean error; other columns: median" if means else "median")
     if measured:
-        table.add_column(f"error{app.factor}", number(total["error"], ".3f"), justify="right")
+        table.add_column(f"error{presenter.app.factor}", number(total["error"], ".3f"), justify="right")
     if "photo_error" in total:
         table.add_column("photo error %", number(total["photo_error"], ".2f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")

@@ -35,6 +35,7 @@ class Subject:
     Attributes:
         run: by General; rows differ in paradigm, rule or steps.
         app: the application under the protocol.
+        presenter: of the application.
         title: of the application, in tables and pictures.
         measuring: whether missing records are measured when a table asks for them.
         whole: whether all rows are of all test tasks; else those of more than LONG steps are of FEW of them.
@@ -54,7 +55,7 @@ class Subject:
             ValueError: a checkpoint is missing that fits need; if nothing is measured it is printed, and rows stay
                 empty.
         """
-        self.run, self.app, self.title = run, run.app, run.app.full_title
+        self.run, self.app, self.presenter, self.title = run, run.app, run.presenter, run.presenter.title
         self.measuring, self.whole = measuring, whole
         self.asked: dict[str, tuple[list[Task], list[Record]]] = {}
         self._tables: dict[str, Table] = {}
@@ -184,10 +185,10 @@ class Subject:
         columns, path = [], self.run.path(self.label, kind)
         with progress(f"pictures of {self.title}", len(common[:ROWS]), quiet=self.run.options.quiet) as bar:
             for task in common[:ROWS]:
-                shown = [(name, self.app, records[task.name]) for name, records in by_method.items()]
+                shown = [(name, self.presenter, records[task.name]) for name, records in by_method.items()]
                 columns.append(tiles_of(task, shown))
                 bar.advance()
-        return write_compared(self.app, columns, path.with_name(f"{path.name}.png"))
+        return write_compared(self.presenter, columns, path.with_name(f"{path.name}.png"))
 
 
 def _read(fits: Fits | None, tasks: list[Task]) -> list[Record]:

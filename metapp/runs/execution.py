@@ -149,13 +149,13 @@ class Execution:
 
     def _keep(self, source: Source, fit: Fit) -> None:
         """Write the parameters, the pictures and the record of a fit, in this order, then its exports."""
-        app, theta = self.run.app, fit.parameters
+        theta = fit.parameters
         self._bar.name(f"{fit.name}: pictures", FITTED)
 
         def draw(folder: Path) -> None:
             with torch.no_grad():
                 files, lines = rendered(self.run, fit.task, theta)
-                write_pictures(app.pictures(theta, fit.task) | files, folder)
+                write_pictures(self.run.presenter.pictures(theta, fit.task) | files, folder)
                 self.remarks += [f"{fit.name}: {line}" for line in lines]
 
         origin = self.run.origin(source.given)
@@ -174,7 +174,7 @@ class Execution:
         path = export_path(record, form)
         try:
             with torch.no_grad():
-                export_fit(self.run.app, fit.task, fit.parameters, path, form, self.fits.settings)
+                export_fit(self.run, fit.task, fit.parameters, path, form, self.fits.settings)
             self.exported.append((form, opened_file(path)))
         except (ValueError, OSError) as error:
             why = getattr(error, "strerror", None) or str(error).removesuffix(".")
@@ -187,12 +187,12 @@ class Execution:
         self._records[source.place] = record
         if len(self._tiles) < ROWS:
             with torch.no_grad():
-                self._tiles[source.place] = tiles_of_fit(self.run.app, task, theta(), record)
+                self._tiles[source.place] = tiles_of_fit(self.run.presenter, task, theta(), record)
 
     def _draw(self) -> None:
         """Write `pictures.png`: the first of these fits beside their photos or references, then fits of before."""
         app, mean = self.run.app, summary(self.records)["error"]
-        title = f"{app.full_title}, {self.run.paradigm.name}"
+        title = f"{self.run.presenter.title}, {self.run.paradigm.name}"
         count = len(self._records)
         title += "" if mean is None or count == 1 else f": mean error{app.factor} {mean:.3f} of {count} fits"
         tiles = {
@@ -225,7 +225,7 @@ def execute(run: Run) -> Execution | None:
         assert run.checkpoint is not None
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
-            size = "; files of {:,} rows, {:,} columns".format(*run.app.size) if run.app.size else ""
+            size = "; files of {:,} rows, {:,} columns".format(*run.presenter.size) if run.presenter.size else ""
             steps = f"{run.steps} steps, from {run.checkpoint.source}"
             say(f"{run.app.full_name} {run.paradigm.name}: {count}; {steps}{size}")
         execution = Execution(run, sources, label)

@@ -119,7 +119,7 @@ class Fit:
     def _repr_html_(self) -> str:
         """The view in notebooks: the picture and one line."""
         error = "no reference" if self.error is None else f"error{self.app.factor} {self.error:.3f}"
-        line = f"{self.name}: {self.app.full_title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
+        line = f"{self.name}: {self.run.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.steps} steps" + (f"; warning: {self.warning}" if self.warning else "")
         return f'<img src="{png_address(self.picture())}"><div>{escape(line)}</div>'
 
@@ -159,13 +159,13 @@ class Fit:
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
         with threads(single=self.app.single_threaded):
-            maps = self.app.linear_maps(self.parameters, self.task)
+            maps = self.run.presenter.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def preview(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
         with threads(single=self.app.single_threaded):
-            return self.app.preview(self.parameters, self.task)
+            return self.run.presenter.preview(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
@@ -198,4 +198,4 @@ class Fit:
         """
         check_export(form, self.app.name)
         with threads(single=self.app.single_threaded):
-            export_fit(self.app, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
+            export_fit(self.run, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)

@@ -185,11 +185,11 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
         # sums depend on the number of threads, in their last digits: the record says it, but not its settings, since
         # that is no reason to fit anew
         record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds}
-        record |= {"threads": torch.get_num_threads(), **app.remarks(task, parameters)}
+        record |= {"threads": torch.get_num_threads(), **run.presenter.remarks(parameters, task)}
         record |= {"guarded": end.guarded is not None and bool(end.guarded[i])} if run.paradigm.guard else {}
         record |= {"warning": "; ".join(clauses)} if clauses else {}
         record |= {"batch": len(tasks)} if len(tasks) > 1 else {}
-        if record["error"] is None and (compared := app.photographed(parameters, task)):
+        if record["error"] is None and (compared := run.presenter.photo_comparison(parameters, task)):
             record |= {"photo_error": photo_error(compared)}
         fits.append(Fit(run, task, record, parameters))
     return fits
@@ -226,7 +226,7 @@ def warnings_of(run: Run, stacked: Tasks, first: DescentState, end: DescentState
         stacked: the tasks.
         first, end: of their descent.
     """
-    doubts = run.app.doubts(end.theta, stacked)
+    doubts = run.presenter.quality_warnings(end.theta, stacked)
     if end.guarded is not None or not run.steps:
         return doubts
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import torch
 
-from metapp.apps import app_of, is_first_protocol, recipe_of
+from metapp.appearance.presenter import Presenter
+from metapp.apps import app_of, is_first_protocol, presenter_of, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -75,6 +76,7 @@ class Run:
         try:
             files = options.own.given(OUTPUT)
             app = replace(app, **{each.name: files[each.name] for each in fields(app) if each.name in files})
+            presenter_of(app, files)
         except ValueError as error:
             raise BadOption(str(error)) from None
         built = kind(app, recipe, rule)
@@ -111,6 +113,11 @@ class Run:
     def app(self) -> App:
         """The application of its paradigm."""
         return self.paradigm.app
+
+    @functools.cached_property
+    def presenter(self) -> Presenter[Any]:
+        """What people look at of its fits, with the options of output such as the size of files."""
+        return presenter_of(self.app, self.options.own.given(OUTPUT))
 
     @functools.cached_property
     def recipe(self) -> Recipe:

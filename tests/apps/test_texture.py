@@ -7,7 +7,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
-from metapp.appearance.picture_measures import image_errors
+from metapp.appearance.picture_measures import measure_pictures
+from metapp.apps import presenter_of
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.learning.app import stack
 from metapp.learning.pictures import Fitted
@@ -139,7 +140,7 @@ def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.Monke
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
         monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0, made=made: made[None, None])
-        measured = image_errors(app, fits, Task("paving", {"image": (255 * paving).to(torch.uint8)}))
+        measured = measure_pictures(presenter_of(app), fits, Task("paving", {"image": (255 * paving).to(torch.uint8)}))
         assert measured["a"]["order"] == pytest.approx(expected, abs=0.25)
     noise = torch.randint(256, (3, 64, 64), generator=seeded(1), dtype=torch.uint8)
-    assert "order" not in image_errors(app, fits, Task("noise", {"image": noise}))["a"]
+    assert "order" not in measure_pictures(presenter_of(app), fits, Task("noise", {"image": noise}))["a"]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from metapp.appearance.picture_measures import image_errors
-from metapp.apps import app_of, recipes_of
+from metapp.appearance.picture_measures import measure_pictures
+from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.pictures import KINDS, Fitted
@@ -91,7 +91,7 @@ def test_files_are_what_their_kind_says(app: App, fitted: Params, sources: list[
 
 
 def test_measures_of_pictures_are_said_where_there_are_any(app: App, fitted: Params, sources: list[Task]) -> None:
-    measured = image_errors(app, {"meta": Fitted(fitted, 0.1)}, sources[0])
+    measured = measure_pictures(presenter_of(app), {"meta": Fitted(fitted, 0.1)}, sources[0])
     assert app.image_measure or not measured
     for name, measures in measured.items():
         assert measures, name

@@ -71,7 +71,7 @@ def ablation(subject: Subject) -> Table:
         *notes_of(rows),
     ]
     title = f"mean error{subject.app.factor} of initialisations and rules"
-    return Table(subject.title, title, COLUMNS, rows, notes, findings=(subject.app.caption(),))
+    return Table(subject.title, title, COLUMNS, rows, notes, findings=(subject.presenter.caption(),))
 
 
 def learned(subject: Subject) -> list[str]:

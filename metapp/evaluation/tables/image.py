@@ -1,11 +1,11 @@
-"""Measures in image space, of pictures that fits make beside the references: `App.image_errors`."""
+"""Measures in image space, of pictures that fits make beside the references: `Presenter.picture_errors`."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
 
-from metapp.appearance.picture_measures import image_errors, picture_measures
+from metapp.appearance.picture_measures import measure_pictures, picture_measures
 from metapp.evaluation.rows import errors_of, few_note, paper, row_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, columns
@@ -29,7 +29,7 @@ COLUMNS = columns(
 
 def image(subject: Subject) -> Table:
     """A row for each measure of each picture; those that are made without a fit come first."""
-    rows = _rows(subject, picture_records(subject)) if subject.app.image_measure else []
+    rows = _rows(subject, picture_records(subject)) if subject.presenter.picture_measure else []
     notes = image_notes(subject, rows)
     return Table(subject.title, "measures in image space", COLUMNS, rows, notes)
 
@@ -43,9 +43,12 @@ def picture_records(subject: Subject) -> list[Record]:
         for task in tasks:
             of_task = {name: records[task.name] for name, records in by_paradigm.items()}
             fitted = {name: Fitted(params_of(one, app), one["seconds"]) for name, one in of_task.items()}
-            yield {"name": task.name, "error": None, "measures": image_errors(app, fitted, task)}, None
+            yield (
+                {"name": task.name, "error": None, "measures": measure_pictures(subject.presenter, fitted, task)},
+                None,
+            )
 
-    settings = {"app": app.name, "measure": [app.image_measure, picture_measures(app.name)[0]]}
+    settings = {"app": app.name, "measure": [subject.presenter.picture_measure, picture_measures(app.name)[0]]}
     kept = subject.kept("image", settings, ("measures",), PARADIGMS)
     return subject.measured("pictures", kept, measure, min(map(subject.tasks_of, PARADIGMS), key=len))
 
@@ -89,7 +92,7 @@ def image_notes(subject: Subject, rows: list[Row]) -> list[str]:
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
     measures, missing = picture_measures(subject.app.name)
-    lines = [", ".join([subject.app.image_measure, *of_references]), *few_note(subject)]
+    lines = [", ".join([subject.presenter.picture_measure, *of_references]), *few_note(subject)]
     lines += [*(f"{name}: {note}" for name, note in measures.items()), *missing]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"

@@ -37,7 +37,7 @@ def results(subject: Subject) -> Table:
     ]
     title = f"mean error{subject.app.factor}, median seconds of inference"
     fits = {name: subject.records(name) for name in PARADIGMS}
-    findings = (subject.app.caption(), closing(subject.app, rows))
+    findings = (subject.presenter.caption(), closing(subject.app, rows))
     return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)
 
 
@@ -93,5 +93,5 @@ def quickft(subject: Subject) -> Table:
         notes.append(f"paper: meta {meta['paper_error']:.3f}, quickft {of_quickft['paper_error']:.3f}")
     notes.append("quickft's Adam is searched on validation tasks")
     title = f"mean error{subject.app.factor} after as many steps"
-    findings = (subject.app.caption(), *(line for other in AGAINST for line in verdict(meta, other)))
+    findings = (subject.presenter.caption(), *(line for other in AGAINST for line in verdict(meta, other)))
     return Table(subject.title, title, COLUMNS, rows, notes, findings=findings)

@@ -91,7 +91,7 @@ def _sample_row(subject: Subject, name: str) -> Row:
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": fit.steps, "batch": batch if fit.steps else None}
     row = row_of(subject, name, [], entries)
-    visible = subject.app.visible(tasks[0]) if tasks else None
+    visible = subject.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
     encodes = "general" in fit.paradigm.needs or bool(fit.checkpoint and fit.checkpoint.phi.encoder)

@@ -54,7 +54,7 @@ class BaselineFit(NamedTuple):
         numbers: that are kept for the task.
         size: their bytes.
         picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
-        written: makes the argument of `App.answer_pictures` where files differ from what is judged; not timed.
+        written: makes the argument of `Presenter.answer_pictures` where files differ from what is judged; not timed.
     """
 
     answer: Callable[[], object]

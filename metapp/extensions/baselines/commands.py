@@ -78,7 +78,7 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     if method not in methods:
         names = ", ".join(methods) or f"another application: {app.name} has no method"
         raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{did_you_mean(method, methods)}")
-    if app.size and not methods[method].sizes:
+    if planned.presenter.size and not methods[method].sizes:
         sized = ", ".join(name for name, other in methods.items() if other.sizes) or "none"
         raise BadOption(f"--size: {method} writes files of one size, expected a method that makes others: {sized}.")
     baseline, (sources, label) = methods[method], sources_to_fit(planned)
@@ -92,11 +92,13 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
         fits = fit_baselines(planned, baseline, tasks, warm=False)
         for task, (record, picture, written) in zip(tasks, fits, strict=True):
             record |= {"content": content_of(task), "origin": planned.origin(options.paths)}
-            files = app.answer_pictures(written(), task)
+            files = planned.presenter.answer_pictures(written(), task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     if not (options.quiet or json):
-        shown = table_of(app, method, records) if len(records) > 1 else line_of(app, records[0])
+        shown = (
+            table_of(planned.presenter, method, records) if len(records) > 1 else line_of(planned.presenter, records[0])
+        )
         out().print(shown, soft_wrap=len(records) == 1)
     if not options.quiet:
         say(f"{method} cannot {baseline.cannot}\nfits: {path}")

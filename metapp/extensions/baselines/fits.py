@@ -28,7 +28,7 @@ from metapp.storage.shards import read_manifest, read_shard
 ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 
 
-# the record, the picture, and what files are made of, as of `App.answer_pictures`, by a function
+# the record, the picture, and what files are made of, as of `Presenter.answer_pictures`, by a function
 Judged = tuple[Record, Params | None, Callable[[], object]]
 
 

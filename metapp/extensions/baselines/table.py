@@ -58,7 +58,7 @@ def baselines(subject: Subject) -> Table:
     meta = subject.records("meta")
     title = f"mean error{subject.app.factor} and what is kept, of paradigms and of methods without a network"
     fits = {"meta": meta} | pictures if meta and pictures else {}
-    findings = (subject.app.caption(), *_compared([row for row in rows if row["baseline"]]))
+    findings = (subject.presenter.caption(), *_compared([row for row in rows if row["baseline"]]))
     return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)
 
 

@@ -67,9 +67,10 @@ def _table(compared: Comparison) -> Table:
 
     from metapp.evaluation.statistics import FEWEST
 
-    sides, app, pairs = compared.sides, compared.sides[0].app, [each.compared for each in compared.errors]
+    sides, presenter = compared.sides, compared.sides[0].presenter
+    pairs = [each.compared for each in compared.errors]
     base, known = sides[0].label, [pair for pair in pairs if pair]
-    said = [app.caption()]
+    said = [presenter.caption()]
     if known and known[0].groups < FEWEST:
         said.append(f"{known[0].groups} different tasks are too few to call a win")
     for title, measured in compared.measures.items():
@@ -78,7 +79,9 @@ def _table(compared: Comparison) -> Table:
             for side, each in zip(sides, measured, strict=True)
         )
         said.append(f"{title}: {', '.join(of_sides)}")
-    table = Table(title=f"{app.full_title}, error{app.factor}", caption="\n".join(said), caption_justify="left")
+    table = Table(
+        title=f"{presenter.title}, error{presenter.app.factor}", caption="\n".join(said), caption_justify="left"
+    )
     table.add_column("task")
     for side in sides:
         table.add_column(side.label, justify="right")

@@ -5,13 +5,13 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from metapp.appearance.colorimetry import colour_difference
+from metapp.appearance.presenter import Presenter
 from metapp.evaluation.statistics import Paired, paired
-from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.outputs.pictures import Tiles, tiles_of, write_compared
 from metapp.runs.outputs.recorded import read_run, tasks_as
@@ -33,13 +33,13 @@ class Side(NamedTuple):
 
     Attributes:
         label: a word that tells it from the others.
-        app: as it was at the first fit.
+        presenter: of the application, as it was at the first fit.
         folder: of the run.
         records: of the tasks in common, in the same order.
     """
 
     label: str
-    app: App
+    presenter: Presenter[Any]
     folder: Path
     records: list[Document]
 
@@ -83,7 +83,7 @@ class Comparison(NamedTuple):
     def document(self, picture: Path | None) -> Document:
         """The document that --json prints."""
         return {
-            "app": self.sides[0].app.name,
+            "app": self.sides[0].presenter.app.name,
             "runs": [
                 {
                     **{"label": side.label, "out": str(side.folder), "error": error.mean, "seconds": side.seconds()},
@@ -126,10 +126,10 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
             counts = f"{before} and {len(of)} tasks, none in common"
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
     sides = [
-        Side(label, Run.of_settings(each).app, run.folder, [of[name] for name in names])
+        Side(label, Run.of_settings(each).presenter, run.folder, [of[name] for name in names])
         for label, each, run, of in zip(_labels(settings), settings, runs, by_name, strict=True)
     ]
-    app = sides[0].app
+    app = sides[0].presenter.app
     tasks_by_name = tasks_as(runs[0].records, app, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
@@ -163,17 +163,17 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     if not compared.tasks or not all(path.is_file() for path in kept):
         return None, compared
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
-    drawn, app = compared.tasks[:COMPARED], compared.sides[0].app
+    drawn, presenter = compared.tasks[:COMPARED], compared.sides[0].presenter
     columns = []
-    with progress("picture", len(drawn), quiet=quiet) as bar, threads(single=app.single_threaded):
+    with progress("picture", len(drawn), quiet=quiet) as bar, threads(single=presenter.app.single_threaded):
         for task in drawn:
             pairs = zip(compared.sides, records, strict=True)
-            columns.append(tiles_of(task, [(side.label, side.app, of[task.name]) for side, of in pairs]))
+            columns.append(tiles_of(task, [(side.label, side.presenter, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
     judged = [column for column in columns if "reference" in column.pictures]
-    if app.name in SPHERES and judged:
+    if presenter.app.name in SPHERES and judged:
         compared = compared._replace(measures=compared.measures | _colour_differences(judged, compared))
-    return write_compared(app, columns, file), compared
+    return write_compared(presenter, columns, file), compared
 
 
 def _colour_differences(columns: list[Tiles], compared: Comparison) -> dict[str, list[Measured]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple, Never
+from typing import Any, NamedTuple, Never
 
 import numpy as np
 import torch
@@ -13,8 +13,8 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.latlong import directions
+from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment
-from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
 
@@ -46,25 +46,25 @@ class View(NamedTuple):
     caption: str = ""
 
 
-def view_of(app: App, theta: Params, task: Task) -> View:
+def view_of(presenter: Presenter[Any], theta: Params, task: Task) -> View:
     """The view of a fit as its application's page makes it: its pictures, if the application has no page.
 
     Args:
-        app: the application.
+        presenter: of the application.
         theta: the fit, without a task axis.
         task: of the fit, without data if that is not at hand.
 
     Raises:
         KeyError: the fit alone is not enough.
     """
-    if page := registry().pages.get(app.name):
-        view: View = page.load()(app, theta, task)
+    if page := registry().pages.get(presenter.app.name):
+        view: View = page.load()(presenter, theta, task)
         return view
-    return pictures_view(app.preview(theta, task))
+    return pictures_view(presenter.preview(theta, task))
 
 
 def pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
-    """The view of linear pictures, as of `App.preview`."""
+    """The view of linear pictures, as of `Presenter.preview`."""
     shown = {name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()}
     return View("pictures", pictures=shown, thumbnail=thumbnail(shown["fit"]) if "fit" in shown else None)
 

@@ -88,7 +88,7 @@ def view_page(
                 except ValueError as error:
                     lacking.append(f"{label} of {error}")
             _, run, fitted, _ = several[0]
-            groups += [Group(fitted.name, run.app.full_title, views)] if views else []
+            groups += [Group(fitted.name, run.presenter.title, views)] if views else []
             bar.advance(fitted.name)
     if not groups:
         raise ValueError(lacking[0])
@@ -122,7 +122,7 @@ def labelled_view(fit: Fit, label: str) -> View:
     """
     try:
         with threads(single=fit.app.single_threaded):
-            view = view_of(fit.app, fit.parameters, fit.task)
+            view = view_of(fit.run.presenter, fit.parameters, fit.task)
     except KeyError as missing:
         if fit.task.data:
             raise
@@ -144,7 +144,7 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    title, views = fit.app.full_title, [labelled_view(fit, fit.settings["paradigm"])]
+    title, views = fit.run.presenter.title, [labelled_view(fit, fit.settings["paradigm"])]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
     return write_page(f"metapp: {title}", [Group(fit.name, title, views)], page)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from torch import Generator
 
 from metapp.appearance.colour import stretched, tone_map
+from metapp.apps import presenter_of
 from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
@@ -79,21 +80,22 @@ def opened_file(path: Path) -> Path:
     return alone[0] if len(alone) == 1 else path.parent
 
 
-def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
+def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
     """Write one fit in a form; if that holds another network, the fit is distilled into it first.
 
     Args:
-        app: the fit's application, at the size of surfaces.
+        run: the run of the fit, with the size of surfaces.
         task: of the fit.
         theta: parameters, without a task axis.
         path: of the file, without suffix; its last part names an asset.
         name: of the form.
         settings: of the fit, as records have them: an asset's provenance.
     """
+    app = run.app
     form = exports_of(app.name)[name]
     write = form.load()
     if form.of_surface:
-        surface = app.surface(theta, task)
+        surface = run.presenter.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
         write(surface, path, {"task": task.name, **settings})
         return
@@ -120,7 +122,7 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
         theta: parameters of one task, without a task axis.
     """
     by = with_checkpoint(Run.of(fit_options(app.name, "finetune", recipe=QUICK, quiet=True)))
-    evaluated = app.evaluated(theta, task)
+    evaluated = presenter_of(app).sample_fit(theta, task)
     assert evaluated is not None, f"{app.name} has one network"
     fitted = by.paradigm.fit(by.phi, stack(by.app, [evaluated]), Generator().manual_seed(by.options.seed))
     before, after = (

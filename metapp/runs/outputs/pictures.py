@@ -12,13 +12,13 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
-from metapp.learning.app import App
+from metapp.appearance.presenter import Presenter
 from metapp.learning.task import Params, Task
 from metapp.storage import Document
 from metapp.storage.files import PARTIAL, read_bytes, write_atomically
@@ -206,27 +206,27 @@ GIVEN = ("reference", "photo", "samples")  # pictures that are the task's, not o
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
-def tiles_of_fit(app: App, task: Task, theta: Params, record: Document) -> Tiles:
+def tiles_of_fit(presenter: Presenter[Any], task: Task, theta: Params, record: Document) -> Tiles:
     """The pictures of a fit, parameters without a task axis, and the error of its record."""
-    return Tiles(_shown(app.tiles(theta, task)), record["name"], {"": _label(record, "error ")})
+    return Tiles(_shown(presenter.tiles(theta, task)), record["name"], {"": _label(record, "error ")})
 
 
-def tiles_of(task: Task, fits: Sequence[tuple[str, App, Document]]) -> Tiles:
-    """The reference or the samples of a task, and its fits: (label, application, record) of each."""
+def tiles_of(task: Task, fits: Sequence[tuple[str, Presenter[Any], Document]]) -> Tiles:
+    """The reference or the samples of a task, and its fits: (label, presenter, record) of each."""
     tiles: dict[str, np.ndarray] = {}
-    for label, app, record in fits:
+    for label, presenter, record in fits:
         theta = read_params(record["folder"])
         if PICTURE not in theta:
-            check_params(theta, app, record["folder"])
-        pictures = {"fit": theta[PICTURE]} if PICTURE in theta else app.preview(theta, task)
+            check_params(theta, presenter.app, record["folder"])
+        pictures = {"fit": theta[PICTURE]} if PICTURE in theta else presenter.preview(theta, task)
         tiles |= {} if tiles else _shown({name: pictures[name] for name in GIVEN if name in pictures})
         tiles[label] = to_srgb(pictures["fit"])
     return Tiles(tiles, task.name, {label: _label(record) for label, _, record in fits})
 
 
-def write_compared(app: App, tasks: list[Tiles], file: Path) -> Path:
+def write_compared(presenter: Presenter[Any], tasks: list[Tiles], file: Path) -> Path:
     """Write fits that are compared as one picture."""
-    return write_sheet(tasks, f"{app.full_title}: mean error{app.factor} of each fit below it", file)
+    return write_sheet(tasks, f"{presenter.title}: mean error{presenter.app.factor} of each fit below it", file)
 
 
 def _label(record: Document, before: str = "") -> str:

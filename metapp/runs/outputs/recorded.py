@@ -206,15 +206,15 @@ def export_run(
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            app = Run.of_settings(settings, options=options).app
-            theta = params_of(record, Run.of_settings(settings).app if options else app)
+            of_fit = Run.of_settings(settings, options=options)
+            theta = params_of(record, Run.of_settings(settings).app if options else of_fit.app)
             if options:
                 settings = settings | {"options": settings.get("options", {}) | options}
-            write = functools.partial(export_fit, app, theta=theta, path=export_path(record, form, out), name=form)
+            write = functools.partial(export_fit, of_fit, theta=theta, path=export_path(record, form, out), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)
             except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
-                tasks = tasks_as(records, app, inputs, data) if tasks is None else tasks
+                tasks = tasks_as(records, of_fit.app, inputs, data) if tasks is None else tasks
                 if name not in tasks:
                     raise ValueError(
                         f"{name}: {form} is made of the fit and its input ({missing}), expected both; "

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from torch import Generator
 
-from metapp.appearance.picture_measures import image_errors
+from metapp.appearance.picture_measures import measure_pictures
+from metapp.apps import presenter_of
 from metapp.evaluation.table import text_of
 from metapp.evaluation.tables import image
 from metapp.learning.app import App
@@ -39,10 +40,11 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
     """The measures in the rows of a random fit, and the table with its notes."""
     task = sources[0]
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
-    measures = image_errors(app, {"meta": Fitted(theta, 0.1)}, task)
+    measures = measure_pictures(presenter_of(app), {"meta": Fitted(theta, 0.1)}, task)
     records = [{"name": task.name, "error": None, "measures": measures}]
     subject: Any = SimpleNamespace(
         app=app,
+        presenter=presenter_of(app),
         title=app.title,
         tasks=[task],
         groups={task.name: task.name},
@@ -82,4 +84,4 @@ def test_without_the_extension_tables_have_the_rest(
     measures, text = printed(app, sources, monkeypatch)
     assert measures >= OWN.get(app.name, set())
     assert not measures & set().union(*FURTHER.values())
-    assert app.image_measure in text
+    assert presenter_of(app).picture_measure in text

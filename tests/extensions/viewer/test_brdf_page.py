@@ -13,6 +13,7 @@ from torch.nn.functional import normalize
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.geometry import above_horizon, directions_to_four_angles, rusinkiewicz_to_directions
+from metapp.apps import presenter_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.extensions.few.network import Few
@@ -63,7 +64,7 @@ def theta_of(name: str) -> Params:
 def views(*names: str, task: Task | None = None, theta: Params | None = None) -> list[View]:
     shown = []
     for name in names:
-        view = view_of(APPS[name], theta or theta_of(name), task or Task("lobe", {}))
+        view = view_of(presenter_of(APPS[name]), theta or theta_of(name), task or Task("lobe", {}))
         shown.append(view._replace(label=name))
     return shown
 
@@ -374,7 +375,7 @@ def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
         app, theta = isotropic()
     elif wrong:
         truth, task = shine, brdf_task("still", shine, 65_536)
-    grid = view_of(app, theta, task).arrays["residual"]
+    grid = view_of(presenter_of(app), theta, task).arrays["residual"]
     angles = angles_above(20_000, 8).float()
     if not app.network.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown

@@ -13,6 +13,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import mirror
+from metapp.apps import presenter_of
 from metapp.apps.illumination.app import LOSS_PX, Illumination
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
 from metapp.extensions.viewer.pages import illumination as pages
@@ -61,14 +62,14 @@ def shown(protocol: str) -> tuple[Illumination, Params]:
 
 def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> None:
     app, theta = shown("reference")
-    view = view_of(app, theta, task_of(lamps(2)))
+    view = view_of(presenter_of(app), theta, task_of(lamps(2)))
     scale, light = view.facts["scale"], fitted.permute(1, 2, 0)
     kept = view.arrays["map"].float() * scale
     torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
     reference = view.arrays["reference"].float() * scale
     torch.testing.assert_close(reference, lamps(2).permute(1, 2, 0) / light.mean(), rtol=1e-3, atol=1e-6)
     assert (view.kind, dict(view.pictures)) == ("light", {})
-    assert set(view_of(app, theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
+    assert set(view_of(presenter_of(app), theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
 
 
 def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +77,7 @@ def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> No
     pixels = torch.full((256, 512, 3), 0.01)
     pixels[100, 200, 0] = 1e5
     monkeypatch.setattr(Illumination, "map_picture", lambda app, theta, task: Picture(pixels, "radiance"))
-    view = view_of(app, theta, Task("sun", {}))
+    view = view_of(presenter_of(app), theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
@@ -85,7 +86,7 @@ def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> No
 def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pages, "LARGEST_MAP", (16, 32))
     app, theta = shown("reference")
-    view = view_of(app, theta, task_of(lamps(2)))
+    view = view_of(presenter_of(app), theta, task_of(lamps(2)))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
     torch.testing.assert_close(small, resample(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (
@@ -96,11 +97,11 @@ def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatc
 
 def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted: Tensor) -> None:
     app, theta = shown("photo")
-    view = view_of(app, theta, task_of(fitted))
+    view = view_of(presenter_of(app), theta, task_of(fitted))
     inside = sphere_normals(64)[0][2] > 0.5
     assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
     with pytest.raises(KeyError, match="photos"):
-        view_of(app, theta, Task("lamps", {}))
+        view_of(presenter_of(app), theta, Task("lamps", {}))
 
 
 def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor) -> None:
@@ -108,7 +109,7 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor
     task = task_of(fitted)
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
-    ball = view_of(app, theta, task).pictures["ball"].permute(2, 0, 1)
+    ball = view_of(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
     target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PX)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PX)[0] > 0.999
     assert (avg_pool2d(ball, 64 // LOSS_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
@@ -127,7 +128,8 @@ def opened_on(open_page: Callable) -> Callable[[str, Tensor], Page]:
     """Opens the page of a fit by a protocol, and a reference."""
 
     def call(protocol: str, reference: Tensor) -> Page:
-        page: Page = open_page(view_of(*shown(protocol), task_of(reference)))
+        app, theta = shown(protocol)
+        page: Page = open_page(view_of(presenter_of(app), theta, task_of(reference)))
         page.set(paper="white")
         return page
 

@@ -14,6 +14,7 @@ from torch.nn.functional import interpolate
 from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
+from metapp.apps import presenter_of
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -87,7 +88,7 @@ def in_rows() -> View:
 
 def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     theta, task = theta_of(), exemplar_of()
-    view = view_of(SHOWN, theta, task)
+    view = view_of(presenter_of(SHOWN), theta, task)
     assert [(each["title"], each["tiles"]) for each in view.facts["pictures"]] == [
         ("exemplar", "seams"),
         ("fit", "whole"),
@@ -100,7 +101,7 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     assert {tuple(texel) for texel in quilted.reshape(-1, 3).tolist()} <= {
         tuple(texel) for texel in exemplar.reshape(-1, 3).tolist()
     }
-    alone = view_of(SHOWN, theta, Task("bark", {}))
+    alone = view_of(presenter_of(SHOWN), theta, Task("bark", {}))
     assert [each["title"] for each in alone.facts["pictures"]] == ["fit"]
 
 
@@ -114,7 +115,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
     flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
     app, task = Transport(flow), Task("room", {"scene": scene_bytes(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
-    view = view_of(app, theta, task)
+    view = view_of(presenter_of(app), theta, task)
     shown = {each["title"]: each for each in view.facts["pictures"]}
     names = ("reference", REGULAR, pages.GUIDED)
     worst = [f"worst region x4, {name}" for name in names]
@@ -128,7 +129,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
         assert float(mape(light[line["label"]], light["reference"])) == pytest.approx(errors[-1], rel=0.01)
     assert view.facts["notes"][0].startswith("To a MAPE of ")
     monkeypatch.setattr(pages, "_traced", lambda *_: pytest.fail("traced again"))
-    again = view_of(app, theta, task)
+    again = view_of(presenter_of(app), theta, task)
     assert (again.facts, list(again.arrays)) == (view.facts, list(view.arrays))
 
 
@@ -158,7 +159,7 @@ def test_the_worst_region_is_where_errors_are_greatest() -> None:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
-    views = [view_of(SHOWN, theta_of(seed), exemplar_of()) for seed in (0, 1)]
+    views = [view_of(presenter_of(SHOWN), theta_of(seed), exemplar_of()) for seed in (0, 1)]
     textures = [view._replace(label=f"seed {seed}", caption="error 0.1") for seed, view in enumerate(views)]
     file = written(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
     with browsing() as browser:
@@ -204,7 +205,7 @@ def test_radiance_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
 @pytest.mark.long
 def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
     settings = {"show": "one", "tiles": 2, "zoom": 0}
-    fit = pixels_of(view_of(SHOWN, theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(view_of(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
     tiled = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="fit", **settings)
     assert np.array_equal(np.round(255 * tiled), np.round(255 * np.tile(fit, (2, 2, 1))))
     exemplar = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="exemplar", **settings)
@@ -216,7 +217,9 @@ def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
 
 @pytest.mark.long
 def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
-    pictures = {name: pixels_of(each) for name, each in view_of(SHOWN, theta_of(), exemplar_of()).pictures.items()}
+    pictures = {
+        name: pixels_of(each) for name, each in view_of(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures.items()
+    }
     fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (TILED, TILED, 1))
     pair = {"left": "fit", "right": "exemplar", "zoom": 0}
     screen = seen(page, 0, (WHOLE, WHOLE), show="wipe", wipe=0.25, **pair)
@@ -232,7 +235,7 @@ def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
 
 @pytest.mark.long
 def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
-    fit = pixels_of(view_of(SHOWN, theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(view_of(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
     screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=2, x=10, y=-7)
     middle = WHOLE // 2
     rows, columns = (slice(middle + shift - WHOLE // 8, middle + shift + WHOLE // 8) for shift in (-7, 10))

@@ -13,6 +13,7 @@ from torch.nn.functional import normalize
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
 from metapp.appearance.surface import Surface
+from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
@@ -80,7 +81,7 @@ def assert_same(maps: Maps, wanted: Maps) -> None:
 def test_a_view_holds_the_maps_that_are_written() -> None:
     """Photographs are there where the task is at hand: the part of the maps that one covers, and its flash."""
     shown, theta, task = stationary()
-    surface, view = shown.surface(theta, task), view_of(shown, theta, task)
+    surface, view = shown.surface(theta, task), view_of(presenter_of(shown), theta, task)
     assert surface.maps is not None
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
@@ -90,14 +91,14 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
     assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
     photo = task.data["image"].movedim(0, -1) / 255
     torch.testing.assert_close(view.pictures["photo_1"], photo, atol=STEP / 2, rtol=0)
-    alone = view_of(shown, theta, Task("cloth", {}))
+    alone = view_of(presenter_of(shown), theta, Task("cloth", {}))
     assert list(alone.facts["lit"]) == list(relightings())
     assert "photo_1" not in alone.pictures
 
 
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
-    view, files = view_of(shown, theta, task), shown.pictures(theta, task)
+    view, files = view_of(presenter_of(shown), theta, task), shown.pictures(theta, task)
     truth = rock(64, tiles=False).maps
     assert truth is not None
     assert_same(maps_in(view, "reference"), truth)
@@ -114,7 +115,7 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
     )
     assert not view.facts["tiles"]
     with pytest.raises(KeyError):
-        view_of(shown, theta, Task("rock", {}))
+        view_of(presenter_of(shown), theta, Task("rock", {}))
 
 
 def test_heights_of_normals_do_not_drift_over_a_map() -> None:

@@ -204,9 +204,9 @@ def test_without_it_fits_work_and_its_method_is_refused(
 
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
-    assert view_of(fit.app, fit.parameters, fit.task).kind == "brdf"
+    assert view_of(fit.run.presenter, fit.parameters, fit.task).kind == "brdf"
     monkeypatch.delitem(registry().pages, "brdf")
-    view = view_of(fit.app, fit.parameters, fit.task)
+    view = view_of(fit.run.presenter, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
 

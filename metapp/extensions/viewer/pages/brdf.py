@@ -12,6 +12,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.lobes import fit_lobes
+from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
 from metapp.apps.brdf import anisotropic, featured
 from metapp.apps.brdf.app import Brdf
@@ -25,7 +26,7 @@ WIDENED = 4  # times that cells without samples look one cell farther
 PLOTTED = 8192  # samples of plots, at most
 
 
-def view(app: Brdf, theta: Params, task: Task) -> View:
+def view(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
     """The fit, its samples if the task has some, and a reference where the material is known everywhere."""
     network = network_of(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)

@@ -12,6 +12,7 @@ from torch.nn.functional import adaptive_avg_pool2d, normalize
 
 from metapp.appearance.colour import stretched
 from metapp.appearance.flash import GAMMA, Maps, expose, pack, positions, relightings, render, unpack
+from metapp.appearance.presenter import Presenter
 from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
@@ -45,8 +46,9 @@ class Lit(NamedTuple):
 
 
 @torch.no_grad()
-def svbrdf_nonstationary(app: SvbrdfNonstationary, theta: Params, task: Task) -> View:
+def svbrdf_nonstationary(presenter: Presenter[SvbrdfNonstationary], theta: Params, task: Task) -> View:
     """The maps as `pictures` has them, the photographs, and the true maps if the task has them."""
+    app = presenter.app
     flashes = app.flashes(theta, task)
     photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
     taken = app.protocol == "photo"  # else the photo was rendered from the maps
@@ -55,22 +57,24 @@ def svbrdf_nonstationary(app: SvbrdfNonstationary, theta: Params, task: Task) ->
         for flash, photo in zip(flashes, photos, strict=True)
     ]
     reference = unpack(task.data["maps"].float()) if "maps" in task.data else None
-    return surface_view(app.surface(theta, task), photographed, reference=reference)
+    return surface_view(presenter.surface(theta, task), photographed, reference=reference)
 
 
-def svbrdf_stationary(app: SvbrdfStationary, theta: Params, task: Task) -> View:
+def svbrdf_stationary(presenter: Presenter[SvbrdfStationary], theta: Params, task: Task) -> View:
     """The maps as `pictures` has them, and the photograph if it is at hand."""
+    app = presenter.app
     photographed = []
     if "image" in task.data:
         photo = app.exemplar(task.data["image"][None].float() / 255)
         light, part = app.light_of(photo)[0], app.width / app.picture_size[1]
         photographed = [Lit(light, light, photo=photo[0] ** GAMMA, part=part)]
-    return surface_view(app.surface(theta, task), photographed, falloff=FALLOFF)
+    return surface_view(presenter.surface(theta, task), photographed, falloff=FALLOFF)
 
 
-def texture(app: Texture, theta: Params, task: Task) -> View:
+def texture(presenter: Presenter[Texture], theta: Params, task: Task) -> View:
     """The texture as `pictures` has it, the exemplar if it is at hand, and one quilted of that, at one scale."""
-    fit = app.pictures(theta, task)["texture"].pixels
+    app = presenter.app
+    fit = presenter.pictures(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
         exemplar = pictures["exemplar"] = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
@@ -84,7 +88,7 @@ def texture(app: Texture, theta: Params, task: Task) -> View:
 
 
 def surface_view(
-    surface: Surface, photographed: Sequence[Lit], *, falloff: float = 0.0, reference: Maps | None = None
+    surface: Surface | None, photographed: Sequence[Lit], *, falloff: float = 0.0, reference: Maps | None = None
 ) -> View:
     """A surface with all maps, under its photographs' flashes and in the three pictures of other lights.
 
@@ -94,9 +98,10 @@ def surface_view(
         falloff: of flashes in pictures, as of `metapp.appearance.flash.render`.
         reference: the true maps, if they are known.
     """
-    small = _reduced(surface)
-    if small.maps is None:
+    if surface is None or surface.maps is None:
         raise ValueError("a surface of one colour, expected one with maps")
+    small = _reduced(surface)
+    assert small.maps is not None
     heights = small.heights()
     height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
     pictures = {f"fit_{name}": pixels for name, pixels in _encoded(small.maps).items()} | {"height": _last(height)}

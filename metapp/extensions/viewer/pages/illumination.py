@@ -11,6 +11,7 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.geometry import Cosines
 from metapp.appearance.latlong import directions, luminance, resample, solid_angles
 from metapp.appearance.photograph import mirror
+from metapp.appearance.presenter import Presenter
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, is_mirror
@@ -24,12 +25,13 @@ NODES = 32  # cosines that the albedos of lobes are known at
 
 
 @torch.no_grad()
-def view(app: Illumination, theta: Params, task: Task) -> View:
+def view(presenter: Presenter[Illumination], theta: Params, task: Task) -> View:
     """The map as `pictures` has it, to look around in, and spheres lit by it; of a photograph also the ball.
 
     Raises:
         KeyError: a fit of a photograph without it.
     """
+    app = presenter.app
     one = {key: value[None] for key, value in theta.items()}
     pixels = app.map_picture(one, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance

@@ -15,6 +15,7 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
+from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import guide, images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -46,8 +47,9 @@ class Progress(NamedTuple):
     spp: Tensor
 
 
-def view(app: Transport, theta: Params, task: Task) -> View:
+def view(presenter: Presenter[Transport], theta: Params, task: Task) -> View:
     """Pictures of the scene in equal time; densities if there is no scene."""
+    app = presenter.app
     if "scene" in task.data:
         return scene_view(app.network, theta, task)
     shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.network, theta)}

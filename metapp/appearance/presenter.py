@@ -1,0 +1,218 @@
+# ruff: noqa: D102
+"""What people look at of an application's fits: titles, pictures, remarks and warnings.
+
+Learning needs none of it: an application works without its presenter, in a notebook for example. A presenter adds
+nothing to a fit; it shows one, given by its parameters and its task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeVar
+
+from torch import Tensor
+
+from metapp.appearance.surface import Surface
+from metapp.learning.app import App
+from metapp.learning.pictures import Compared, Fitted, Picture, Visible
+from metapp.learning.task import Params, Task, Tasks
+
+Application = TypeVar("Application", bound=App)
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class Presenter(Generic[Application]):
+    """What people look at of an application's fits; a subclass shows what its application has.
+
+    Methods that take `theta` and `task` show one fit: `theta` holds parameters without a task axis. The defaults show
+    nothing, so that an application can do without a presenter of its own.
+
+    Attributes:
+        app: the application, at the recipe of the fits.
+        size: height and width of the files that fits write, px; None for the application's own choice.
+        picture_measure: the pictures that `picture_errors` measures, in one line; "" if there are none.
+
+    >>> from metapp.apps import app_of, presenter_of, recipe_of
+    >>> presenter_of(app_of("brdf", recipe_of("brdf", "quick"))).title
+    'BRDF'
+    """
+
+    app: Application
+    size: tuple[int, int] | None = None
+    picture_measure: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a size that files cannot have.
+
+        Raises:
+            ValueError: files of the application cannot have this size.
+        """
+        if self.size and (refusal := self.size_refusal(*self.size)):
+            raise ValueError(f"--size {self.size[0]}x{self.size[1]}: {self.app.name} {refusal}.")
+        object.__setattr__(self, "_last", (None, None, None))  # what `cache_last` kept
+
+    @property
+    def title(self) -> str:
+        """The application's title in tables, with its protocol if it has several."""
+        return f"{self.app.title} ({self.app.protocol})" if self.app.protocol else self.app.title
+
+    def caption(self, *, measured: bool = True) -> str:
+        """Return the line below a table of errors: how they are measured, and under which conditions.
+
+        Args:
+            measured: whether there are errors; fits of photographs have none, since nothing tells the truth.
+        """
+        app = self.app
+        conditions = ({"fits see": app.protocol} if app.protocol else {}) | app.conditions()
+        stated = f"error: {app.measure}{app.factor}" if measured else "without a reference there is no error to state"
+        return stated + "".join(f"; {name}: {value}" for name, value in conditions.items())
+
+    def size_refusal(self, height: int, width: int) -> str:
+        """Return why files cannot have a size in px, as the end of a sentence; "" if they can."""
+        return "has files of one size; leave it out"
+
+    # Pictures of one fit
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return linear RGB pictures [H, W, 3 or 4]: `fit`, and `reference` or `samples` if the task has such."""
+        return {}
+
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return linear RGB pictures [H, W, 3] for the row of a fit in the picture of a run, by name.
+
+        The names `reference` and `photo` are of what the task holds; `reference X` stands below the picture X.
+        """
+        return self.preview(theta, task)
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """Return the picture files that a fit makes for its user, by the file's name without its ending."""
+        return {}
+
+    def answer_pictures(self, answer: Any, task: Task) -> dict[str, Picture]:
+        """Return the picture files of an answer that need not come from the network, such as a baseline's.
+
+        Args:
+            answer: what `App.errors_of` judges, with a task axis of one entry.
+            task: the task that is answered.
+        """
+        return {}
+
+    def surface(self, theta: Params, task: Task) -> Surface | None:
+        """Return the flat surface that a fit describes, as `pictures` shows it; None if it describes none."""
+        return None
+
+    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return the maps of a fit, linear, [H, W] or [H, W, 3], by name; {} if it has none."""
+        surface = self.surface(theta, task)
+        return {} if surface is None else surface.linear_maps()
+
+    # Comparisons and doubts
+
+    def comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the pictures of a fit beside their references, which registered measures compare; None without."""
+        return None
+
+    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the fit's pictures of the photographs that it saw, beside these; None if it saw something else."""
+        return None
+
+    def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Return the application's own measures of pictures, by the fit's name, then by the measure's, such as SSIM.
+
+        There may be further names, of pictures that are made without any fit; `pictures.REFERENCE` is of the
+        references' own error. Of SSIM more is better, of others less.
+        """
+        return {}
+
+    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
+        """Return further entries of the record of a fit.
+
+        `counts` says how many things of a kind the fit sees; `note` is a clause, which is also printed; other entries
+        are named by the application.
+        """
+        return {}
+
+    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Return, for each task, short clauses about faults of its fit that show without a reference; [] for none.
+
+        Args:
+            theta: fits [T, ...].
+            tasks: the T tasks that were fitted.
+        """
+        return [[] for _ in range(len(tasks))]
+
+    def visible(self, task: Task) -> Visible | None:
+        """Return how much of a task a fit may see; None if the application does not say."""
+        return None
+
+    def sample_fit(self, theta: Params, task: Task) -> Task | None:
+        """Return a task sampled from the fit itself, to distil it into another network; None if there is only one."""
+        return None
+
+    def cache_last(self, theta: Params, task: Task, make: Callable[[], Made]) -> Made:
+        """Return what `make` makes of a fit, made once if it is asked for several times in turn.
+
+        Args:
+            theta: the fit; another mapping counts as another fit, whatever is in it.
+            task: the task of the fit.
+            make: makes the value, such as maps at the size of files.
+        """
+        last: tuple[Params, Task, Made] = self._last  # type: ignore[attr-defined]
+        if last[0] is not theta or last[1] is not task:
+            object.__setattr__(self, "_last", (None, None, None))  # may be 0.6 GB, not to lie beside the next fit's
+            last = theta, task, make()
+            object.__setattr__(self, "_last", last)
+        return last[2]
+
+
+class Delegating(Presenter[Any]):
+    """A presenter of an application whose class still has the methods itself."""
+
+    def __post_init__(self) -> None:
+        pass
+
+    @property
+    def picture_measure(self) -> str:  # type: ignore[override]
+        measure: str = self.app.image_measure
+        return measure
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        return self.app.preview(theta, task)  # type: ignore[no-any-return]
+
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        return self.app.tiles(theta, task)  # type: ignore[no-any-return]
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        return self.app.pictures(theta, task)  # type: ignore[no-any-return]
+
+    def answer_pictures(self, answer: Any, task: Task) -> dict[str, Picture]:
+        return self.app.answer_pictures(answer, task)  # type: ignore[no-any-return]
+
+    def surface(self, theta: Params, task: Task) -> Surface | None:
+        return self.app.surface(theta, task)  # type: ignore[no-any-return]
+
+    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        return self.app.linear_maps(theta, task)  # type: ignore[no-any-return]
+
+    def comparison(self, theta: Params, task: Task) -> Compared | None:
+        return self.app.compared(theta, task)  # type: ignore[no-any-return]
+
+    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+        return self.app.photographed(theta, task)  # type: ignore[no-any-return]
+
+    def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        return self.app.image_errors(fits, task)  # type: ignore[no-any-return]
+
+    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
+        return self.app.remarks(task, theta)  # type: ignore[no-any-return]
+
+    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        return self.app.doubts(theta, tasks)  # type: ignore[no-any-return]
+
+    def visible(self, task: Task) -> Visible | None:
+        return self.app.visible(task)  # type: ignore[no-any-return]
+
+    def sample_fit(self, theta: Params, task: Task) -> Task | None:
+        return self.app.evaluated(theta, task)  # type: ignore[no-any-return]
