@@ -1,5 +1,6 @@
 """All that the core has, by name: one page of entries, each imported at first use."""
 
+from metapp.paradigms import PARADIGMS
 from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
 
 EITHER = ("reference", "photo")  # values of --observe
@@ -154,7 +155,7 @@ def register(registry: Registry) -> None:
         "Wang et al. 2004, at most 1, more is better",
         ("brdf", "svbrdf_nonstationary", "illumination"),
     )
-    for paradigm in ("general", "overfit", "finetune", "quickft", "meta"):
+    for paradigm in PARADIGMS:
         registry.commands[paradigm] = Entry(f"metapp.cli.fit:COMMANDS.{paradigm}")
     registry.commands["evaluate"] = Entry("metapp.cli.evaluate:command")
     registry.commands["export"] = Entry("metapp.cli.export:command")

@@ -40,7 +40,6 @@ class Option:
         panel: of --help. Of an application's own options it also says their effect: INPUT on reading files, FIT on
             the recipe, OUTPUT on the files of a fit.
         protocol: the value of --observe that the option needs; "" for any.
-        unused_by: paradigms that ignore it; scripts give all paradigms the same options.
         parse: value -> value of the field; ValueError states the expected form.
         short: the letter of a further name on the command line; "" for none.
         name, kinds, default: of the field; a value has one of the types `kinds`.
@@ -54,7 +53,6 @@ class Option:
     choices: tuple[str, ...] = ()
     panel: str = INPUT
     protocol: str = ""
-    unused_by: tuple[str, ...] = ()
     parse: Callable[[Any], object] | None = None
     short: str = ""
     name: str = ""

@@ -10,12 +10,13 @@ import typer
 
 from metapp.cli.help import Command, Group
 from metapp.options import BadOption, Converter
+from metapp.paradigms import PARADIGMS
 from metapp.registry import SHIPPED, app_names, did_you_mean, reason_of, registry
 from metapp.runs.options import check_name
 from metapp.runs.reporter import say
 
 ORDER = (  # of commands in help: first what a user does first, commands of other packages last
-    *("try", "examples", "general", "overfit", "finetune", "quickft", "meta", "evaluate"),
+    *("try", "examples", *PARADIGMS, "evaluate"),
     *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
     # of data, readers by the application
     *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),

@@ -15,6 +15,7 @@ from metapp.cli.commands import app_group
 from metapp.cli.console import Exit, escaped, importing, one_line, out, print_json, seconds_so_far
 from metapp.cli.options import parameter, parameter_of, signed
 from metapp.options import INPUT, OUTPUT, declared, options_of
+from metapp.paradigms import PARADIGMS
 from metapp.registry import exports_of, inputs_of, protocols_of, recipe_names, registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say
@@ -27,13 +28,6 @@ if TYPE_CHECKING:
     from metapp.runs.execution import Execution
     from metapp.runs.run import Run
 
-SUMMARIES = {
-    "general": "One forward pass of an encoder trained over all tasks.",
-    "overfit": "Train on each task alone, from a random initialisation.",
-    "finetune": "A tenth of Overfit's steps, from General's result.",
-    "quickft": "As many Adam steps as Meta takes, from General's result.",
-    "meta": "A few steps of a learned rule from a learned initialisation.",
-}
 # Mean tilt from which a relief and its inverse differ under other lights by 0.02 of display values: the median of 20
 # drawn materials; of 20 others it is 2.9.
 VISIBLE_TILT_DEGREES = 3.0
@@ -55,7 +49,7 @@ def command_of(paradigm: str, app: str) -> Callable[..., None]:
             from metapp.runs.run import Run
         fit(Run.of(options), json=json)
 
-    unused = [option for option in declared(FitOptions).values() if paradigm in option.unused_by]
+    unused = [declared(FitOptions)[name] for name in PARADIGMS[paradigm].ignores]
     exports = ", ".join(exports_of(app))
     texts = {  # that differ between applications; "" of an option that one does not have
         "observe": declared(FitOptions)["observe"].help if protocols_of(app) else "",
@@ -250,4 +244,4 @@ def table_of(
     return table
 
 
-COMMANDS = {name: app_group(functools.partial(command_of, name), summary) for name, summary in SUMMARIES.items()}
+COMMANDS = {name: app_group(functools.partial(command_of, name), entry.help) for name, entry in PARADIGMS.items()}

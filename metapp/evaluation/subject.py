@@ -70,7 +70,7 @@ class Subject:
                 say(f"{error}")
         # on data of one's own the others that ship would say little
         others = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
-        for rule in (rule for rule in others if rule != run.paradigm.rule_name):
+        for rule in (rule for rule in others if rule != run.options.rule):
             with suppress(ValueError):  # there is no checkpoint of this rule
                 self.runs[f"meta:{rule}"] = with_checkpoint(Run.of(replace(run.options, paradigm="meta", rule=rule)))
         make_folder(run.options.out)
@@ -86,7 +86,7 @@ class Subject:
 
     def tasks_of(self, name: str) -> list[Task]:
         """The tasks of a row of the results."""
-        return self.tasks if self.whole or self.runs[name].steps <= LONG else evenly(self.tasks, FEW)
+        return self.tasks if self.whole or self.runs[name].paradigm.steps <= LONG else evenly(self.tasks, FEW)
 
     def is_of_few(self, name: str) -> bool:
         """True if a row of the results is of some of the tasks alone."""
@@ -115,19 +115,18 @@ class Subject:
             title: for the progress.
             run: by which tasks are fitted.
             tasks: to be fitted.
-            settings: further ones, of fits that are no paradigm's own; `rule` is appended to the folder's name.
+            settings: further ones, of fits that are no paradigm's own.
         """
 
         def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
             return ((fit.record, fit.parameters) for fit in fit_tasks(run, tasks))
 
-        return self.measured(title, self._fits(run, settings), measure, tasks, run.steps)
+        return self.measured(title, self._fits(run, settings), measure, tasks, run.paradigm.steps)
 
     def _fits(self, run: Run, settings: Record | None = None) -> Fits | None:
         if run.checkpoint is None:
             return None
-        path = run.path(self.label)
-        path = path.with_name(f"{path.name}-{settings['rule']}") if settings else path
+        path = run.path(self.label, run.paradigm.name if settings else "")
         return Fits(path, run.settings(self.label) | (settings or {}), FIT)
 
     def measured(

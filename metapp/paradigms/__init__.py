@@ -1,12 +1,69 @@
-"""Five ways of training, each an initialisation and a rule."""
+"""Five ways of training, each an initialisation and a rule: their table, by name; nothing large is imported."""
 
 from __future__ import annotations
 
-from metapp.paradigms.adam import Finetune, General, Overfit, QuickFT
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-__all__ = ["PARADIGMS", "Paradigm"]
+from metapp.registry import Entry, did_you_mean
+
+if TYPE_CHECKING:
+    from metapp.paradigms.paradigm import Paradigm
+
+__all__ = ["PARADIGMS", "ParadigmEntry", "paradigm_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParadigmEntry(Entry):
+    """A subclass of `metapp.paradigms.paradigm.Paradigm`; `help` is its command's.
+
+    Attributes:
+        ignores: the names of options of fits that it has no use for; scripts give all paradigms the same options.
+    """
+
+    ignores: tuple[str, ...] = ()
+
 
 # by name, in the order of the paper's tables
-PARADIGMS: dict[str, type[Paradigm]] = {kind.name: kind for kind in (General, Overfit, Finetune, QuickFT, Meta)}
+PARADIGMS = {
+    "general": ParadigmEntry(
+        reference="metapp.paradigms.adam:General",
+        help="One forward pass of an encoder trained over all tasks.",
+        ignores=("rule", "steps"),
+    ),
+    "overfit": ParadigmEntry(
+        reference="metapp.paradigms.adam:Overfit",
+        help="Train on each task alone, from a random initialisation.",
+        ignores=("rule", "checkpoint", "train", "train_steps"),
+    ),
+    "finetune": ParadigmEntry(
+        reference="metapp.paradigms.adam:Finetune",
+        help="A tenth of Overfit's steps, from General's result.",
+        ignores=("rule",),
+    ),
+    "quickft": ParadigmEntry(
+        reference="metapp.paradigms.adam:QuickFT",
+        help="As many Adam steps as Meta takes, from General's result.",
+        ignores=("rule",),
+    ),
+    "meta": ParadigmEntry(
+        reference="metapp.paradigms.meta:Meta",
+        help="A few steps of a learned rule from a learned initialisation.",
+    ),
+}
+
+
+def paradigm_of(name: str) -> type[Paradigm]:
+    """Return the paradigm of a name.
+
+    Raises:
+        ValueError: there is none; lists those that there are.
+
+    >>> paradigm_of("quickft").name
+    'quickft'
+    """
+    if name not in PARADIGMS:
+        hint = did_you_mean(name, PARADIGMS)
+        raise ValueError(f"paradigm '{name}': expected one of {', '.join(PARADIGMS)}.{hint}")
+    kind: type[Paradigm] = PARADIGMS[name].load()
+    return kind

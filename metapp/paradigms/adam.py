@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Generator
 
@@ -9,9 +11,9 @@ from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
 from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, task_loss, with_stages
-from metapp.learning.recipe import Adam, OuterLoop
+from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.paradigms.paradigm import NO_OUTER_LOOP, Paradigm
+from metapp.paradigms.paradigm import Paradigm, Preparation
 
 TUNED = ("rate", "beta1", "beta2", "eps", "final")  # settings of QuickFT's Adam, as its checkpoints name them
 
@@ -20,18 +22,19 @@ class Overfit(Paradigm):
     """Adam from a random initialisation, until it has converged."""
 
     name = "overfit"
+    takes_long = True
 
-    @property
-    def recipe_steps(self) -> int:
-        """Overfit's."""
-        return self.recipe.overfit_steps
+    @staticmethod
+    def _usual_steps(recipe: Recipe) -> int:
+        """Return Overfit's number of gradient steps."""
+        return recipe.overfit_steps
 
     def adam(self, phi: MetaParameters) -> Adam:
-        """The recipe's, for Overfit."""
+        """Return the recipe's Adam for Overfit."""
         return self.recipe.overfit
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Random parameters, but those that the tasks give themselves."""
+        """Return random parameters, but those that the tasks give themselves."""
         return draw_per_task(lambda some, own: self.app.init(own, len(some)), tasks, rng) | self.app.known(tasks)
 
 
@@ -39,79 +42,150 @@ class General(Paradigm):
     """theta = encode(I): an encoder, trained over all tasks, predicts the parameters in one forward pass; no steps."""
 
     name = "general"
-    needs: tuple[str, ...] = ("general",)
 
-    @property
-    def recipe_steps(self) -> int:
-        """None."""
+    @staticmethod
+    def _usual_steps(recipe: Recipe) -> int:
+        """Return 0: General only predicts."""
         return 0
 
     @property
-    def training(self) -> OuterLoop:
-        """The encoder's."""
-        return self.recipe.general
+    def preparations(self) -> tuple[Preparation, ...]:
+        """The training of General's encoder."""
+        return (GeneralPreparation(General.of(self.app, self.recipe)),)
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """The encoder's prediction; if steps follow, with the parameters that tasks give themselves."""
-        return (self.app.known(tasks) if self.recipe_steps else {}) | predict(self.app, phi, tasks, rng)
-
-    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
-        """An untrained encoder."""
-        return MetaParameters(encoder=self.app.init_encoder(rng))
-
-    def outer_loss(self, phi: MetaParameters) -> Loss:
-        """The loss of the encoder's predictions."""
-        app, training = self.app, self.recipe.general
-        loss = after_encoding(task_loss(app, self.recipe.batch, outer=True), Encoding(app.condition, app.encode))
-        outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
-        # staged before tasks are augmented: what is not seen need not be made
-        return with_stages(outer, app.stage)
+        """Return the encoder's prediction."""
+        return predict(self.app, phi, tasks, rng)
 
 
 class Finetune(General):
     """Adam from General's prediction, for about a tenth of Overfit's steps."""
 
     name = "finetune"
+    takes_long = True
 
-    @property
-    def recipe_steps(self) -> int:
-        """Finetune's."""
-        return self.recipe.finetune_steps
+    @staticmethod
+    def _usual_steps(recipe: Recipe) -> int:
+        """Return Finetune's number of gradient steps."""
+        return recipe.finetune_steps
 
     def adam(self, phi: MetaParameters) -> Adam:
-        """The recipe's, for Finetune."""
+        """Return the recipe's Adam for Finetune."""
         return self.recipe.finetune
 
+    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+        """Return the encoder's prediction, with the parameters that tasks give themselves."""
+        return self.app.known(tasks) | super().initialisation(phi, tasks, rng)
 
-class QuickFT(General):
+
+class QuickFT(Finetune):
     """As many Adam steps as Meta takes, from General's prediction; the Adam is searched on validation tasks."""
 
     name = "quickft"
-    needs = ("general", "quickft")
-    training = NO_OUTER_LOOP
+    takes_long = False
+
+    @staticmethod
+    def _usual_steps(recipe: Recipe) -> int:
+        """Return the number of gradient steps that Meta takes, too."""
+        return recipe.steps
 
     @property
-    def recipe_steps(self) -> int:
-        """Meta's."""
-        return self.recipe.steps
+    def preparations(self) -> tuple[Preparation, ...]:
+        """The training of General's encoder, and the search of an Adam for it."""
+        return (*super().preparations, QuickFTPreparation(QuickFT.of(self.app, self.recipe)))
+
+    def adam(self, phi: MetaParameters) -> Adam:
+        """Return the Adam that was tuned on this data's validation tasks, else the recipe's."""
+        tuned = {key: float(value) for key, value in phi.alpha.items()}
+        return Adam(**tuned) if tuned else self.recipe.quickft
+
+
+@dataclass(frozen=True)
+class GeneralPreparation(Preparation):
+    """The training of General's encoder."""
+
+    paradigm: General
+
+    @property
+    def name(self) -> str:
+        """The name of General."""
+        return self.paradigm.name
+
+    @property
+    def general(self) -> Preparation:
+        """This preparation itself."""
+        return self
+
+    @property
+    def shared_by_protocols(self) -> bool:
+        """True: an encoder learns nothing of the protocol but by what it reads."""
+        return True
+
+    @property
+    def outer_loop(self) -> OuterLoop:
+        """The encoder's training."""
+        return self.paradigm.recipe.general
+
+    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """Return an untrained encoder."""
+        return MetaParameters(encoder=self.paradigm.app.init_encoder(rng))
+
+    def template(self, phi: MetaParameters) -> MetaParameters:
+        """Return an untrained encoder, whatever phi holds."""
+        return MetaParameters(encoder=self.paradigm.app.init_encoder(Generator().manual_seed(0)))
+
+    def outer_loss(self, phi: MetaParameters) -> Loss:
+        """Return the loss of the encoder's predictions."""
+        app, training = self.paradigm.app, self.outer_loop
+        encoded = Encoding(app.condition, app.encode)
+        loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), encoded)
+        outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
+        # staged before tasks are augmented: what is not seen need not be made
+        return with_stages(outer, app.stage)
+
+
+@dataclass(frozen=True)
+class QuickFTPreparation(Preparation):
+    """The search of QuickFT's Adam for the encoder of a trained General."""
+
+    paradigm: QuickFT
+
+    @property
+    def name(self) -> str:
+        """The name of QuickFT."""
+        return self.paradigm.name
+
+    @property
+    def general(self) -> Preparation:
+        """The preparation of the General that the Adam is tuned for."""
+        return self.paradigm.preparations[0]
+
+    @property
+    def begins_at_general(self) -> bool:
+        """True: the Adam descends from General's predictions."""
+        return True
+
+    @property
+    def completes_general(self) -> bool:
+        """True: General's file holds the encoder."""
+        return True
 
     @property
     def searched_from(self) -> Adam:
         """The recipe's Adam: a win over a badly tuned baseline is no win."""
-        return self.recipe.quickft
-
-    def adam(self, phi: MetaParameters) -> Adam:
-        """The Adam that was tuned on this data's validation tasks, else the recipe's."""
-        tuned = {key: float(value) for key, value in phi.alpha.items()}
-        return Adam(**tuned) if tuned else self.recipe.quickft
+        return self.paradigm.recipe.quickft
 
     def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
-        """General's encoder."""
+        """Return General's encoder."""
         assert general is not None
         return general
 
+    def template(self, phi: MetaParameters) -> MetaParameters:
+        """Return the settings of one Adam, scalars."""
+        return self.with_adam(MetaParameters(), self.searched_from)
+
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
-        """The encoder, and an Adam's settings as alpha: scalars on the CPU."""
+        """Return the encoder, and an Adam's settings as alpha: scalars on the CPU."""
         return phi._replace(alpha={key: torch.tensor(getattr(adam, key), dtype=torch.float64) for key in TUNED})
 
 

@@ -1,11 +1,11 @@
-"""Paradigms: an initialisation and a rule; `descend` is the same for all."""
+"""Paradigms as fits see them, an initialisation, a rule and a number of steps, and as trainings see them."""
 
 from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torch import Generator
@@ -36,112 +36,91 @@ def fastest(*, compiles: bool = False) -> StepsOf:
 
 @dataclass(frozen=True)
 class Paradigm(ABC):
-    """A way of training, for an application by a recipe; here for Adam from any initialisation.
+    """A way to fit tasks of an application by a recipe: an initialisation, a rule and a number of steps.
 
     Attributes:
         app: the application.
         recipe: its settings.
-        rule_name: Meta's rule, a name or a composition (`rules.rule_of`); "" at first for the recipe's.
-        asked_steps: gradient steps instead of the recipe's number; None keeps that.
-        guarding: whether the guard of learned rules is on.
-        name: as on the command line.
-        needs: checkpoints: of its initialisation ("general" or a rule), then of its tuning ("quickft").
+        steps: number of gradient steps.
+        name: the name on the command line.
+        has_learned_rule: whether the rule of the steps is a learned one, which --rule names.
+        takes_long: whether fits take so many steps that they are kept; others are made anew from a checkpoint.
     """
 
     app: App
     recipe: Recipe
-    rule_name: str = ""
-    asked_steps: int | None = None
-    guarding: bool = True
+    steps: int
     name: ClassVar[str]
+    has_learned_rule: ClassVar[bool] = False
+    takes_long: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rule_name", self.rule_name or self.recipe.rule)
+    @classmethod
+    def of(cls, app: App, recipe: Recipe, rule: str = "", steps: int | None = None) -> Self:
+        """Return the paradigm for an application by a recipe.
+
+        Args:
+            app: the application.
+            recipe: its settings.
+            rule: the name of a learned rule, "" for the recipe's; a paradigm without a learned rule ignores it.
+            steps: number of gradient steps, None for the recipe's; General ignores it.
+        """
+        return cls(app, recipe, cls._steps(recipe, steps))
+
+    @classmethod
+    def _steps(cls, recipe: Recipe, asked: int | None) -> int:
+        """Return the number of gradient steps: a paradigm that takes none by its recipe never takes any."""
+        usual = cls._usual_steps(recipe)
+        return usual if asked is None or usual == 0 else asked
+
+    @staticmethod
+    @abstractmethod
+    def _usual_steps(recipe: Recipe) -> int:
+        """Return the number of gradient steps that a recipe gives the paradigm."""
 
     @property
-    def needs(self) -> tuple[str, ...]:
-        """As the attributes say."""
+    def preparations(self) -> tuple[Preparation, ...]:
+        """The trainings of the checkpoints that fits read: of the initialisation's first, then of its tuning."""
         return ()
 
     @property
-    @abstractmethod
-    def recipe_steps(self) -> int:
-        """The recipe's number of gradient steps."""
-
-    @property
-    def steps(self) -> int:
-        """Number of gradient steps: 0 for General, whatever was asked for."""
-        usual = self.recipe_steps
-        return usual if self.asked_steps is None or usual == 0 else self.asked_steps
-
-    @abstractmethod
-    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Parameters [T, ...] before the first step."""
-
-    def adam(self, phi: MetaParameters) -> Adam | None:
-        """The plain Adam of the steps; None if the rule is a learned one, or there are no steps."""
+    def guard(self) -> Guard | None:
+        """The guard of fits by a learned rule; None if the rule is not learned."""
         return None
-
-    def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
-        """The rule of so many steps from the initialisation `theta`."""
-        adam = self.adam(phi)
-        assert adam is not None
-        return fixed_adam(adam, theta, steps)
 
     @property
     def loss(self) -> Loss:
         """The loss that the steps descend."""
         return task_loss(self.app, self.recipe.batch)
 
-    @property
-    def guard(self) -> Guard | None:
-        """The guard of its fits; None if the rule is not learned."""
+    def adam(self, phi: MetaParameters) -> Adam | None:
+        """Return the plain Adam of the steps; None if the rule is a learned one, or there are no steps."""
         return None
 
-    # Training (`training.prepare`) of the last checkpoint that it needs
+    @abstractmethod
+    def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+        """Return the parameters [T, ...] before the first step."""
 
-    @property
-    def training(self) -> OuterLoop:
-        """The outer loop; of 0 steps if there is none."""
-        return NO_OUTER_LOOP
+    def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
+        """Return the rule of so many steps from the initialisation `theta`."""
+        adam = self.adam(phi)
+        assert adam is not None
+        return fixed_adam(adam, theta, steps)
 
-    @property
-    def searched_from(self) -> Adam | None:
-        """The first Adam of a search on validation tasks, before the outer loop; None for no search."""
-        return None
+    def fit(self, phi: MetaParameters, tasks: Tasks, rng: Rng, *, guarded: bool = True) -> Params:
+        """Fit tasks, one or many at once, and return the parameters of the network for each task, [T, ...].
 
-    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
-        """phi before training.
-
-        Args:
-            general: a trained General, if there is one.
-            tasks: training tasks.
-            rng: of all random draws.
-
-        Raises:
-            ValueError: there is nothing to train.
+        Arguments are those of :meth:`descend`.
         """
-        raise ValueError(f"{self.name}: nothing to prepare.")
+        return final_item(self.descend(phi, tasks, rng, guarded=guarded)).theta
 
-    def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
-        """phi whose fits begin with an Adam of the search."""
-        raise NotImplementedError
-
-    def outer_loss(self, phi: MetaParameters) -> Loss:
-        """The loss of the outer loop, on flat trees as of phi."""
-        raise NotImplementedError
-
-    def fit(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""
-        return final_item(self.descend(phi, tasks, rng)).theta
-
-    def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Iterator[DescentState]:
+    def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng, *, guarded: bool = True) -> Iterator[DescentState]:
         """Fit tasks, one or many: descend from the initialisation by the rule, one step at a time.
 
         Args:
-            phi: its checkpoint.
+            phi: the parameters of its checkpoint.
             tasks: one or many.
             rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
+            guarded: whether the guard of a learned rule looks at the fits.
 
         Yields:
             The fit before its first step and after each; a learned rule's guard may add a last one.
@@ -153,12 +132,76 @@ class Paradigm(ABC):
         if steps == 0:
             yield DescentState(0, theta, {})
             return
-        rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if self.guarding else None
+        rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if guarded else None
         if guard:
             yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, steps_of=fastest())
         else:
             yield from check_finite(descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest()))
 
-    def unguarded(self, steps: int | None = None) -> Self:
-        """The same without a guard, for so many steps."""
-        return replace(self, guarding=False, asked_steps=self.asked_steps if steps is None else steps)
+
+@dataclass(frozen=True)
+class Preparation(ABC):
+    """The training of a checkpoint: a search of an Adam on validation tasks, an outer loop on training tasks, or both.
+
+    Attributes:
+        paradigm: the paradigm whose fits validate the checkpoint, with its recipe's number of steps.
+    """
+
+    paradigm: Paradigm
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """The name of the checkpoint, of which its file's name is made."""
+
+    @property
+    @abstractmethod
+    def general(self) -> Preparation:
+        """The preparation of General for the same application and recipe."""
+
+    @property
+    def begins_at_general(self) -> bool:
+        """True if the training begins at a trained General."""
+        return False
+
+    @property
+    def completes_general(self) -> bool:
+        """True if the checkpoint holds hyperparameters alone, for fits that take an encoder from a General's file."""
+        return False
+
+    @property
+    def shared_by_protocols(self) -> bool:
+        """True if the checkpoint depends on the protocol by its network alone."""
+        return False
+
+    @property
+    def outer_loop(self) -> OuterLoop:
+        """The outer loop; of 0 steps if there is none."""
+        return NO_OUTER_LOOP
+
+    @property
+    def searched_from(self) -> Adam | None:
+        """The first Adam of a search on validation tasks, before the outer loop; None for no search."""
+        return None
+
+    @abstractmethod
+    def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """Return phi before training.
+
+        Args:
+            general: a trained General, if there is one.
+            tasks: training tasks.
+            rng: of all random draws.
+        """
+
+    @abstractmethod
+    def template(self, phi: MetaParameters) -> MetaParameters:
+        """Return untrained parameters of the names and shapes that this checkpoint's phi must have."""
+
+    def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
+        """Return phi whose fits begin with an Adam of the search."""
+        raise NotImplementedError
+
+    def outer_loss(self, phi: MetaParameters) -> Loss:
+        """Return the loss of the outer loop, on flat trees of phi's names."""
+        raise NotImplementedError

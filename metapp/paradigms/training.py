@@ -17,7 +17,7 @@ from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm
+from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation
 
 
 class TrainState(NamedTuple):
@@ -58,7 +58,7 @@ class TrainState(NamedTuple):
 
 
 def prepare(
-    paradigm: Paradigm,
+    preparation: Preparation,
     tasks: Tasks,
     rng: Generator,
     *,
@@ -67,10 +67,10 @@ def prepare(
     steps: int | None = None,
     since: TrainState | None = None,
 ) -> Iterator[TrainState]:
-    """Train the last checkpoint that a paradigm needs.
+    """Train a checkpoint.
 
     Args:
-        paradigm: General, QuickFT or Meta.
+        preparation: of the checkpoint.
         tasks: training tasks; every eighth validates.
         rng: of all random draws.
         general: a trained General, which QuickFT and most recipes of Meta begin at.
@@ -83,17 +83,17 @@ def prepare(
         the result.
 
     Raises:
-        ValueError: there is nothing to train; there are fewer than 4 tasks.
+        ValueError: there are fewer than 4 tasks.
         FloatingPointError: the training loss is not finite; names tasks and step.
     """
     to_fit, to_validate = split_validation(tasks)
-    training, adam = paradigm.training, paradigm.searched_from
+    training, adam = preparation.outer_loop, preparation.searched_from
     if since:
         rng.set_state(since.rng)
-    state = since or TrainState((first or paradigm.first_phi(general, to_fit, rng)).flat(), rng.get_state())
+    state = since or TrainState((first or preparation.first_phi(general, to_fit, rng)).flat(), rng.get_state())
     if adam and not first and not state.moments:
         # where outer steps follow, their number says nothing about the search
-        for tried in _search(paradigm, adam, state, to_validate, None if training.steps else steps):
+        for tried in _search(preparation, adam, state, to_validate, None if training.steps else steps):
             yield tried
         if not training.steps:
             return
@@ -103,18 +103,18 @@ def prepare(
     if training.validation_variants:
         rows = list(range(len(to_validate))) * training.validation_variants
         fixed = Generator(tasks.rows.device).manual_seed(0)
-        to_validate = paradigm.app.augment(to_validate.select(rows), fixed)
-    yield from _outer_loop(paradigm, training, state, to_fit, to_validate, rng)
+        to_validate = preparation.paradigm.app.augment(to_validate.select(rows), fixed)
+    yield from _outer_loop(preparation, training, state, to_fit, to_validate, rng)
 
 
 def _outer_loop(
-    paradigm: Paradigm, training: OuterLoop, state: TrainState, to_fit: Tasks, to_validate: Tasks, rng: Generator
+    preparation: Preparation, training: OuterLoop, state: TrainState, to_fit: Tasks, to_validate: Tasks, rng: Generator
 ) -> Iterator[TrainState]:
     """Outer steps, with a validation before the first, at the end, and every so many."""
-    loss, steps = paradigm.outer_loss(MetaParameters.unflat(state.current)), training.steps
+    loss, steps = preparation.outer_loss(MetaParameters.unflat(state.current)), training.steps
     if ranks.count() > 1:
         loss = ranks.SummedOverRanks(loss.draw, loss.value, loss.shared)
-    rule, app = outer_adam(training, state.current), paradigm.app
+    rule, paradigm = outer_adam(training, state.current), preparation.paradigm
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
     for now in check_finite(descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1):
         losses = state.losses
@@ -134,7 +134,7 @@ def _outer_loop(
             continue  # it was cut off after this validation
         if now.step == steps or now.step % training.validate_every == 0:
             error = validation_error(paradigm, MetaParameters.unflat(now.theta), to_validate)
-            mean = app.scale * float(losses.mean()) if len(losses) else None
+            mean = paradigm.app.scale * float(losses.mean()) if len(losses) else None
             state = state._replace(losses=losses[:0], curve=(*state.curve, (now.step, mean, error)))
             if error < state.validation:
                 best = {key: value.clone() for key, value in now.theta.items()}
@@ -157,9 +157,12 @@ SEARCHED: tuple[list[dict[str, float]], ...] = (
 SEARCH_TASKS = 8  # validation tasks, where a fit takes longer than an instant
 
 
-def _search(paradigm: Paradigm, first: Adam, state: TrainState, tasks: Tasks, most: int | None) -> Iterator[TrainState]:
+def _search(
+    preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, most: int | None
+) -> Iterator[TrainState]:
     """A coordinate search from an Adam on, one setting or two at a time; errors that `state` knows stay."""
-    tasks, known, phi = _search_tasks(paradigm.app, tasks), state.searched, MetaParameters.unflat(state.current)
+    paradigm, known, phi = preparation.paradigm, state.searched, MetaParameters.unflat(state.current)
+    tasks = _search_tasks(paradigm.app, tasks)
     total = min(1 + sum(map(len, SEARCHED)), most or sys.maxsize)
     state, best = TrainState(state.current, state.rng, total=total), first
     errors: list[float] = []
@@ -172,7 +175,7 @@ def _search(paradigm: Paradigm, first: Adam, state: TrainState, tasks: Tasks, mo
                 yield replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)})
 
     for step, adam in enumerate(candidates(), 1):
-        tried = paradigm.with_adam(phi, adam)
+        tried = preparation.with_adam(phi, adam)
         error = known[step - 1] if step <= len(known) else validation_error(paradigm, tried, tasks)
         errors.append(error)
         state = state._replace(searched=tuple(errors), step=step)
@@ -222,14 +225,14 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
 
     Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
     """
-    paradigm, app = paradigm.unguarded(), paradigm.app
+    app = paradigm.app
     total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):
             part = tasks.select(rows)
             try:
-                theta = paradigm.fit(phi, part, rng)
+                theta = paradigm.fit(phi, part, rng, guarded=False)
             except FloatingPointError:
                 return float("inf")
             total += float((weights[rows] * app.errors(theta, part)["error"]).sum())

@@ -6,8 +6,6 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
-from torch import Generator
-
 from metapp.apps import is_first_protocol, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
@@ -15,7 +13,7 @@ from metapp.learning.task import Params
 from metapp.networks.field import regridded
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import TUNED
-from metapp.rules import rule_of
+from metapp.paradigms.paradigm import Preparation
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.recipes import QUICK, shipped_path, ships
 from metapp.runs.reporter import say
@@ -31,18 +29,19 @@ def with_checkpoint(run: Run) -> Run:
     Raises:
         ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
     """
-    needs = run.paradigm.needs
-    if not needs:
+    preparations = run.paradigm.preparations
+    if not preparations:
         return replace(run, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
-    needed, *tuned = needs
+    needed, *tunings = preparations
     path, options = _checkpoint_path(run, needed), run.options
-    phi, header = load_checkpoint(path, run.device, _shipped(run, "general"))
+    phi, header = load_checkpoint(path, run.device, _shipped(run, needed.general))
     _require_kind(path, run, needed, phi, header)
-    phi = on_own_grid(run, phi)
+    template = needed.template(phi)
+    phi = on_own_grid(run.app, phi, template.alpha)
     try:
-        require_fit(path, run, phi)
+        require_fit(path, phi, template)
     except ValueError as error:
-        if path.parent == shipped_path(run.app.name, needed).parent and options.recipe != QUICK:
+        if path.parent == shipped_path(run.app.name, needed.name).parent and options.recipe != QUICK:
             raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
         raise
     source = str(path)
@@ -50,48 +49,49 @@ def with_checkpoint(run: Run) -> Run:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         source = f"the checkpoint that ships{note}"
     checkpoint = Checkpoint(phi, source, digest(path))
-    for name in tuned:
-        checkpoint = _with_tuning(run, checkpoint, name)
+    for tuning in tunings:
+        checkpoint = _with_tuning(run, checkpoint, tuning)
     return replace(run, checkpoint=checkpoint)
 
 
-def trained_path(run: Run, name: str) -> Path:
-    """The path of a checkpoint that is trained on this data."""
+def trained_path(run: Run, preparation: Preparation) -> Path:
+    """Return the path of a checkpoint that is trained on this data."""
     label = data_label(data_folder(run.app, run.options.data, run.options.quiet))
-    training = f"{label}-{run.options.recipe}-seed{run.options.seed}"
-    return run.options.out / run.app.name / "checkpoints" / training / f"{checkpoint_name(run.app, name)}.safetensors"
+    folder = run.options.out / run.app.name / "checkpoints" / f"{label}-{run.options.recipe}-seed{run.options.seed}"
+    return folder / f"{checkpoint_name(run.app, preparation)}.safetensors"
 
 
-def checkpoint_name(app: App, name: str) -> str:
-    """A checkpoint's file name without its suffix: with the protocol, unless it is the first.
+def checkpoint_name(app: App, preparation: Preparation) -> str:
+    """Return a checkpoint's file name without its suffix: with the protocol, unless it is the first.
 
     General's is without it, too, if the network is one of the first protocol's: it learns nothing of the protocol.
     """
+    name = preparation.name
     if is_first_protocol(app):
         return name
     plain = replace(app, protocol="", size=None)
-    shared = name == "general" and any(plain == recipe.app for recipe in recipes_of(app.name).values())
+    shared = preparation.shared_by_protocols and any(plain == recipe.app for recipe in recipes_of(app.name).values())
     return name if shared else f"{name}-{app.protocol}"
 
 
-def ships_general(run: Run) -> bool:
-    """True if a General ships that training may begin at.
+def has_shipped(run: Run, preparation: Preparation) -> bool:
+    """Return whether a checkpoint ships that training may begin at.
 
     On a data set of the user's own none may: the shipped one may have seen its test tasks.
     """
-    return not run.options.data and _has_shipped(run) and _shipped(run, "general").is_file()
+    return not run.options.data and _ships(run) and _shipped(run, preparation).is_file()
 
 
-def _require_kind(path: Path, run: Run, needed: str, phi: MetaParameters, header: Document) -> None:
+def _require_kind(path: Path, run: Run, needed: Preparation, phi: MetaParameters, header: Document) -> None:
     """Refuse a checkpoint of another application, paradigm, rule or protocol, and one whose encoder reads other things.
 
     General's, which all protocols share, names none. Other features, which no encoder reads, are said.
     """
     app, of, name = run.app, header.get("app"), header.get("checkpoint")
-    if (of, name) != (app.name, needed):
+    if (of, name) != (app.name, needed.name):
         a_rule = isinstance(name, str) and name not in PARADIGMS
-        remedy = f"; add --rule {name}" if of == app.name and a_rule and run.paradigm.name == "meta" else ""
-        raise ValueError(f"{path}: a checkpoint of {of} {name}, expected {app.name} {needed}{remedy}.")
+        remedy = f"; add --rule {name}" if of == app.name and a_rule and run.paradigm.has_learned_rule else ""
+        raise ValueError(f"{path}: a checkpoint of {of} {name}, expected {app.name} {needed.name}{remedy}.")
     protocol = header.get("observe", app.protocol)
     if protocol != app.protocol:
         raise ValueError(
@@ -106,24 +106,24 @@ def _require_kind(path: Path, run: Run, needed: str, phi: MetaParameters, header
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
-def _with_tuning(run: Run, checkpoint: Checkpoint, name: str) -> Checkpoint:
+def _with_tuning(run: Run, checkpoint: Checkpoint, tuning: Preparation) -> Checkpoint:
     """Put the Adam that was tuned for this very encoder into its checkpoint: one beside that, or the one that ships."""
     options, app = run.options, run.app
     encoder = tensor_digest(checkpoint.phi.encoder)
-    candidates = [_shipped(run, name)]
+    candidates = [_shipped(run, tuning)]
     if options.checkpoint:
         folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
-        candidates.insert(0, folder / f"{checkpoint_name(app, name)}.safetensors")
+        candidates.insert(0, folder / f"{checkpoint_name(app, tuning)}.safetensors")
     for path in candidates:
         if path.is_file():
             tuned, info = load_checkpoint(path)
             if info.get("encoder") == encoder:
                 require_tuned(path, tuned)
                 return tuned_by(checkpoint, tuned, path)
-    words = ["metapp", name, app.name, "--train"]
+    words = ["metapp", tuning.name, app.name, "--train"]
     words += ["--observe", app.protocol] if app.protocol else []
     remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
-    say(f"{name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
+    say(f"{tuning.name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
     return checkpoint
 
 
@@ -132,10 +132,10 @@ def tuned_by(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoi
     return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", digest(path))
 
 
-def _checkpoint_path(run: Run, name: str) -> Path:
+def _checkpoint_path(run: Run, needed: Preparation) -> Path:
     given = run.options.checkpoint
     if given and given.is_dir():
-        path = given / f"{checkpoint_name(run.app, name)}.safetensors"
+        path = given / f"{checkpoint_name(run.app, needed)}.safetensors"
         if not path.is_file():
             if kind_of(given) is not Kind.FILES:
                 raise ValueError(refusal(given, f"a folder of checkpoints with {path.name}"))
@@ -146,61 +146,57 @@ def _checkpoint_path(run: Run, name: str) -> Path:
         return path
     if given:
         return given
-    path = _shipped(run, name)
-    if path.is_file() and _has_shipped(run):
+    path = _shipped(run, needed)
+    if path.is_file() and _ships(run):
         return path
     raise ValueError(
-        f"{run.app.full_name} {name}, recipe {run.options.recipe}: no checkpoint ships; train one with --train, or "
-        "name one with --checkpoint."
+        f"{run.app.full_name} {needed.name}, recipe {run.options.recipe}: no checkpoint ships; train one with --train, "
+        "or name one with --checkpoint."
     )
 
 
-def _has_shipped(run: Run) -> bool:
+def _ships(run: Run) -> bool:
     return ships(run.app.name, run.options.recipe, run.options.observe)
 
 
-def _shipped(run: Run, name: str) -> Path:
-    return shipped_path(run.app.name, checkpoint_name(run.app, name), run.options.recipe, run.options.observe)
+def _shipped(run: Run, preparation: Preparation) -> Path:
+    return shipped_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe, run.options.observe)
 
 
-def on_own_grid(run: Run, phi: MetaParameters) -> MetaParameters:
-    """phi whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own grid.
+def on_own_grid(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:
+    """Return phi whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own grid.
 
     They may have been learned on a coarser one, by another recipe of the same network.
+
+    Args:
+        app: the application.
+        phi: as its file holds it.
+        fresh: untrained hyperparameters, on the application's grid.
     """
-    if run.paradigm.name != "meta":
-        return phi
     alpha = dict(phi.alpha)
-    for key, wanted in _fresh_alpha(run).items():
+    for key, wanted in fresh.items():
         value = alpha.get(key, wanted)
         if value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0:
-            alpha[key] = regridded(value, *wanted.shape[2:], periodic=run.app.periodic)
+            alpha[key] = regridded(value, *wanted.shape[2:], periodic=app.periodic)
     return phi._replace(alpha={key: alpha[key] for key in phi.alpha})
 
 
-def _fresh_theta(app: App) -> Params:
-    """Parameters of one task, of the shapes that a checkpoint's must have."""
-    return {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-
-
-def _fresh_alpha(run: Run) -> Params:
-    """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
-    name, recipe = run.paradigm.rule_name, run.recipe
-    return rule_of(name).alpha(run.app, _fresh_theta(run.app), recipe.steps, recipe.training(name).first)
-
-
-def require_fit(path: Path, run: Run, prepared: MetaParameters) -> None:
+def require_fit(path: Path, phi: MetaParameters, template: MetaParameters) -> None:
     """Refuse tensors that are not this application's, or not this rule's.
+
+    Args:
+        path: of the checkpoint.
+        phi: as its file holds it.
+        template: untrained parameters of the names and shapes that fits read.
 
     Raises:
         ValueError: a tensor is missing or has another shape; names it.
     """
-    is_meta = run.paradigm.name == "meta"
-    _require(path, "alpha", prepared.alpha, _fresh_alpha(run) if is_meta else {}, steps=True)
-    if is_meta and not prepared.encoder:
-        _require(path, "theta", prepared.theta, _fresh_theta(run.app))
+    _require(path, "alpha", phi.alpha, template.alpha, steps=True)
+    if template.theta:
+        _require(path, "theta", phi.theta, template.theta)
     else:
-        _require(path, "encoder", prepared.encoder, run.app.init_encoder(Generator().manual_seed(0)))
+        _require(path, "encoder", phi.encoder, template.encoder)
 
 
 def require_tuned(path: Path, prepared: MetaParameters) -> None:

@@ -226,7 +226,7 @@ def execute(run: Run) -> Execution | None:
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
             size = "; files of {:,} rows, {:,} columns".format(*run.presenter.size) if run.presenter.size else ""
-            steps = f"{run.steps} steps, from {run.checkpoint.source}"
+            steps = f"{run.paradigm.steps} steps, from {run.checkpoint.source}"
             say(f"{run.app.full_name} {run.paradigm.name}: {count}; {steps}{size}")
         execution = Execution(run, sources, label)
         execution.fit()

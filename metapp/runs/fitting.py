@@ -7,6 +7,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
@@ -149,9 +150,10 @@ def check_task(run: Run, task: Task) -> None:
 
 def warm_up(run: Run, task: Task) -> None:
     """Take a step before the first fit, as first calls load kernels."""
-    few = min(run.steps, WARM)
+    few = min(run.paradigm.steps, WARM)
     # what a guard looks at takes longer than a step
-    run.paradigm.unguarded(few).fit(run.phi, stack(run.app, [task], run.device), rng_of(run, task))
+    stacked, paradigm = stack(run.app, [task], run.device), replace(run.paradigm, steps=few)
+    paradigm.fit(run.phi, stacked, rng_of(run, task), guarded=False)
 
 
 def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
@@ -227,7 +229,7 @@ def warnings_of(run: Run, stacked: Tasks, first: DescentState, end: DescentState
         first, end: of their descent.
     """
     doubts = run.presenter.quality_warnings(end.theta, stacked)
-    if end.guarded is not None or not run.steps:
+    if end.guarded is not None or not run.paradigm.steps:
         return doubts
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():

@@ -16,7 +16,6 @@ from metapp.storage.folders import Kind, kind_of
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
 TASKS = "default: tests of --data"
-UNTRAINED = ("overfit",)  # paradigms that begin at random and have nothing to train
 
 
 @dataclass(frozen=True)
@@ -38,27 +37,20 @@ class FitOptions:
     observe: Annotated[str, Option("What fits see, reference or photo; default: what INPUT holds.")] = ""
     recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", panel=FIT)] = ""
     rule: Annotated[
-        str,
-        Option(
-            "Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.",
-            panel=FIT,
-            unused_by=("general", "overfit", "finetune", "quickft"),
-        ),
+        str, Option("Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.", panel=FIT)
     ] = ""
     steps: Annotated[
         int | None,
-        Option("Gradient steps; default: the recipe's.", low=0, high=MOST_STEPS, panel=FIT, unused_by=("general",)),
+        Option("Gradient steps; default: the recipe's.", low=0, high=MOST_STEPS, panel=FIT),
     ] = None
     checkpoint: Annotated[
         Path | None,
-        Option("Checkpoint or folder of these; default: shipped.", "FILE", panel=FIT, unused_by=UNTRAINED),
+        Option("Checkpoint or folder of these; default: shipped.", "FILE", panel=FIT),
     ] = None
-    train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT, unused_by=UNTRAINED)] = (
-        False
-    )
+    train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT)] = False
     train_steps: Annotated[
         int | None,
-        Option("Outer training steps; default: the recipe's.", low=1, high=MOST_STEPS, panel=FIT, unused_by=UNTRAINED),
+        Option("Outer training steps; default: the recipe's.", low=1, high=MOST_STEPS, panel=FIT),
     ] = None
     seed: Annotated[int, Option("Random seed; default: 0.", low=0, high=MOST_SEEDS, panel=FIT)] = 0
     device: Annotated[str, Option("auto, cpu, cuda; default: auto.", choices=("auto", "cpu", "cuda"), panel=FIT)] = (

@@ -16,7 +16,8 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
-from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.paradigms import paradigm_of
+from metapp.paradigms.paradigm import Paradigm
 from metapp.registry import did_you_mean, protocols_of, rule_words
 from metapp.rules import rule_of
 from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
@@ -58,11 +59,7 @@ class Run:
             BadOption: a rule that the application cannot have, or options that the recipe does not have.
             ValueError: no such device, paradigm or data set.
         """
-        kind = PARADIGMS.get(options.paradigm)
-        if kind is None:
-            names = ", ".join(PARADIGMS)
-            hint = did_you_mean(options.paradigm, PARADIGMS)
-            raise ValueError(f"paradigm '{options.paradigm}': expected one of {names}.{hint}")
+        kind = paradigm_of(options.paradigm)
         if protocols_of(options.app) and not (options.observe or options.objects):
             options = replace(options, observe=chosen_protocol(options))
         check_under_protocol(options)
@@ -72,17 +69,17 @@ class Run:
         if recipe == usual:  # by options that say what it does anyway
             options = replace(options, own=type(options.own)(**options.own.given(INPUT, OUTPUT)))
         rule = _rule_name(options, recipe)
-        app = app_of(options.app, recipe, options.observe, rule=rule if kind.name == "meta" else "")
+        app = app_of(options.app, recipe, options.observe, rule=rule if kind.has_learned_rule else "")
         try:
             files = options.own.given(OUTPUT)
             app = replace(app, **{each.name: files[each.name] for each in fields(app) if each.name in files})
             presenter_of(app, files)
         except ValueError as error:
             raise BadOption(str(error)) from None
-        built = kind(app, recipe, rule)
-        steps = None if built.recipe_steps in (options.steps, 0) else options.steps
+        paradigm = kind.of(app, recipe, rule, options.steps)
+        steps = None if paradigm == kind.of(app, recipe, rule) else paradigm.steps
         options = replace(options, recipe=name, rule=rule, steps=steps)
-        return cls(options, replace(built, asked_steps=steps), find_device(options.device, app))
+        return cls(options, paradigm, find_device(options.device, app))
 
     @classmethod
     def of_settings(cls, settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Run:
@@ -99,8 +96,9 @@ class Run:
         """
         app, inputs = settings["app"], more.pop("inputs", ())
         own = own_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
-        paradigm = settings.get("paradigm", "meta")
-        given = {"rule": settings.get("rule", "") if paradigm == "meta" else "", "recipe": settings["recipe"]}
+        paradigm = settings.get("paradigm", FitOptions.paradigm)
+        rule = settings.get("rule", "") if paradigm_of(paradigm).has_learned_rule else ""
+        given = {"rule": rule, "recipe": settings["recipe"]}
         given |= {"observe": settings.get("observe", ""), "quiet": True, **more}
         try:
             return cls.of(fit_options(app, paradigm, inputs, **own, **given))
@@ -124,11 +122,6 @@ class Run:
         """The recipe of its paradigm."""
         return self.paradigm.recipe
 
-    @functools.cached_property
-    def steps(self) -> int:
-        """Gradient steps of a fit."""
-        return self.paradigm.steps
-
     @property
     def phi(self) -> MetaParameters:
         """The parameters of the checkpoint, which must have been read."""
@@ -145,8 +138,8 @@ class Run:
             "app": app.name,
             **app.protocol_entry(),
             "paradigm": paradigm.name,
-            "rule": paradigm.rule_name if paradigm.name == "meta" else ("adam" if adam else "none"),
-            "steps": self.steps,
+            "rule": self.options.rule if paradigm.has_learned_rule else ("adam" if adam else "none"),
+            "steps": paradigm.steps,
             "batch": self.recipe.batch,
             "adam": adam and asdict(adam),
             **({"guard": asdict(guard)} if guard else {}),
@@ -158,7 +151,7 @@ class Run:
             "device": str(self.device),
             "versions": versions(),
             **app.conditions(),
-            **precision_of(app, self.device, self.steps),
+            **precision_of(app, self.device, paradigm.steps),
         }
 
     def path(self, label: str, kind: str = "") -> Path:
@@ -169,7 +162,7 @@ class Run:
             kind: of records that are no paradigm's fits, in place of its name.
         """
         options, app = self.options, self.app
-        rule = self.paradigm.rule_name if kind or self.paradigm.name == "meta" else ""
+        rule = options.rule if kind or self.paradigm.has_learned_rule else ""
         given = str(options.checkpoint.resolve()) if options.checkpoint else ""
         origin = self.checkpoint.digest if self.checkpoint else digest(given)
         words = [

@@ -13,10 +13,10 @@ from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.options import BadOption
-from metapp.paradigms import PARADIGMS, ranks
-from metapp.paradigms.meta import Meta
+from metapp.paradigms import ranks
+from metapp.paradigms.paradigm import Preparation
 from metapp.paradigms.training import TrainState, prepare
-from metapp.runs.checkpoints import ships_general, trained_path, tuned_by, with_checkpoint
+from metapp.runs.checkpoints import has_shipped, trained_path, tuned_by, with_checkpoint
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
@@ -41,7 +41,7 @@ def trained(run: Run) -> Run:
     with ranks.joined(run.device):
         path, general = train_checkpoint(run)
     run = replace(run, options=replace(run.options, checkpoint=path))
-    if run.paradigm.name == "quickft" and general:  # which may ship
+    if general and run.paradigm.preparations[-1].completes_general:  # which may ship
         return replace(run, checkpoint=tuned_by(general, load_checkpoint(path)[0], path))
     return with_checkpoint(run) if ranks.number() == 0 else run
 
@@ -57,16 +57,16 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         BadOption: there is nothing to train, or a folder of checkpoints was given.
         ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
     """
-    name, app, options, steps = _name_of(run), run.app, run.options, run.options.train_steps
-    paradigm, path = PARADIGMS.get(name, Meta)(app, run.recipe, run.paradigm.rule_name), trained_path(run, name)
+    preparation, options, steps = _preparation_of(run), run.options, run.options.train_steps
+    path = trained_path(run, preparation)
     make_folder(options.out)
     make_folder(path.parent)
-    first = _first(run, name)
-    general = _general_of(run) if not first and _needs_general(run, name) else None
+    first = _first(run, preparation)
+    general = _general_of(run, preparation) if not first and preparation.begins_at_general else None
     general_phi = general.phi if general else None
-    tasks = _tasks_of(run, name)
-    header = _settings(run, name, general_phi, first)
-    training = paradigm.training
+    tasks = _tasks_of(run, preparation)
+    header = _settings(run, preparation, general_phi, first)
+    training = preparation.outer_loop
     if training.steps and steps:
         training = replace(training, steps=steps)
     about = {"inner_steps": run.recipe.steps, "batch": run.recipe.batch, "training": asdict(training)}
@@ -74,16 +74,16 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
 
     def keep(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
-        phi = state.phi._replace(encoder={}) if name == "quickft" else state.phi
+        phi = state.phi._replace(encoder={}) if preparation.completes_general else state.phi
         result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
         save_checkpoint(file, phi, header | about | result, previous)
 
     writes, seconds, saved = ranks.number() == 0, _seconds(), time.monotonic()
     state = since = _since(path, settings, run)
-    with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
+    with progress(f"train {preparation.name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
         try:
-            for state in prepare(paradigm, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
+            for state in prepare(preparation, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
                 if writes and time.monotonic() - saved >= seconds:
                     save_state(_training_path(path), state._asdict(), settings)
                     saved = time.monotonic()
@@ -103,7 +103,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         _training_path(path).unlink(missing_ok=True)
     ranks.wait()  # until the file is there, from which all go on
     at = f"validation error {state.validation:.3f} at step {state.best_step}"
-    say(f"{name}: {at}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
+    say(f"{preparation.name}: {at}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
     return path, general
 
 
@@ -141,20 +141,22 @@ def _training_path(path: Path) -> Path:
     return path.with_suffix(".training.safetensors")
 
 
-def _tasks_of(run: Run, name: str) -> Tasks:
+def _tasks_of(run: Run, preparation: Preparation) -> Tasks:
     """The training tasks of a data set."""
     app, folder = run.app, data_folder(run.app, run.options.data, run.options.quiet)
     tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), run.device)
-    say(f"training {app.full_name} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    on = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
+    say(f"training {app.full_name} {preparation.name} on {on}")
     return tasks
 
 
-def _first(run: Run, name: str) -> Checkpoint | None:
+def _first(run: Run, preparation: Preparation) -> Checkpoint | None:
     """The checkpoint that a training goes on from; None if none was given, or a General to begin at."""
     given = run.options.checkpoint
-    if not given or (_needs_general(run, name) and load_checkpoint(given)[1].get("checkpoint") == "general"):
+    general = preparation.general.name
+    if not given or (preparation.begins_at_general and load_checkpoint(given)[1].get("checkpoint") == general):
         return None
-    if name == "quickft":
+    if preparation.completes_general:
         raise ValueError(f"{given}: expected the General that an Adam is searched for; name its file, or leave it out.")
     checkpoint = with_checkpoint(run).checkpoint
     assert checkpoint is not None
@@ -167,8 +169,8 @@ def _previous(path: Path) -> Path:
     return path.with_suffix(".previous.safetensors")
 
 
-def _general_of(run: Run) -> Checkpoint:
-    """The General that QuickFT is tuned for or that Meta's training begins at.
+def _general_of(run: Run, preparation: Preparation) -> Checkpoint:
+    """Return the General that a training begins at.
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now, for as many steps. A
     training with the same settings that has ended is not repeated.
@@ -176,14 +178,15 @@ def _general_of(run: Run) -> Checkpoint:
     Raises:
         ValueError: there is a General of other settings in its place, which is not replaced.
     """
-    options = replace(run.options, paradigm="general")
-    run = replace(run, options=options, paradigm=PARADIGMS["general"](run.app, run.recipe, run.paradigm.rule_name))
-    if not options.checkpoint and not ships_general(run):
-        path, steps = trained_path(run, "general"), options.train_steps
+    general = preparation.general
+    options = replace(run.options, paradigm=general.paradigm.name)
+    run = replace(run, options=options, paradigm=general.paradigm)
+    if not options.checkpoint and not has_shipped(run, general):
+        path, steps = trained_path(run, general), options.train_steps
         if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
             train_checkpoint(run)
-        elif not _settings(run, "general").items() <= load_checkpoint(path)[1].items():
+        elif not _settings(run, general).items() <= load_checkpoint(path)[1].items():
             found = "a General that was trained by other settings"
             raise ValueError(f"{path}: {found}; begin at it with --checkpoint {path}, or move it to train another one.")
         run = replace(run, options=replace(options, checkpoint=path))
@@ -193,28 +196,26 @@ def _general_of(run: Run) -> Checkpoint:
     return checkpoint
 
 
-def _name_of(run: Run) -> str:
-    """The checkpoint to train: the last of those that the paradigm needs."""
-    needs = run.paradigm.needs
-    if not needs:
+def _preparation_of(run: Run) -> Preparation:
+    """Return what to train: the last of the checkpoints that the paradigm needs."""
+    preparations = run.paradigm.preparations
+    if not preparations:
         raise BadOption(f"--train: {run.paradigm.name} needs no preparation; leave the option out.")
     if run.options.checkpoint and run.options.checkpoint.is_dir():
         raise BadOption(f"--checkpoint {run.options.checkpoint}: a folder; with --train name a file in it.")
-    return needs[-1]
+    return preparations[-1]
 
 
-def _needs_general(run: Run, name: str) -> bool:
-    return name == "quickft" or (name != "general" and run.recipe.training(name).from_general)
-
-
-def _settings(run: Run, name: str, general: MetaParameters | None = None, first: Checkpoint | None = None) -> Document:
-    """All that the result of a training depends on but for rounding, which the header of its checkpoint states."""
-    folder = data_folder(run.app, run.options.data, run.options.quiet)
+def _settings(
+    run: Run, preparation: Preparation, general: MetaParameters | None = None, first: Checkpoint | None = None
+) -> Document:
+    """Return all that the result of a training depends on but for rounding: the header of its checkpoint."""
+    folder, name = data_folder(run.app, run.options.data, run.options.quiet), preparation.name
     return (
         {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
         | {"recipe": run.options.recipe, "recipe_digest": digest(repr(run.recipe)), "seed": run.options.seed}
         | {"steps": run.options.train_steps, "versions": versions()}
-        | ({} if name == "general" else run.app.protocol_entry())
+        | ({} if preparation.shared_by_protocols else run.app.protocol_entry())
         | run.app.conditions()
         | precision_of(run.app, run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})

@@ -92,7 +92,7 @@ def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None
     )
     start.alpha["penalty.last"].fill_(-20.0)
     tasks = tasks_of(theta)
-    fit = Meta(APP, RECIPE, "ridge", 5).fit(start, tasks, Generator().manual_seed(5))
+    fit = Meta.of(APP, RECIPE, "ridge", 5).fit(start, tasks, Generator().manual_seed(5))
     before = float(APP.errors({key: value[None] for key, value in start.theta.items()}, tasks)["error"])
     assert float(APP.errors(fit, tasks)["error"]) < 1e-3 * before
     for key, value in fit.items():

@@ -8,6 +8,9 @@ import pytest
 
 from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
+from metapp.paradigms.adam import QuickFT
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 from metapp.registry import app_names, protocols_of
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import FULL, QUICK, shipped_path, ships
@@ -33,6 +36,10 @@ def start_of(name: str, each: str, recipe: str = QUICK) -> MetaParameters:
 # What they are
 
 
+def names_of(paradigm: Paradigm) -> list[str]:
+    return [checkpoint_name(paradigm.app, preparation) for preparation in paradigm.preparations]
+
+
 def expected_of(name: str, recipe: str) -> set[str]:
     """What must ship: General, an Adam and rules; of "full", where rules go to a finer grid, Adams alone.
 
@@ -41,15 +48,16 @@ def expected_of(name: str, recipe: str) -> set[str]:
     if recipe == FULL and protocols_of(name):
         names = set()
         for protocol in protocols_of(name):
-            app, rule = app_by(name, FULL, protocol), recipes_of(name, protocol)[FULL].rule
-            own = checkpoint_name(app, "general") != "general"
-            names |= {checkpoint_name(app, each) for each in ("quickft", *(("general", rule) if own else ()))}
+            app, of = app_by(name, FULL, protocol), recipes_of(name, protocol)[FULL]
+            (general, adam), rule = names_of(QuickFT.of(app, of)), names_of(Meta.of(app, of))
+            names |= {adam, *((general, *rule) if general != "general" else ())}
         return names
     names = {"general"}
     for protocol in protocols_of(name) or ("",):
         app, of = app_by(name, recipe, protocol), recipes_of(name, protocol)[recipe]
         rules = of.meta if name == "brdf" else (of.rule,)
-        names |= {checkpoint_name(app, each) for each in ("quickft", *rules)}
+        names.add(names_of(QuickFT.of(app, of))[1])
+        names.update(*(names_of(Meta.of(app, of, rule)) for rule in rules))
     return names
 
 

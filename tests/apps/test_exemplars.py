@@ -231,7 +231,7 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
     assert layout.shape == (2, 3, *app.layout_size)
     assert layout[0].std() > 0.1
     rng = Generator().manual_seed(0)
-    theta = Overfit(app, tiny(app.name), asked_steps=2).fit(MetaParameters(), paved, rng)
+    theta = Overfit.of(app, tiny(app.name), steps=2).fit(MetaParameters(), paved, rng)
     encoded = app.encode(app.init_encoder(rng), app.condition(paved, rng))
     assert torch.equal(theta["layout"], layout)
     assert torch.equal(encoded["layout"], layout)

@@ -24,6 +24,7 @@ from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import shipped_path
 from metapp.storage.checkpoints import load_checkpoint
@@ -46,18 +47,20 @@ class Found(NamedTuple):
 def fitted(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
     recipe = recipes_of(app.name, app.protocol)["quick"]
-    meta, quickft, tasks = Meta(app, recipe), QuickFT(app, recipe), stack(app, list(sources))
+    meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack(app, list(sources))
 
-    def shipped(name: str) -> MetaParameters:
-        return load_checkpoint(shipped_path(app.name, checkpoint_name(app, name)))[0]
+    def shipped(paradigm: Paradigm) -> list[MetaParameters]:
+        names = [checkpoint_name(app, preparation) for preparation in paradigm.preparations]
+        return [load_checkpoint(shipped_path(app.name, name))[0] for name in names]
 
-    learned, tuned = shipped(recipe.rule), shipped("general")._replace(alpha=shipped("quickft").alpha)
+    (learned,), (general, adam) = shipped(meta), shipped(quickft)
+    tuned = general._replace(alpha=adam.alpha)
     rng = [Generator().manual_seed(0) for _ in range(4)]
     return Found(
         tasks,
         meta.initialisation(learned, tasks, rng[0]),
         quickft.fit(tuned, tasks, rng[1]),
-        meta.unguarded().fit(learned, tasks, rng[2]),
+        meta.fit(learned, tasks, rng[2], guarded=False),
         final_item(meta.descend(learned, tasks, rng[3])),
     )
 

@@ -7,7 +7,7 @@ import pytest
 from metapp.extensions.native import fastest
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms import Paradigm
+from metapp.paradigms.paradigm import Paradigm
 from tests.paradigms.small import KINDS, SMALL, fits_of, small_app, small_recipe
 
 

@@ -31,7 +31,9 @@ from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
-from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.paradigms import PARADIGMS, paradigm_of
+from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState
 from metapp.registry import app_names, registry
 from metapp.rules import rule_of
@@ -160,14 +162,15 @@ def rng(seed: int = 0) -> Generator:
 
 def fits_of(app: App, recipe: Recipe, rule: str = "", steps: int | None = None) -> dict[str, Paradigm]:
     """The five paradigms of an application, by name."""
-    return {name: kind(app, recipe, rule, steps) for name, kind in PARADIGMS.items()}
+    return {name: paradigm_of(name).of(app, recipe, rule, steps) for name in PARADIGMS}
 
 
 def untrained(paradigm: Paradigm) -> MetaParameters:
     """phi for every paradigm: a random encoder, a random theta_0 and its rule's initial hyperparameters."""
     app = paradigm.app
     theta = {key: value[0] for key, value in app.init(rng(1), 1).items()}
-    alpha = rule_of(paradigm.rule_name).alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
+    rule = paradigm.learned_rule if isinstance(paradigm, Meta) else rule_of(paradigm.recipe.rule)
+    alpha = rule.alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
     return MetaParameters(theta, alpha, app.init_encoder(rng(2)))
 
 

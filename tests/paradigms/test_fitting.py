@@ -18,10 +18,10 @@ from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters, check_finite, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Batch, Tasks
-from metapp.paradigms import PARADIGMS, Paradigm
+from metapp.paradigms import PARADIGMS
 from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 from metapp.registry import app_names, protocols_of
-from metapp.rules import rule_of
 from tests.marked import long
 from tests.paradigms.small import (
     KINDS,
@@ -67,6 +67,10 @@ def test_a_paradigm_fits(name: str, app: App, fits: dict[str, Paradigm], tasks: 
 
 def test_the_five_paradigms(app: App, fits: dict[str, Paradigm]) -> None:
     recipe = fits["meta"].recipe
+
+    def names(paradigm: Paradigm) -> tuple[str, ...]:
+        return tuple(preparation.name for preparation in paradigm.preparations)
+
     expected = {
         "general": (("general",), 0),
         "overfit": ((), 20),
@@ -74,7 +78,7 @@ def test_the_five_paradigms(app: App, fits: dict[str, Paradigm]) -> None:
         "quickft": (("general", "quickft"), recipe.steps),
         "meta": ((recipe.rule,), recipe.steps),
     }
-    assert {name: (each.needs, each.steps) for name, each in fits.items()} == expected
+    assert {name: (names(each), each.steps) for name, each in fits.items()} == expected
     assert {name: each.steps for name, each in fits_of(app, recipe, steps=7).items()} == {
         name: 0 if name == "general" else 7 for name in expected
     }
@@ -82,18 +86,18 @@ def test_the_five_paradigms(app: App, fits: dict[str, Paradigm]) -> None:
 
 @pytest.mark.parametrize(("app", "rule"), [*PAIRS, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"])
 def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    meta = replace(fits["meta"], rule_name=rule)
+    meta = Meta.of(fits["meta"].app, fits["meta"].recipe, rule)
     start = prepared_for(meta)
     theta = meta.fit(start, tasks.select([0, 1]), rng())
     assert all(torch.isfinite(value).all() for value in theta.values())
     assert not all(torch.equal(theta[key][0], value) for key, value in start.theta.items())
-    longer = replace(meta, asked_steps=meta.recipe.steps + 2).fit(start, tasks, rng())
+    longer = replace(meta, steps=meta.recipe.steps + 2).fit(start, tasks, rng())
     assert all(torch.isfinite(value).all() for value in longer.values())
 
 
 @pytest.mark.parametrize("app", [long(kind) if kind in SLOWEST else kind for kind in KINDS], indirect=True)
 def test_overfit_learns(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    few, overfit = tasks.select([0, 1, 2, 3]), replace(fits["overfit"], asked_steps=300)
+    few, overfit = tasks.select([0, 1, 2, 3]), replace(fits["overfit"], steps=300)
     before = app.errors(app.init(rng(), 4), few)["error"]
     after = app.errors(overfit.fit(MetaParameters(), few, rng()), few)["error"]
     assert (after < 0.7 * before).all()
@@ -102,7 +106,7 @@ def test_overfit_learns(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> No
 
 def test_without_steps_a_fit_is_its_initialisation(fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """That is General's prediction, of Meta, too, where an encoder was trained through its steps, else theta_0."""
-    phi, none = untrained(fits["meta"]), {name: replace(each, asked_steps=0) for name, each in fits.items()}
+    phi, none = untrained(fits["meta"]), {name: replace(each, steps=0) for name, each in fits.items()}
     general = fits["general"].fit(phi, tasks, rng())
     coded = phi._replace(theta={})
     made = [(none[name].fit(coded, tasks, rng()), general) for name in ("finetune", "quickft", "meta")]
@@ -120,7 +124,7 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
     name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks
 ) -> None:
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
-    paradigm, rows = replace(fits[name], asked_steps=3), [4, 0, 7]
+    paradigm, rows = fits_of(app, fits[name].recipe, steps=3)[name], [4, 0, 7]
     prepared, several, loss = prepared_for(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
     together = final_item(paradigm.descend(prepared, several, tuple(rng(row) for row in rows)))
     starts = paradigm.initialisation(prepared, several, tuple(rng(row) for row in rows))
@@ -145,7 +149,8 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
 def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """With absurd rates no task ends above its initialisation on what it sees, in any application."""
     meta, few = fits["meta"], tasks.select([0, 1, 2])
-    prepared, rule = prepared_for(meta), rule_of(meta.rule_name)
+    assert isinstance(meta, Meta)
+    prepared, rule = prepared_for(meta), meta.learned_rule
     alpha = rule.alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
     found = final_item(meta.descend(prepared._replace(alpha=alpha), few, rng()))
     assert found.guarded is not None
@@ -160,11 +165,11 @@ def test_guards_are_of_named_rules_after_their_own_steps(app: App) -> None:
     recipe = recipes_of(app.name)["quick"]
     plain = Guard(recipe.quickft)
     for rule, training in recipe.meta.items():
-        meta = Meta(app, recipe, rule)
+        meta = Meta.of(app, recipe, rule)
         assert meta.guard == (training.guard or plain)
-        assert Meta(app, recipe, rule, recipe.steps + 1).guard == plain
+        assert Meta.of(app, recipe, rule, recipe.steps + 1).guard == plain
         assert 0 < meta.guard.fall <= 1
-    assert Meta(app, recipe, "sgd+loss").guard == plain
+    assert Meta.of(app, recipe, "sgd+loss").guard == plain
 
 
 # What an application makes of tasks
@@ -266,7 +271,7 @@ def reading_nothing(allowed: tuple[str, ...]) -> Iterator[None]:
 def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the check that the first loss is finite."""
     app = replace(small_app(kind), protocol=protocol)
-    meta = Meta(app, small_recipe(app), OWN_RULES[kind])
+    meta = Meta.of(app, small_recipe(app), OWN_RULES[kind])
     tasks = stack(app, SMALL[app.name].tasks()[:2])
     prepared = prepared_for(meta)
     loss = meta.loss

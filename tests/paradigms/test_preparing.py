@@ -17,9 +17,10 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.paradigms import Paradigm, training
+from metapp.paradigms import training
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState, prepare, split_validation, validation_error
 from metapp.rules import rule_of
 from tests.marked import long
@@ -58,9 +59,9 @@ def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> N
             return 0 * self.loss(theta, batch, learned) + 7
 
     judged = Judged(NBRDF)
-    paradigm = fits_of(judged, small_recipe(judged))[name]
-    phi = paradigm.first_phi(None, tasks, rng())
-    loss = paradigm.outer_loss(phi)
+    (preparation,) = fits_of(judged, small_recipe(judged))[name].preparations
+    phi = preparation.first_phi(None, tasks, rng())
+    loss = preparation.outer_loss(phi)
     values = loss.value(phi.flat(), loss.draw(tasks, rng(), 0.0).batch, {})
     assert torch.equal(values, torch.full_like(values, 7))
 
@@ -88,11 +89,11 @@ EVERY = pytest.mark.parametrize(
 @pytest.fixture
 def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
     """What prepares the checkpoint of a name."""
-    return fits[name] if name in fits else replace(fits["meta"], rule_name=name)
+    return fits[name] if name in fits else Meta.of(fits["meta"].app, fits["meta"].recipe, name)
 
 
 def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
-    return result(prepare(paradigm, tasks, rng(3), **options))
+    return result(prepare(paradigm.preparations[-1], tasks, rng(3), **options))
 
 
 @EVERY
@@ -116,8 +117,8 @@ def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Ta
     """Each validation task twice, with the same draws at every validation."""
     recipe = small_recipe(app)
     changed = replace(recipe.training(recipe.rule), steps=2, validation_variants=2, initialisation="random")
-    meta = Meta(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
-    *_, state = prepare(meta, tasks, rng())
+    meta = Meta.of(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
+    *_, state = prepare(meta.preparations[-1], tasks, rng())
     validation = split_validation(tasks)[1]
     variants = app.augment(validation.select([*range(len(validation))] * 2), rng(0))
     assert state.validation == pytest.approx(validation_error(meta, state.phi, variants), rel=1e-6)
@@ -141,7 +142,7 @@ def test_preparing_improves_what_it_is_prepared_for(
     name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks
 ) -> None:
     """By a share of the error's size: errors may be negative."""
-    longer = replace(trained.training, steps=steps, rates={"": rate}, validate_every=10)
+    longer = replace(trained.preparations[-1].outer_loop, steps=steps, rates={"": rate}, validate_every=10)
     changed: dict[str, Any] = {"general": longer} if name == "general" else {"meta": {name: longer}}
     prepared = look(replace(trained, recipe=replace(trained.recipe, **changed)), tasks)
     first = prepared.curve[0][2]
@@ -151,7 +152,7 @@ def test_preparing_improves_what_it_is_prepared_for(
 def meta_by(meta: Paradigm, **settings: Any) -> Paradigm:
     """Meta with other settings of its training."""
     recipe = meta.recipe
-    return Meta(meta.app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **settings)}))
+    return Meta.of(meta.app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **settings)}))
 
 
 def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
@@ -232,16 +233,16 @@ class Search:
     """A search from an Adam on that is told errors in closed form, and what it looked at."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
-        self.quickft = QuickFT(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
+        self.quickft = QuickFT.of(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
         self.looked: list[Adam] = []
 
         def told(paradigm: Paradigm, prepared: MetaParameters, tasks: Any) -> float:
-            assert paradigm is self.quickft
+            assert paradigm == self.quickft
             self.looked.append(self.quickft.adam(prepared))
             return error(self.looked[-1])
 
         monkeypatch.setattr(training, "validation_error", told)
-        self.path = list(training.prepare(self.quickft, TASKS, rng(), general=GENERAL))
+        self.path = list(training.prepare(self.quickft.preparations[-1], TASKS, rng(), general=GENERAL))
         self.tuned = result(self.path)
         self.found = self.quickft.adam(self.tuned.phi)
 
@@ -294,7 +295,7 @@ def test_the_best_recipe_is_kept_and_a_diverging_one_is_left(monkeypatch: pytest
 def test_searches_use_all_validation_tasks_if_fits_are_cheap(
     name: str, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quickft = QuickFT(app_by(name), recipes_of(name)["quick"])
+    quickft = QuickFT.of(app_by(name), recipes_of(name)["quick"])
     names = tuple(f"{i:03d}" for i in range(240))
     looked: list[int] = []
 
@@ -304,7 +305,7 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(
 
     monkeypatch.setattr(training, "validation_error", told)
     data = Tasks(names, {}, torch.arange(240))
-    assert len(list(training.prepare(quickft, data, rng(), general=GENERAL, steps=3))) == 3
+    assert len(list(training.prepare(quickft.preparations[-1], data, rng(), general=GENERAL, steps=3))) == 3
     assert looked == [count] * 3
 
 
@@ -318,9 +319,9 @@ def test_a_rule_is_tuned_as_quickft_is(
     monkeypatch.setattr(training, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
     recipe = fits["meta"].recipe
     tuned = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
-    meta = Meta(app, replace(recipe, meta={rule: tuned}), rule)
+    meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(rng()))
-    made = result(training.prepare(meta, tasks, rng(), general=encoder))
+    made = result(training.prepare(meta.preparations[-1], tasks, rng(), general=encoder))
     plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta

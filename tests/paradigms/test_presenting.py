@@ -12,7 +12,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import Paradigm
+from metapp.paradigms.paradigm import Paradigm
 from metapp.registry import protocols_of
 from metapp.storage.files import file_name
 from tests.paradigms.small import rng
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 @pytest.fixture
 def fitted(fits: dict[str, Paradigm], tasks: Tasks) -> Params:
     """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
-    theta = replace(fits["overfit"], asked_steps=3).fit(MetaParameters(), tasks.select([0]), rng())
+    theta = replace(fits["overfit"], steps=3).fit(MetaParameters(), tasks.select([0]), rng())
     return {key: value[0] for key, value in theta.items()}
 
 

@@ -14,8 +14,9 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
-from metapp.paradigms import Paradigm, training
+from metapp.paradigms import training
 from metapp.paradigms.meta import Meta
+from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState, prepare
 from metapp.storage.checkpoints import load_state, save_checkpoint, save_state
 from tests.marked import long
@@ -40,7 +41,7 @@ def trained(kind: str, fits: dict[str, Paradigm], monkeypatch: pytest.MonkeyPatc
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in recipe.meta else "meta-encoder"  # networks are for grids alone
     settings = replace(recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
-    return Meta(fits["meta"].app, replace(recipe, meta={rule: settings}), rule)
+    return Meta.of(fits["meta"].app, replace(recipe, meta={rule: settings}), rule)
 
 
 def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float = math.inf) -> TrainState:
@@ -48,7 +49,7 @@ def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float 
     general = None if paradigm.name == "general" else MetaParameters(encoder=untrained(paradigm).encoder)
     fields = load_state(path, SETTINGS) if path else None
     since = TrainState(**fields) if fields else None
-    for count, state in enumerate(prepare(paradigm, tasks, rng(3), general=general, since=since), 1):
+    for count, state in enumerate(prepare(paradigm.preparations[-1], tasks, rng(3), general=general, since=since), 1):
         if path:
             save_state(path, state._asdict(), SETTINGS)
         if count >= most:

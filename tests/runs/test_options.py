@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from data_tools.synthetic.examples import write_example
 from metapp.apps import app_of, recipes_of
 from metapp.cli.commands import app as cli
-from metapp.cli.fit import SUMMARIES
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.options import BadOption, declared, options_of
+from metapp.paradigms import PARADIGMS
 from metapp.registry import app_names, protocols_of, registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.inputs.sources import sources_to_fit
@@ -54,7 +54,7 @@ UNUSED = {
 }
 
 
-@pytest.mark.parametrize("paradigm", SUMMARIES)
+@pytest.mark.parametrize("paradigm", PARADIGMS)
 @pytest.mark.parametrize("name", SHOWN)
 def test_help_fits_a_screen_and_shows_the_options_that_are_used(paradigm: str, name: str) -> None:
     shown = CliRunner().invoke(cli, [paradigm, name, "--help"], env={"COLUMNS": "100"}).stdout

@@ -46,7 +46,7 @@ class InitialisationAlone(QuickFT):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Meta's initialisation."""
-        return Meta(self.app, self.recipe, self.rule_name).initialisation(phi, tasks, rng)
+        return Meta.of(self.app, self.recipe).initialisation(phi, tasks, rng)
 
 
 def ablation(subject: Subject) -> Table:
@@ -63,7 +63,7 @@ def ablation(subject: Subject) -> Table:
     notes = [
         "adam: QuickFT's, searched on validation tasks for General's initialisation",
         *(
-            f"{subject.runs[name].paradigm.rule_name} begins at General's own prediction: rows that differ in the "
+            f"{subject.runs[name].options.rule} begins at General's own prediction: rows that differ in the "
             "initialisation alone are of the same fits"
             for name in names
             if same_initialisation(subject, name)
@@ -76,7 +76,7 @@ def ablation(subject: Subject) -> Table:
 
 def learned(subject: Subject) -> list[str]:
     """The rows of the results by a learned rule, with the network that General predicts."""
-    return [name for name, fit in subject.runs.items() if fit.paradigm.name == "meta" and fit.app == subject.app]
+    return [name for name, fit in subject.runs.items() if fit.paradigm.has_learned_rule and fit.app == subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]:
@@ -94,12 +94,12 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
     if len(found) < len(plans):
         return []
     plan, (meta, general, quickft) = plans[0], (checkpoint.phi for checkpoint in found)
-    rule, adam = plan.paradigm.rule_name, plans[2].paradigm.adam(quickft)
+    rule, adam = plan.options.rule, plans[2].paradigm.adam(quickft)
     if same_initialisation(subject, name):
         return [("general", rule, subject.records(name)), (f"meta ({rule})", "adam", subject.records("quickft"))]
 
     def fitted(kind: type[RuleAlone | InitialisationAlone], start: str, by: str, phi: MetaParameters) -> list[Record]:
-        paradigm = kind(plan.app, plan.recipe, rule, plan.paradigm.asked_steps)
+        paradigm = kind.of(plan.app, plan.recipe, rule, plan.paradigm.steps)
         checkpoint = Checkpoint(phi, "combined", "+".join(one.digest for one in found))
         settings = {"rule": rule, "adam": asdict(adam) if adam and kind is InitialisationAlone else None}
         changed = replace(plan, paradigm=paradigm, checkpoint=checkpoint)

@@ -39,7 +39,7 @@ def convergence(subject: Subject) -> Table:
         return row_of(subject, paradigm, traced, entries)
 
     def after(paradigm: str, part: float) -> Row:
-        step = step_at(part, subject.runs[paradigm].steps)
+        step = step_at(part, subject.runs[paradigm].paradigm.steps)
         return row(paradigm, f"{part:.0%}", step, [dict(one["curves"][paradigm]).get(step) for one in records])
 
     last = row("meta", "further", None, [record["further"][-1][1] for record in records])
@@ -84,7 +84,7 @@ def trace_records(subject: Subject) -> list[Record]:
     """Traces of a few tasks: errors of each paradigm along its steps, and of further steps of Meta."""
     settings = {"app": subject.app.name, **subject.app.protocol_entry(), "further": FURTHER}
     kept = subject.kept("trace", settings, ("curves", "further"), CURVES)
-    steps = sum(subject.runs[name].steps for name in CURVES) + sum(FURTHER)
+    steps = sum(subject.runs[name].paradigm.steps for name in CURVES) + sum(FURTHER)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         return ((_trace(subject, task), None) for task in tasks)
@@ -108,11 +108,11 @@ def _trace(subject: Subject, task: Task) -> Record:
     curves: dict[str, list[tuple[int, float | None]]] = {}
     for name in CURVES:
         fit = subject.runs[name]
-        measured = curve_steps(fit.steps)
+        measured = curve_steps(fit.paradigm.steps)
         descent = fit.paradigm.descend(fit.phi, stacked, rng_of(fit, task))  # the fit of the row
         states = {now.step: now.theta for now in descent if now.step in measured}  # [1, ...] each
         curves[name] = [(step, _error_of(subject, states[step], stacked)) for step in sorted(measured)]
-    meta = states[fit.steps]  # the last of CURVES
+    meta = states[fit.paradigm.steps]  # the last of CURVES
     further = _further(subject, task, stacked, meta, curves["overfit"][-1][1])
     return {"name": task.name, "error": curves["meta"][-1][1], "curves": curves, "further": further}
 

@@ -43,13 +43,14 @@ def results(subject: Subject) -> Table:
 
 def result_rows(subject: Subject, names: Collection[str]) -> list[Row]:
     """Rows of paradigms and of Meta's rules; fits of few steps are measured first: most of a table is soon there."""
-    for name in sorted(names, key=lambda name: subject.runs[name].steps):
+    for name in sorted(names, key=lambda name: subject.runs[name].paradigm.steps):
         subject.records(name)
     rows = []
     for name in names:
         run = subject.runs[name]
-        rule = run.paradigm.rule_name if run.paradigm.name == "meta" else None
-        entries = {"rule": rule, "steps": run.steps, "few": subject.is_of_few(name), **of_paper(subject.app, name)}
+        rule = run.options.rule if run.paradigm.has_learned_rule else None
+        entries = {"rule": rule, "steps": run.paradigm.steps, "few": subject.is_of_few(name)}
+        entries |= of_paper(subject.app, name)
         rows.append(row_of(subject, name, subject.records(name), entries, AGAINST))
     return rows
 

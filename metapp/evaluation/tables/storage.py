@@ -7,6 +7,7 @@ from torch import Generator
 from metapp.evaluation.rows import paper, row_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
+from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.runs.run import Checkpoint
 
@@ -46,8 +47,7 @@ def storage(subject: Subject) -> Table:
     network, figures = size(subject.app.init(Generator().manual_seed(0), 1)), paper()["storage"]
     exemplars, rows = figures["exemplars"], []
     for name, fit in subject.runs.items():
-        # fits that take long are kept; those that take no time are made again from their checkpoint
-        once, apiece = (0, network) if name in ("overfit", "finetune") else (stored(fit.checkpoint), 0)
+        once, apiece = (0, network) if fit.paradigm.takes_long else (stored(fit.checkpoint), 0)
         entries = {"network_bytes": network, "once_bytes": once, "each_bytes": apiece}
         row = row_of(subject, name, [], entries)
         row["networks"] = None if once is None or apiece else once / network
@@ -87,15 +87,16 @@ def samples(subject: Subject) -> Table:
 
 def _sample_row(subject: Subject, name: str) -> Row:
     fit = subject.runs[name]
-    batch, tasks = fit.recipe.batch, subject.tasks
+    batch, steps, tasks = fit.recipe.batch, fit.paradigm.steps, subject.tasks
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
-    entries |= {"steps": fit.steps, "batch": batch if fit.steps else None}
+    entries |= {"steps": steps, "batch": batch if steps else None}
     row = row_of(subject, name, [], entries)
     visible = subject.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
-    encodes = "general" in fit.paradigm.needs or bool(fit.checkpoint and fit.checkpoint.phi.encoder)
-    count = min(fit.steps * batch + (visible.encoder if encodes else 0), visible.samples)
+    first, none = fit.paradigm.preparations[:1], MetaParameters()
+    phi = fit.checkpoint.phi if fit.checkpoint else first[0].template(none) if first else none
+    count = min(steps * batch + (visible.encoder if phi.encoder else 0), visible.samples)
     return row | {
         "tasks": len(tasks),
         "seen": count,

@@ -25,7 +25,6 @@ from metapp.runs.reporter import say
 from metapp.storage.fits import PARAMS, Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
-LONG = SHOWN[3:]  # stand here where there are records of them
 COLUMNS = columns(
     Column("method", "paradigm"),
     *("error", "seconds", "vs meta"),
@@ -99,7 +98,8 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
     entries = {"shared": stored(fit.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
     entries |= of_paper(fit.app, name)
-    return row_of(subject, name, subject.found(name) if name in LONG else subject.records(name), entries, ("meta",))
+    records = subject.found(name) if fit.paradigm.takes_long else subject.records(name)
+    return row_of(subject, name, records, entries, ("meta",))
 
 
 def _row_of_baseline(subject: Subject, name: str, records: list[Record]) -> Row:

@@ -46,7 +46,7 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
     meta, general = (subject.runs[name].phi for name in ("meta", "general"))
     tasks, recipe = stack(subject.app, subject.tasks), subject.run.recipe
-    start, rule = InitialisationAlone(subject.app, recipe), RuleAlone(subject.app, recipe)
+    start, rule = InitialisationAlone.of(subject.app, recipe), RuleAlone.of(subject.app, recipe)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
     ours = start.initialisation(meta, tasks, rngs[0])
     assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
@@ -73,7 +73,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
         last = {record["name"]: record["curves"][name][-1] for record in traces}
         errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.records(name)}
         assert {task: error for task, (_, error) in last.items()} == errors
-        assert {step for step, _ in last.values()} == {subject.runs[name].steps}
+        assert {step for step, _ in last.values()} == {subject.runs[name].paradigm.steps}
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
 
 

@@ -117,7 +117,7 @@ def test_relief_that_a_photo_does_not_tell_is_best_left_out(
 @pytest.mark.usefixtures("weights")
 def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
-    general = General(app, replace(RECIPE, general=training))
+    (general,) = General.of(app, replace(RECIPE, general=training)).preparations
     phi = general.first_phi(None, tasks, rng)
     loss = general.outer_loss(phi)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch

@@ -17,7 +17,7 @@ from metapp.extensions.several.recipe import SEVERAL
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import PARADIGMS
+from metapp.paradigms import PARADIGMS, paradigm_of
 from metapp.rules import rule_of
 from tests.apps.test_svbrdf_nonstationary import material
 
@@ -150,8 +150,8 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
     alpha = rule_of(SEVERAL.rule).alpha(app, random, 3, recipe.quickft)
     phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
     batch = app.condition(tasks, Generator())
-    for name, kind in PARADIGMS.items():
-        paradigm, phi = kind(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
+    for name in PARADIGMS:
+        paradigm, phi = paradigm_of(name).of(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
         steps = list(paradigm.descend(phi, tasks, Generator()))
         first, last = steps[0].theta, steps[-1].theta
         assert last["maps"].shape == (1, sum(RAW), SIDE, SIDE)
